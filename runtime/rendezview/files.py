@@ -1,0 +1,198 @@
+"""Reading and writing whole files: errors a user understands, and no half-written file.
+
+Every writer of this package goes through :func:`atomic_write`: the content is
+written beside the destination under a temporary name and renamed when complete.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from rendezview.errors import RendezviewError
+
+StrPath = str | os.PathLike[str]
+Checked = TypeVar("Checked")
+
+
+def write_error(path: Path, error: OSError) -> RendezviewError:
+    """The error to raise when writing ``path`` failed with ``error``."""
+    reason = error.strerror or str(error)
+    if isinstance(error, FileNotFoundError) and not path.parent.is_dir():
+        return RendezviewError(
+            f"{path}: cannot be written, its folder {path.parent} does not exist: create it first"
+        )
+    return RendezviewError(
+        f"{path}: cannot be written ({reason}): check the free space and your permissions there, "
+        f"or choose another place"
+    )
+
+
+@contextlib.contextmanager
+def atomic_write(path: StrPath, *, durable: bool = True) -> Iterator[BinaryIO]:
+    """A binary file object whose content appears at ``path`` only when all of it is written.
+
+    The content goes to a temporary name in the same folder and replaces ``path``
+    on success; on any exception (Ctrl-C too) the temporary file is removed and
+    ``path`` is left as it was. A symbolic link is followed. What exists and is no
+    regular file (``/dev/stdout``, a named pipe) is written to directly.
+
+    Args:
+        path: the destination.
+        durable: force the content to the disk before the rename. False where
+            another file, written last, says that this one is complete.
+
+    Raises:
+        RendezviewError: the folder is missing, the disk full, permission denied …
+    """
+    given = Path(path)
+    destination = Path(os.path.realpath(given))
+    try:
+        special = not stat.S_ISREG(os.stat(destination).st_mode)
+    except OSError:
+        special = False
+    if destination.is_dir():
+        raise RendezviewError(f"{given}: is a folder: give the name of a file to write")
+    if special:
+        temporary, flags = destination, os.O_WRONLY
+    else:
+        # The name is cut so that a long destination name still leaves room.
+        temporary = destination.with_name(f".{destination.name[:40]}.{secrets.token_hex(6)}.tmp")
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+    done = False
+    try:
+        with open(temporary, "wb", opener=lambda name, _: os.open(name, flags, 0o666)) as file:
+            yield file
+            file.flush()
+            if durable and not special:
+                os.fsync(file.fileno())
+        if not special:
+            os.replace(temporary, destination)
+        done = True
+    except OSError as error:
+        # An error of another file, opened by the caller's block, is not ours to explain.
+        if error.filename is not None and os.fspath(error.filename) != str(temporary):
+            raise
+        raise write_error(given, error) from error
+    finally:
+        if not done and not special:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+
+
+def atomic_write_text(path: StrPath, text: str, *, durable: bool = True) -> None:
+    """Write ``text`` as UTF-8, all of it or nothing; arguments and errors of `atomic_write`."""
+    with atomic_write(path, durable=durable) as file:
+        file.write(text.encode("utf-8"))
+
+
+def make_folder(path: StrPath) -> None:
+    """Create a folder and its parents where missing.
+
+    Raises:
+        RendezviewError: a file has that name, or permission is denied.
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RendezviewError(
+            f"{path}: this folder cannot be created ({error.strerror}): choose another place"
+        ) from error
+
+
+def read_bytes(path: StrPath, what: str, *, limit_bytes: int | None = None) -> bytes:
+    """The content of a file that is ``what`` (for the message: ``"a camera file"``).
+
+    Raises:
+        RendezviewError: missing, unreadable, or longer than ``limit_bytes``.
+    """
+    try:
+        with open(path, "rb") as file:
+            content = file.read() if limit_bytes is None else file.read(limit_bytes + 1)
+    except FileNotFoundError as error:
+        raise RendezviewError(f"{path}: no such file; expected {what}: check the path") from error
+    except IsADirectoryError as error:
+        raise RendezviewError(f"{path}: is a folder; expected {what}: name the file") from error
+    except OSError as error:
+        raise RendezviewError(
+            f"{path}: cannot be read ({error.strerror}); expected {what}: check its permissions"
+        ) from error
+    if limit_bytes is not None and len(content) > limit_bytes:
+        raise RendezviewError(
+            f"{path}: longer than {limit_bytes} bytes, so not {what}: name another file"
+        )
+    return content
+
+
+def read_text(path: StrPath, what: str, *, limit_bytes: int | None = None) -> str:
+    """Like `read_bytes`, decoded as UTF-8 (a leading byte order mark is dropped)."""
+    try:
+        return read_bytes(path, what, limit_bytes=limit_bytes).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RendezviewError(
+            f"{path}: not text in UTF-8 (byte {error.start}); expected {what}: name another file"
+        ) from error
+
+
+def parse_json(text: str, where: str) -> Any:
+    """A JSON document; ``where`` (path, line) starts the message of an error.
+
+    Raises:
+        RendezviewError: bad JSON, or the numbers NaN and Infinity, which JSON does not have.
+    """
+
+    def refuse(constant: str) -> Any:
+        raise ValueError(f"{constant} is not a JSON number")
+
+    try:
+        return json.loads(text, parse_constant=refuse)
+    except json.JSONDecodeError as error:
+        raise RendezviewError(
+            f"{where}: not valid JSON ({error.msg} at line {error.lineno}, column {error.colno}): "
+            f"mend or replace the file"
+        ) from error
+    except (ValueError, RecursionError) as error:
+        raise RendezviewError(
+            f"{where}: not valid JSON ({error}): mend or replace the file"
+        ) from error
+
+
+def read_json(path: StrPath, what: str) -> Any:
+    """The content of a JSON file; errors of `read_text` and `parse_json`."""
+    return parse_json(read_text(path, what), str(path))
+
+
+def checked(adapter: TypeAdapter[Checked], data: Any, where: str) -> Checked:
+    """``data`` as the type of a pydantic adapter; ``where`` starts the message.
+
+    Raises:
+        RendezviewError: names the first wrong keys (at most three) and what is wrong with each.
+    """
+    try:
+        return adapter.validate_python(data)
+    except ValidationError as error:
+        raise RendezviewError(f"{where}: {describe(error)}") from error
+
+
+def describe(error: ValidationError) -> str:
+    """The first three faults of a pydantic error in one line, each with its dotted key."""
+    faults = []
+    for fault in error.errors(include_url=False, include_context=False)[:3]:
+        key = ".".join(str(part) for part in fault["loc"]) or "the file"
+        if fault["type"] == "extra_forbidden":
+            faults.append(f"{key}: unknown key, remove it or correct its spelling")
+        elif fault["type"] == "missing":
+            faults.append(f"{key}: missing, add it")
+        else:
+            message = fault["msg"].removeprefix("Value error, ")
+            faults.append(f"{key}: {message[:1].lower()}{message[1:]}")
+    more = error.error_count() - len(faults)
+    return "; ".join(faults) + (f"; and {more} more" if more > 0 else "")

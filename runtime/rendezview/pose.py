@@ -1,0 +1,186 @@
+"""Rigid transforms between named frames.
+
+A transform is named ``to_from_from``: ``camera_from_target`` maps target
+coordinates to camera coordinates, and ``a_from_b @ b_from_c`` is ``a_from_c``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy.spatial.transform import Rotation
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Rigid transform ``p_to = rotation @ p_from + translation_m``.
+
+    Raises:
+        ValueError: a part has the wrong shape or is not finite, or ``rotation``
+            is not orthonormal with determinant +1 (to 1e-6).
+    """
+
+    rotation: Array  # (3, 3) orthonormal, det +1
+    translation_m: Array  # (3,)
+
+    def __post_init__(self) -> None:
+        rotation = np.array(self.rotation, dtype=np.float64)
+        translation_m = np.array(self.translation_m, dtype=np.float64)
+        if rotation.shape != (3, 3) or translation_m.shape != (3,):
+            raise ValueError(
+                f"a pose needs a (3, 3) rotation and a (3,) translation, "
+                f"not {rotation.shape} and {translation_m.shape}"
+            )
+        if not (np.isfinite(rotation).all() and np.isfinite(translation_m).all()):
+            raise ValueError("a pose must be finite")
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0.0:
+            raise ValueError(f"rotation is not orthonormal with determinant +1: {rotation}")
+        rotation.setflags(write=False)
+        translation_m.setflags(write=False)
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation_m", translation_m)
+
+    @classmethod
+    def identity(cls) -> Pose:
+        """The transform that changes nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quat_wxyz(cls, quat_wxyz: npt.ArrayLike, translation_m: npt.ArrayLike) -> Pose:
+        """Pose from a scalar-first quaternion (any norm but zero) and a translation in metres."""
+        quat = np.asarray(quat_wxyz, dtype=np.float64)
+        if quat.shape != (4,) or not np.isfinite(quat).all() or not np.any(quat):
+            raise ValueError(f"quat_wxyz must be four finite numbers, not all zero: {quat_wxyz!r}")
+        rotation = Rotation.from_quat(quat[[1, 2, 3, 0]]).as_matrix()
+        return cls(rotation, np.asarray(translation_m, dtype=np.float64))
+
+    @property
+    def quat_wxyz(self) -> Array:
+        """(4,) unit quaternion of the rotation, scalar first, w ≥ 0."""
+        quat = Rotation.from_matrix(self.rotation).as_quat()[[3, 0, 1, 2]]
+        return np.asarray(-quat if quat[0] < 0 else quat)
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Chain: ``a_from_b @ b_from_c`` is ``a_from_c``."""
+        return Pose(
+            self.rotation @ other.rotation,
+            self.rotation @ other.translation_m + self.translation_m,
+        )
+
+    def inverse(self) -> Pose:
+        """``b_from_a`` of ``a_from_b``."""
+        return Pose(self.rotation.T, -self.rotation.T @ self.translation_m)
+
+    def apply(self, points_m: npt.ArrayLike) -> Array:
+        """Points (..., 3) in the *from* frame → the same points in the *to* frame."""
+        return np.asarray(points_m) @ self.rotation.T + self.translation_m
+
+    def angle_to(self, other: Pose) -> float:
+        """Angle of the rotation between the two, radians in [0, π]."""
+        return rotation_angle(self.rotation @ other.rotation.T)
+
+    def perturbed(self, delta: npt.ArrayLike) -> Pose:
+        """This pose with a left perturbation (rotation vector rad, translation m), (6,).
+
+        ``p' = exp(delta[:3]) (R p + t) + delta[3:]`` is not meant: rotation and
+        translation are perturbed apart, ``R' = exp(w) R``, ``t' = t + v``, which
+        is the convention of every covariance in this package.
+        """
+        step = np.asarray(delta, dtype=np.float64)
+        if step.shape != (6,):
+            raise ValueError(f"delta must be (6,), not {step.shape}")
+        return Pose(
+            Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,
+            self.translation_m + step[3:],
+        )
+
+
+def rotation_angle(rotation: npt.ArrayLike) -> float:
+    """Angle of a (3, 3) rotation matrix, radians in [0, π]; exact near 0 and near π."""
+    return float(Rotation.from_matrix(np.asarray(rotation, dtype=np.float64)).magnitude())
+
+
+def minimal_rotation(from_direction: npt.ArrayLike, to_direction: npt.ArrayLike) -> Array:
+    """The (3, 3) rotation of least angle that turns one direction (3,) into another.
+
+    Opposite directions have no single answer: any axis across them is taken.
+
+    Raises:
+        ValueError: a direction is zero or not finite.
+    """
+    a = np.array(from_direction, dtype=np.float64)
+    b = np.array(to_direction, dtype=np.float64)
+    for direction in (a, b):
+        if direction.shape != (3,):
+            raise ValueError(f"a direction must be (3,), not {direction.shape}")
+    rotation = np.empty((3, 3))
+    if not _minimal_rotation(a, b, rotation):
+        raise ValueError(f"directions must be finite and not zero: {a}, {b}")
+    return rotation
+
+
+@njit(cache=True, nogil=True)
+def _minimal_rotation(a: Array, b: Array, rotation: Array) -> bool:
+    for v in (a, b):
+        largest = max(abs(v[0]), abs(v[1]), abs(v[2]))
+        if not 0.0 < largest < np.inf:
+            return False
+        v /= largest  # no overflow or underflow in the norm
+        v /= np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    axis = np.empty(3)
+    axis[0] = a[1] * b[2] - a[2] * b[1]
+    axis[1] = a[2] * b[0] - a[0] * b[2]
+    axis[2] = a[0] * b[1] - a[1] * b[0]
+    cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    sine = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    if sine < 1e-14:
+        if cosine > 0.0:
+            rotation[:] = np.eye(3)
+            return True
+        axis[:] = 0.0  # any axis across: towards the least component of a
+        axis[np.argmin(np.abs(a))] = 1.0
+    else:
+        axis /= sine
+    # Near ±1 rounding tilts the cross product; across `a` the turn still ends exactly at `b`.
+    axis -= a * (axis[0] * a[0] + axis[1] * a[1] + axis[2] * a[2])
+    axis /= np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    size = np.sqrt(sine * sine + cosine * cosine)
+    sine, cosine = sine / size, cosine / size
+    x, y, z = axis[0], axis[1], axis[2]
+    # 1 - cos without cancellation for small angles
+    rest = sine * sine / (1.0 + cosine) if cosine > 0.0 else 1.0 - cosine
+    rotation[0, 0], rotation[1, 1], rotation[2, 2] = (
+        1.0 - rest * (y * y + z * z),
+        1.0 - rest * (x * x + z * z),
+        1.0 - rest * (x * x + y * y),
+    )
+    rotation[0, 1], rotation[1, 0] = rest * x * y - sine * z, rest * x * y + sine * z
+    rotation[0, 2], rotation[2, 0] = rest * x * z + sine * y, rest * x * z - sine * y
+    rotation[1, 2], rotation[2, 1] = rest * y * z - sine * x, rest * y * z + sine * x
+    return True
+
+
+def nearest_rotation(matrix: npt.ArrayLike, tolerance: float = 1e-3) -> Array:
+    """The rotation (3, 3) nearest to a matrix rounded in a file, in the Frobenius norm.
+
+    A matrix orthonormal to 1e-12 is returned as it is, so that what we wrote is read unchanged.
+
+    Raises:
+        ValueError: not (3, 3), not finite, or further than ``tolerance`` (largest
+            element of ``R Rᵀ - I``) from a rotation: no rounding, but another thing.
+    """
+    given = np.asarray(matrix, dtype=np.float64)
+    if given.shape != (3, 3) or not np.isfinite(given).all():
+        raise ValueError(f"a rotation must be (3, 3) and finite, not {given.tolist()}")
+    error = np.abs(given @ given.T - np.eye(3)).max()
+    if error > tolerance or np.linalg.det(given) < 0.0:
+        raise ValueError(f"not a rotation (orthonormal, determinant +1): {given.tolist()}")
+    if error <= 1e-12:
+        return given
+    u, _, vt = np.linalg.svd(given)
+    return np.asarray(u @ vt)
