@@ -1,0 +1,148 @@
+"""The view model: what training leaves behind and the craft carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.appearance.container import read_container, write_container
+from rendezview.appearance.tree import Forest
+from rendezview.errors import RendezviewError
+from rendezview.geodesic import Geodesic
+from rendezview.pose import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The views of the half-edge lattice, nodes first, each centred on its silhouette."""
+
+    centred_from_target: Array  # (V, 3, 3) attitude of the camera turned to the centroid
+    readings: npt.NDArray[np.uint16]  # (V, N) signature in thousandths of sqrt(area)
+    area_m2: Array  # (V,) area_sr × range² at the sphere radius: A_ref of eq. 4
+    area_slope: Array  # (V,) relative change of area_sr × range² with sphere radius / range
+    offset_m: Array  # (V, 2) view centre off the centroid's line of sight, x right, y down
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """What recognition reached on perturbed views that training never saw, root mean square."""
+
+    direction_rad: float  # view direction, each of two axes
+    roll_rad: float  # about the line of sight
+    range_fraction: float
+    bearing_rad: float  # of the view centre, times range over sphere radius, each axis
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewModel:
+    """A geodesic sphere of views of one target, with a decision tree for each node.
+
+    The view centre is the point that every view looks at, the middle of the target's
+    bounding sphere; poses are nevertheless those of the target's own (CAD) frame.
+    """
+
+    name: str
+    order: int  # of the node sphere; the views are those of order + 1
+    sphere_radius_m: float  # distance of the views from the view centre
+    target_radius_m: float  # of the bounding sphere
+    centre_m: Array  # (3,) view centre in the target frame
+    smooth_bins: int
+    views: Views
+    forest: Forest
+    leaf_on: npt.NDArray[np.int32]  # (M,) training samples in the leaf, recognised …
+    leaf_off: npt.NDArray[np.int32]  # (M,) … and not
+    training_accuracy: Array  # (T,) share of right decisions on the training samples
+    held_out_accuracy: Array  # (T,) the same on held-out samples; NaN where not measured
+    held_out: HeldOut
+    provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
+
+    @property
+    def bins(self) -> int:
+        """Number of readings in a signature."""
+        return int(self.views.readings.shape[1])
+
+    @property
+    def geodesic(self) -> Geodesic:
+        """The sphere of nodes."""
+        return Geodesic.of_order(self.order)
+
+    @property
+    def lattice(self) -> Geodesic:
+        """The sphere of views: nodes and the mid-points of their edges."""
+        return Geodesic.of_order(self.order + 1)
+
+    def save(self, path: Path | str) -> None:
+        """Write the model file, atomically and byte for byte reproducibly."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            f"views.{f.name}": getattr(self.views, f.name) for f in fields(Views)
+        }
+        arrays |= {f"forest.{f.name}": getattr(self.forest, f.name) for f in fields(Forest)}
+        arrays |= {name: getattr(self, name) for name in _ARRAYS}
+        header = {
+            "name": self.name,
+            "order": self.order,
+            "sphere_radius_m": self.sphere_radius_m,
+            "target_radius_m": self.target_radius_m,
+            "smooth_bins": self.smooth_bins,
+            "held_out": {f.name: getattr(self.held_out, f.name) for f in fields(HeldOut)},
+            "provenance": self.provenance,
+        }
+        write_container(Path(path), header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str) -> ViewModel:
+        """Read a model file.
+
+        Raises:
+            RendezviewError: the file is missing, of another kind, newer, cut off,
+                damaged, or does not hold together.
+        """
+        path = Path(path)
+        header, arrays = read_container(path)
+        try:
+            model = cls(
+                name=str(header["name"]),
+                order=int(header["order"]),
+                sphere_radius_m=float(header["sphere_radius_m"]),
+                target_radius_m=float(header["target_radius_m"]),
+                smooth_bins=int(header["smooth_bins"]),
+                views=Views(**{f.name: arrays[f"views.{f.name}"] for f in fields(Views)}),
+                forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
+                held_out=HeldOut(**header["held_out"]),
+                provenance=dict(header["provenance"]),
+                **{name: arrays[name] for name in _ARRAYS},
+            )
+            model._check()
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise RendezviewError(
+                f"{path}: the model does not hold together ({error}); train it again"
+            ) from None
+        return model
+
+    def _check(self) -> None:
+        count, nodes = len(self.lattice.nodes), len(self.geodesic.nodes)
+        shapes: dict[str, tuple[npt.NDArray[Any], tuple[int, ...]]] = {
+            "views.centred_from_target": (self.views.centred_from_target, (count, 3, 3)),
+            "views.readings": (self.views.readings, (count, self.bins)),
+            "views.area_m2": (self.views.area_m2, (count,)),
+            "views.area_slope": (self.views.area_slope, (count,)),
+            "views.offset_m": (self.views.offset_m, (count, 2)),
+            "centre_m": (self.centre_m, (3,)),
+            "forest.roots": (self.forest.roots, (nodes,)),
+            "leaf_on": (self.leaf_on, self.forest.component.shape),
+            "leaf_off": (self.leaf_off, self.forest.component.shape),
+            "training_accuracy": (self.training_accuracy, (nodes,)),
+            "held_out_accuracy": (self.held_out_accuracy, (nodes,)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
+        if self.forest.component.max(initial=-1) >= self.bins:
+            raise ValueError("a tree looks at a bin that the signature has not")
+
+
+_ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")
