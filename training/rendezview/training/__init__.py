@@ -1,0 +1,1 @@
+"""The ground stage: from a CAD model to a view model."""

@@ -1,0 +1,194 @@
+"""One entropy decision tree for each node of the sphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from sklearn.tree import DecisionTreeClassifier
+
+from rendezview.appearance.signature import Readings, rolled, twist
+from rendezview.appearance.tree import Forest
+from rendezview.geodesic import Geodesic, angle_between
+from rendezview.pose import Array
+from rendezview.training.neighbourhood import neighbourhood
+from rendezview.training.options import TrainingOptions
+from rendezview.training.views import ViewSet
+
+IN_EDGES = 1.0  # a view within one edge of the node should be recognised …
+OUT_EDGES = (1.32, 3.0)  # … one in here should not; the lattice has nothing between
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeSet:
+    """Trees of consecutive nodes, each entry with the training samples that reached it."""
+
+    forest: Forest
+    leaf_on: npt.NDArray[np.int32]  # (M,)
+    leaf_off: npt.NDArray[np.int32]  # (M,)
+    training_accuracy: Array  # (T,)
+
+    @classmethod
+    def joined(cls, parts: list[TreeSet]) -> TreeSet:
+        """One set of many, in order."""
+        offsets = np.cumsum([0, *(len(p.forest.component) for p in parts[:-1])])
+
+        def moved(name: str) -> npt.NDArray[np.int32]:
+            return np.concatenate(
+                [getattr(p.forest, name) + o for p, o in zip(parts, offsets, strict=True)]
+            ).astype(np.int32)
+
+        def together(name: str) -> npt.NDArray[np.generic]:
+            return np.concatenate([getattr(p.forest, name) for p in parts])
+
+        forest = Forest(
+            moved("roots"),
+            together("component").astype(np.int16),
+            together("threshold").astype(np.float32),
+            moved("left"),
+            moved("right"),
+            together("category").astype(np.uint8),
+        )
+        return cls(
+            forest,
+            np.concatenate([p.leaf_on for p in parts]),
+            np.concatenate([p.leaf_off for p in parts]),
+            np.concatenate([p.training_accuracy for p in parts]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Everything the trees learn from: the lattice's views, then the perturbed ones."""
+
+    order: int
+    lattice: ViewSet
+    perturbed: ViewSet | None
+
+    def of_node(
+        self, node: int, options: TrainingOptions
+    ) -> tuple[Readings, npt.NDArray[np.bool_]]:
+        """Readings (K, N), rolled as the node's own camera would have them, and labels (K,)."""
+        lattice = Geodesic.of_order(self.order + 1)
+        node_rotation = self.lattice.centred_from_target[node]
+        inside, outside = neighbourhood(lattice, node, options.neighbourhood)
+        chosen = np.concatenate([inside, outside])
+        rolls = twist(self.lattice.centred_from_target[chosen], node_rotation)
+        readings = [_rolled_rows(self.lattice.readings, chosen, rolls)]
+        labels = [np.arange(len(chosen)) < len(inside)]
+        if self.perturbed is not None:
+            rng = np.random.default_rng([options.seed, _STREAM_OF_NODES, node])
+            edge = Geodesic.of_order(self.order).mean_edge_rad
+            distance = angle_between(self.perturbed.direction, lattice.nodes[node]) / edge
+            taken = distance <= options.reach_edges
+            far = (distance > options.reach_edges) & (distance <= options.far_edges)
+            taken |= far & (rng.random(len(distance)) < options.far_fraction)
+            chosen = np.flatnonzero(taken)
+            rolls = twist(self.perturbed.centred_from_target[chosen], node_rotation)
+            rolls = rolls + options.roll_error_rad * rng.normal(size=len(chosen))
+            readings.append(_rolled_rows(self.perturbed.readings, chosen, rolls))
+            labels.append(distance[chosen] <= options.label_edges)
+        return np.concatenate(readings), np.concatenate(labels)
+
+
+_STREAM_OF_NODES = 3  # of random numbers; views use 1 and 2
+
+
+def learn_trees(samples: Samples, options: TrainingOptions, nodes: range) -> TreeSet:
+    """Entropy trees (eq. 5) of some nodes, with the paper's three stopping rules."""
+    return TreeSet.joined([_learn(*samples.of_node(node, options), options) for node in nodes])
+
+
+def _learn(readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingOptions) -> TreeSet:
+    """One tree. Its thresholds are whole readings, so that a listing is the tree exactly."""
+    learner = DecisionTreeClassifier(
+        criterion="entropy",
+        min_samples_split=options.min_samples_split,
+        min_impurity_decrease=options.min_gain / np.log(2.0),  # scikit-learn counts in bits
+        random_state=0,
+    )
+    learner.fit(readings[:, :: options.component_step], labels)
+    tree = learner.tree_
+    inner = tree.children_left >= 0
+    component = np.where(inner, tree.feature * options.component_step, -1).astype(np.int16)
+    threshold = np.where(inner, np.floor(tree.threshold), 0.0).astype(np.float32)
+    share = tree.value[:, 0, :] / tree.value[:, 0, :].sum(axis=1, keepdims=True)
+    on = share[:, 1] if share.shape[1] == 2 else np.full(len(share), float(labels[0]))
+    count = tree.n_node_samples
+    leaf_on = np.where(inner, 0, np.rint(on * count)).astype(np.int32)
+    leaf_off = np.where(inner, 0, count - np.rint(on * count)).astype(np.int32)
+    forest = Forest(
+        np.zeros(1, dtype=np.int32),
+        component,
+        threshold,
+        np.where(inner, tree.children_left, 0).astype(np.int32),
+        np.where(inner, tree.children_right, 0).astype(np.int32),
+        (leaf_on > leaf_off).astype(np.uint8),
+    )
+    right = np.maximum(leaf_on, leaf_off).sum() / len(labels)
+    return TreeSet(forest, leaf_on, leaf_off, np.array([right]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decisions:
+    """Right and wrong decisions of each node (T,) on views it was not trained on."""
+
+    in_right: npt.NDArray[np.int64]
+    in_total: npt.NDArray[np.int64]
+    out_right: npt.NDArray[np.int64]
+    out_total: npt.NDArray[np.int64]
+
+    @property
+    def accuracy(self) -> Array:
+        """(T,) share of right decisions; NaN for a node that no view fell to."""
+        total = self.in_total + self.out_total
+        right = self.in_right + self.out_right
+        return np.divide(right, total, out=np.full(len(total), np.nan), where=total > 0)
+
+
+def decide(
+    forest: Forest,
+    node_rotations: Array,
+    sphere: Geodesic,
+    views: ViewSet,
+    roll_error_rad: float,
+    rng: np.random.Generator,
+) -> Decisions:
+    """Ask every node about every view within three edges whose answer is known.
+
+    In-views lie within one edge of the node, out-views between 1.32 and 3 edges: the
+    paper's lattice has nothing between, and no decision there can be right. The roll of
+    each view is known but for a Gaussian error of ``roll_error_rad``.
+    """
+    count = len(sphere.nodes)
+    in_right, in_total = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    out_right, out_total = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    edge = sphere.mean_edge_rad
+    for k in range(len(views)):
+        nodes = sphere.within(views.direction[k], OUT_EDGES[1] * edge)
+        distance = angle_between(sphere.nodes[nodes], views.direction[k]) / edge
+        rolls = twist(views.centred_from_target[k], node_rotations[nodes])
+        rolls = rolls + roll_error_rad * rng.normal()
+        on = forest.category[forest.leaves(views.readings[k], nodes, rolls)] == 1
+        inside, outside = distance <= IN_EDGES, distance >= OUT_EDGES[0]
+        in_total[nodes[inside]] += 1
+        in_right[nodes[inside & on]] += 1
+        out_total[nodes[outside]] += 1
+        out_right[nodes[outside & ~on]] += 1
+    return Decisions(in_right, in_total, out_right, out_total)
+
+
+def _rolled_rows(readings: Readings, rows: npt.NDArray[np.intp], rolls_rad: Array) -> Readings:
+    out = np.empty((len(rows), readings.shape[1]), dtype=np.float32)
+    _roll_rows(readings, rows, rolls_rad, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _roll_rows(
+    readings: Readings, rows: npt.NDArray[np.intp], rolls_rad: Array, out: Readings
+) -> None:
+    for i in range(rows.shape[0]):
+        out[i] = rolled(readings[rows[i]], rolls_rad[i])

@@ -1,0 +1,98 @@
+"""Work in shards whose results outlive a killed job."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.files import atomic_write
+
+Arrays = dict[str, npt.NDArray[Any]]
+Progress = Callable[[str, int, int], None]  # stage, done, of
+
+
+class Shards:
+    """A folder of finished shards beside the model to be, valid for one set of inputs."""
+
+    def __init__(self, folder: Path, inputs: dict[str, Any]) -> None:
+        key = json.dumps(inputs, sort_keys=True)
+        self._folder = folder / hashlib.sha256(key.encode()).hexdigest()[:16]
+        self._parent = folder
+        try:
+            if folder.exists():
+                for other in folder.iterdir():
+                    if other != self._folder:
+                        shutil.rmtree(other)
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RendezviewError(f"{folder}: {error.strerror or error}") from None
+
+    def run(
+        self,
+        stage: str,
+        task: Callable[..., Arrays],
+        arguments: Sequence[tuple[Any, ...]],
+        jobs: int,
+        progress: Progress | None,
+    ) -> list[Arrays]:
+        """Results of the task for each tuple of arguments, in order.
+
+        Finished shards are read back; the others are computed in parallel through joblib
+        (so on whatever backend its context sets) and each is kept as soon as it is done.
+        """
+        results: dict[int, Arrays] = {}
+        for k in range(len(arguments)):
+            done = self._read(stage, k)
+            if done is not None:
+                results[k] = done
+        todo = [k for k in range(len(arguments)) if k not in results]
+        if progress:
+            progress(stage, len(results), len(arguments))
+        for k, result in zip(
+            todo, _parallel(task, [arguments[k] for k in todo], jobs), strict=True
+        ):
+            self._write(stage, k, result)
+            results[k] = result
+            if progress:
+                progress(stage, len(results), len(arguments))
+        return [results[k] for k in range(len(arguments))]
+
+    def remove(self) -> None:
+        """Forget the shards: the model is written."""
+        shutil.rmtree(self._parent, ignore_errors=True)
+
+    def _path(self, stage: str, index: int) -> Path:
+        return self._folder / f"{stage}-{index:05d}.npz"
+
+    def _read(self, stage: str, index: int) -> Arrays | None:
+        path = self._path(stage, index)
+        if not path.exists():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return {name: file[name] for name in file.files}
+        except (OSError, ValueError, EOFError):
+            return None  # cut off by the kill: computed again
+
+    def _write(self, stage: str, index: int, result: Arrays) -> None:
+        buffer = io.BytesIO()
+        np.savez(buffer, **result)  # type: ignore[arg-type]
+        with atomic_write(self._path(stage, index), durable=False) as file:
+            file.write(buffer.getvalue())
+
+
+def _parallel(
+    task: Callable[..., Arrays], arguments: Sequence[tuple[Any, ...]], jobs: int
+) -> Iterator[Arrays]:
+    workers = joblib.Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
+    yield from workers(joblib.delayed(task)(*a) for a in arguments)
