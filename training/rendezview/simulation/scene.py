@@ -1,0 +1,236 @@
+"""Camera frames with truth: one frame in memory, or a whole scene on disk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from joblib import Parallel, delayed
+
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.pose import Array, Pose
+from rendezview.sequences import BopSceneWriter
+from rendezview.simulation.background import (
+    Earth,
+    Stars,
+    earth_radiance,
+    ground_rotation,
+    star_radiance,
+)
+from rendezview.simulation.sensor import SensorOptions, UInt8s, automatic_exposure, expose
+from rendezview.simulation.shading import (
+    GREY_FROM_RGB,
+    Rendering,
+    ShadingOptions,
+    render,
+    unit,
+)
+from rendezview.simulation.trajectories import TimedPose, Triple
+from rendezview.simulation.zbuffer import Float32s
+from rendezview.training.mesh import Mesh
+
+Progress = Callable[[int, int], None]
+
+_METERED_FRAMES = 5  # rendered to find the exposure of a scene
+_MASK_COVERAGE = 0.5  # a pixel belongs to the mask when the target covers half of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneOptions:
+    """Light, sky and detector of a scene.
+
+    The *sky frame* is the one in which the stars, the Earth and a fixed Sun stand
+    still: the target's, for a target that keeps its attitude, or the camera's, for
+    a tumbling target before a camera that keeps its own.
+    """
+
+    sky_frame: Literal["target", "camera"] = "target"
+    sun_phase_rad: float = math.radians(45.0)  # angle Sun–target–camera, held in every frame
+    sun_azimuth_rad: float | None = None  # in the picture, from right to down; None: seeded
+    sun_azimuth_each_frame: bool = False  # drawn anew for every frame (independent frames)
+    sun_direction_sky: Triple | None = None  # a fixed Sun instead, towards it, in the sky frame
+    earth: Earth | None = None
+    # To the Earth's centre, in the sky frame. None puts it behind the target as seen
+    # from the target's +X axis, where trajectories begin, or along the camera's boresight.
+    earth_direction_sky: Triple | None = None
+    stars: Stars | None = None
+    shading: ShadingOptions = field(default_factory=ShadingOptions)
+    sensor: SensorOptions = field(default_factory=SensorOptions)
+    masks: bool = False  # write mask_visib/ too
+
+    def __post_init__(self) -> None:
+        if self.sky_frame not in ("target", "camera"):
+            raise RendezviewError(f"sky_frame must be target or camera, not {self.sky_frame!r}")
+        if not 0.0 <= self.sun_phase_rad <= math.pi:
+            raise RendezviewError(f"sun_phase_rad must be 0 to π, not {self.sun_phase_rad}")
+        if self.sun_azimuth_rad is not None and not math.isfinite(self.sun_azimuth_rad):
+            raise RendezviewError(f"sun_azimuth_rad must be finite, not {self.sun_azimuth_rad}")
+        for name in ("sun_direction_sky", "earth_direction_sky"):
+            value = getattr(self, name)
+            if value is not None:
+                try:
+                    unit(value, name)
+                except ValueError as error:
+                    raise RendezviewError(str(error)) from error
+
+    def camera_from_sky(self, camera_from_target: Pose) -> Array:
+        """(3, 3) rotation from the sky frame to the camera's."""
+        return camera_from_target.rotation if self.sky_frame == "target" else np.eye(3)
+
+    def earth_direction(self) -> Array:
+        """(3,) unit direction to the Earth in the sky frame."""
+        default = (-1.0, 0.0, 0.0) if self.sky_frame == "target" else (0.0, 0.0, 1.0)
+        return unit(self.earth_direction_sky or default, "earth_direction_sky")
+
+
+def sun_at_phase(centre_camera_m: npt.ArrayLike, phase_rad: float, azimuth_rad: float) -> Array:
+    """(3,) direction to the Sun in the camera frame, at an angle Sun–target–camera.
+
+    Args:
+        centre_camera_m: (3,) the target in the camera frame.
+        phase_rad: 0 is the Sun behind the camera, π the Sun behind the target.
+        azimuth_rad: where the Sun stands in the picture: 0 right, π/2 below.
+    """
+    ahead = unit(centre_camera_m, "centre_camera_m")
+    right = np.array([1.0, 0.0, 0.0]) - ahead[0] * ahead
+    right = right / np.linalg.norm(right) if abs(ahead[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    right = unit(right - (right @ ahead) * ahead, "right")
+    down = np.cross(ahead, right)
+    across = math.cos(azimuth_rad) * right + math.sin(azimuth_rad) * down
+    return -math.cos(phase_rad) * ahead + math.sin(phase_rad) * across
+
+
+def render_frame(
+    mesh: Mesh,
+    camera: Camera,
+    camera_from_target: Pose,
+    sun_direction_camera: npt.ArrayLike,
+    options: SceneOptions,
+    rng: np.random.Generator,
+    time_s: float = 0.0,
+) -> UInt8s:
+    """One 8-bit picture (H, W). An automatic exposure is that of this very frame."""
+    return _frame(
+        mesh, camera, camera_from_target, unit(sun_direction_camera, "sun"), options, rng, time_s
+    )[0]
+
+
+def simulate(
+    mesh: Mesh,
+    camera: Camera,
+    poses: Sequence[TimedPose],
+    options: SceneOptions,
+    folder: Path,
+    seed: int,
+    *,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Render every pose and write a BOP scene; frame i of ``poses`` is image i.
+
+    The bytes depend on ``seed`` and not on ``jobs``: each frame has a child seed.
+    Automatic exposure is found once for the scene, on a few of its frames.
+
+    Raises:
+        RendezviewError: there are no poses, times do not rise, or the folder
+            cannot be written.
+    """
+    if not poses:
+        raise RendezviewError("there is nothing to simulate: the trajectory has no frames")
+    times_s = [time_s for time_s, _ in poses]
+    if any(later <= earlier for earlier, later in pairwise(times_s)):
+        raise RendezviewError("the times of a trajectory must rise from frame to frame")
+    if jobs == 0:
+        raise RendezviewError("jobs must be a number of threads, or −1 for all cores, not 0")
+    scene_seed, *frame_seeds = np.random.SeedSequence(seed).spawn(len(poses) + 1)
+    scene_azimuth = float(np.random.default_rng(scene_seed).uniform(0.0, 2.0 * math.pi))
+    suns = []
+    rngs = [np.random.default_rng(child) for child in frame_seeds]
+    for (_, pose), rng in zip(poses, rngs, strict=True):
+        azimuth = options.sun_azimuth_rad
+        if azimuth is None:
+            azimuth = scene_azimuth
+            if options.sun_azimuth_each_frame:
+                azimuth = float(rng.uniform(0.0, 2.0 * math.pi))
+        suns.append(_sun(mesh, pose, options, azimuth))
+    if options.sensor.exposure is None:
+        chosen = np.unique(np.linspace(0, len(poses) - 1, _METERED_FRAMES).round().astype(int))
+        # One sample a pixel and no shadows measure the lit faces well enough.
+        plain = replace(options.shading, samples=1, shadows=False)
+        pictures = [render(mesh, camera, poses[i][1], suns[i], plain) for i in chosen]
+        options = replace(
+            options, sensor=replace(options.sensor, exposure=_exposure(mesh, pictures, options))
+        )
+    with BopSceneWriter(folder, camera, overwrite=overwrite) as writer:
+        frames = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(
+            delayed(_frame)(mesh, camera, pose, sun, options, rng, time_s)
+            for (time_s, pose), sun, rng in zip(poses, suns, rngs, strict=True)
+        )
+        for i, (image, coverage) in enumerate(frames):
+            time_s, pose = poses[i]
+            mask = None
+            if options.masks:
+                mask = np.where(coverage >= _MASK_COVERAGE, 255, 0).astype(np.uint8)
+            writer.add(i, image, pose, time_s, mask=mask)
+            if progress is not None:
+                progress(i + 1, len(poses))
+
+
+def _sun(mesh: Mesh, pose: Pose, options: SceneOptions, azimuth_rad: float) -> Array:
+    if options.sun_direction_sky is not None:
+        return options.camera_from_sky(pose) @ unit(options.sun_direction_sky, "sun_direction_sky")
+    centre_m, _ = mesh.bounding_sphere
+    return sun_at_phase(pose.apply(centre_m), options.sun_phase_rad, azimuth_rad)
+
+
+def _exposure(mesh: Mesh, pictures: list[Rendering], options: SceneOptions) -> float:
+    metered = automatic_exposure(
+        [(picture.radiance, picture.coverage) for picture in pictures],
+        options.sensor.black_level_grey,
+    )
+    if metered is not None:
+        return metered
+    # Nothing of the target is lit, or none of it is in sight: expose for its mean
+    # albedo in full sunlight, as a mission would by table.
+    albedo = float(np.mean(np.asarray(mesh.face_rgb) @ GREY_FROM_RGB)) if len(mesh.faces) else 0.0
+    return (200.0 - options.sensor.black_level_grey) / max(albedo, 0.05)
+
+
+def _frame(
+    mesh: Mesh,
+    camera: Camera,
+    camera_from_target: Pose,
+    sun: Array,
+    options: SceneOptions,
+    rng: np.random.Generator,
+    time_s: float,
+) -> tuple[UInt8s, Float32s]:
+    camera_from_sky = options.camera_from_sky(camera_from_target)
+    earth_camera = None
+    if options.earth is not None:
+        earth_camera = camera_from_sky @ options.earth_direction()
+    picture = render(mesh, camera, camera_from_target, sun, options.shading, earth_camera)
+    exposure = options.sensor.exposure
+    if exposure is None:
+        exposure = _exposure(mesh, [picture], options)
+    radiance = picture.radiance
+    if options.stars is not None or options.earth is not None:
+        behind = np.zeros_like(radiance)
+        if options.stars is not None:
+            behind += star_radiance(camera, camera_from_sky, options.stars)
+        if options.earth is not None and earth_camera is not None:
+            below = ground_rotation(options.earth_direction(), options.earth.turn_rad_s * time_s)
+            ground, clear = earth_radiance(
+                camera, earth_camera, sun, options.earth, below @ camera_from_sky.T
+            )
+            behind = behind * clear + ground
+        radiance = radiance + (1.0 - picture.coverage) * behind
+    return expose(radiance, exposure, options.sensor, rng), picture.coverage

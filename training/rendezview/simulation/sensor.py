@@ -1,0 +1,92 @@
+"""From radiance to the grey levels that a camera reports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.simulation.zbuffer import Float32s
+
+UInt8s = npt.NDArray[np.uint8]
+
+_TARGET_GREY = 200.0  # where automatic exposure puts the brightest tenth of the lit target
+_LIT_SHARE = 0.1  # lit: brighter than this share of the brightest pixels
+_LIT_RADIANCE = 0.03  # … and than any dark side in ambient light
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorOptions:
+    """Optics and detector. Grey levels are those of the 8-bit picture."""
+
+    exposure: float | None = None  # grey levels a unit of radiance; None is automatic
+    blur_sigma_px: float = 0.7  # Gaussian optics
+    noise_sigma_grey: float = 3.0  # additive Gaussian read noise
+    black_level_grey: float = 5.0  # a real detector's offset, so that noise is not cut in half
+    electrons_per_grey: float | None = None  # photon (shot) noise; None is none
+
+    def __post_init__(self) -> None:
+        for name in ("exposure", "electrons_per_grey"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise RendezviewError(f"{name} must be positive, not {value}")
+        for name in ("blur_sigma_px", "noise_sigma_grey"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise RendezviewError(f"{name} must not be negative, not {value}")
+        if not 0.0 <= self.black_level_grey < 255.0:
+            raise RendezviewError(f"black_level_grey must be 0 to 255, not {self.black_level_grey}")
+
+
+def automatic_exposure(
+    pictures: Iterable[tuple[Float32s, Float32s]], black_level_grey: float = 0.0
+) -> float | None:
+    """Exposure that puts the brightest tenth of the lit target near 200 grey.
+
+    Args:
+        pictures: (radiance, coverage) of one or several renderings of the target.
+
+    Returns:
+        Grey levels a unit of radiance: the median of the brightest tenth (the
+        95th percentile) of the fully covered, sunlit pixels goes to 200. None
+        when no pixel of the target is lit.
+    """
+    seen = [np.asarray(radiance[coverage > 0.99]) for radiance, coverage in pictures]
+    values = np.concatenate(seen) if seen else np.empty(0, np.float32)
+    values = values[values > _LIT_RADIANCE]
+    if not len(values):
+        return None
+    lit = values[values > _LIT_SHARE * np.percentile(values, 99.0)]
+    return (_TARGET_GREY - black_level_grey) / float(np.percentile(lit, 95.0))
+
+
+def expose(
+    radiance: Float32s, exposure: float, options: SensorOptions, rng: np.random.Generator
+) -> UInt8s:
+    """The 8-bit picture of a radiance image (H, W): blur, gain, noise, rounding, saturation.
+
+    ``exposure`` stands in for the options' own, which may be automatic.
+    """
+    signal = np.asarray(radiance, dtype=np.float32)
+    if options.blur_sigma_px > 0.0:
+        # Nothing is known outside the frame: the edge is repeated rather than darkened.
+        signal = np.asarray(
+            cv2.GaussianBlur(
+                signal, (0, 0), options.blur_sigma_px, borderType=cv2.BORDER_REPLICATE
+            ),
+            dtype=np.float32,
+        )
+    grey = signal * np.float32(exposure)
+    if options.electrons_per_grey is not None:
+        electrons = np.maximum(grey, 0.0) * options.electrons_per_grey
+        grey = (rng.poisson(electrons) / options.electrons_per_grey).astype(np.float32)
+    grey = grey + np.float32(options.black_level_grey)
+    if options.noise_sigma_grey > 0.0:
+        noise = rng.standard_normal(grey.shape, dtype=np.float32)
+        grey += np.float32(options.noise_sigma_grey) * noise
+    return np.asarray(np.clip(np.rint(grey), 0.0, 255.0), dtype=np.uint8)

@@ -1,0 +1,131 @@
+"""Triangles into a buffer of the nearest surface: the inner loops of the shaded renderer.
+
+A sample is one element of the buffers; sample (row, column) lies at the point
+``(column, row)`` of the plane the triangles are drawn on. A sample belongs to a
+triangle by the half-open rule (left and top edges in, right and bottom edges
+out), and both triangles of a shared edge compute it from the same end points in
+the same order, so a closed surface has no holes and no sample drawn twice.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Float32s = npt.NDArray[np.float32]
+Int32s = npt.NDArray[np.int32]
+Float64s = npt.NDArray[np.float64]
+
+NOBODY = -1  # owner of a sample that no triangle covers
+
+# Of two coplanar faces (doubled sheets are common in CAD) the first one wins,
+# instead of a moiré of both: the later one must be nearer by more than rounding.
+_NEARER = np.float32(1.0 + 2e-6)
+
+
+@njit(cache=True, nogil=True)
+def fill_triangle(  # type: ignore[no-untyped-def]
+    x0, y0, w0, x1, y1, w1, x2, y2, w2, face, nearness, owner
+):
+    """Draw one triangle where its ``w`` > 0, linear over the plane, beats ``nearness``."""
+    if y1 < y0:
+        x0, y0, w0, x1, y1, w1 = x1, y1, w1, x0, y0, w0
+    if y2 < y0:
+        x0, y0, w0, x2, y2, w2 = x2, y2, w2, x0, y0, w0
+    if y2 < y1:
+        x1, y1, w1, x2, y2, w2 = x2, y2, w2, x1, y1, w1
+    height, width = nearness.shape
+    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+    if y2 <= 0.0 or y0 > height - 1 or abs(area) < 1e-12:
+        return
+    w_per_x = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
+    w_per_y = ((w2 - w0) * (x1 - x0) - (w1 - w0) * (x2 - x0)) / area
+    # A sliver's gradient is huge: its samples stay between its corners all the same.
+    w_low, w_high = min(w0, w1, w2), max(w0, w1, w2)
+    first_row = math.ceil(max(0.0, y0))
+    last_row = math.ceil(min(float(height), y2)) - 1
+    for row in range(first_row, last_row + 1):
+        xa = x0 + (row - y0) * (x2 - x0) / (y2 - y0)
+        if row < y1:
+            xb = x0 + (row - y0) * (x1 - x0) / (y1 - y0)
+        else:
+            xb = x1 + (row - y1) * (x2 - x1) / (y2 - y1)
+        left, right = min(xa, xb), max(xa, xb)
+        if right <= 0.0 or left > width - 1:
+            continue
+        first = math.ceil(max(0.0, left))
+        last = math.ceil(min(float(width), right)) - 1
+        w_row = w0 + w_per_y * (row - y0) - w_per_x * x0
+        for column in range(first, last + 1):
+            w = np.float32(min(max(w_row + w_per_x * column, w_low), w_high))
+            if w > nearness[row, column] * _NEARER:
+                nearness[row, column] = w
+                owner[row, column] = face
+
+
+@njit(cache=True, nogil=True)
+def draw_perspective(  # type: ignore[no-untyped-def]
+    vertices, faces, fx, fy, cx, cy, near, nearness, owner
+):
+    """Draw triangles of the camera frame, clipped at ``z = near``; ``w`` is 1/z.
+
+    1/z is linear in the picture, so depth is perspective-correct. ``fx … cy``
+    are those of the sample plane.
+    """
+    corner = np.empty((3, 3))
+    polygon = np.empty((4, 3))
+    for face in range(faces.shape[0]):
+        in_front = 0
+        for k in range(3):
+            for axis in range(3):
+                corner[k, axis] = vertices[faces[face, k], axis]
+            if corner[k, 2] >= near:
+                in_front += 1
+        if in_front == 0:
+            continue
+        # Sutherland–Hodgman against the one plane: three or four corners remain.
+        count = 0
+        for k in range(3):
+            following = (k + 1) % 3
+            za, zb = corner[k, 2], corner[following, 2]
+            if za >= near:
+                polygon[count, :] = corner[k, :]
+                count += 1
+            if (za >= near) != (zb >= near):
+                share = (near - za) / (zb - za)
+                polygon[count, :] = corner[k, :] + share * (corner[following, :] - corner[k, :])
+                polygon[count, 2] = near
+                count += 1
+        for k in range(count):
+            inverse = 1.0 / polygon[k, 2]
+            polygon[k, 0] = fx * polygon[k, 0] * inverse + cx
+            polygon[k, 1] = fy * polygon[k, 1] * inverse + cy
+            polygon[k, 2] = inverse
+        for k in range(1, count - 1):
+            fill_triangle(
+                polygon[0, 0], polygon[0, 1], polygon[0, 2],
+                polygon[k, 0], polygon[k, 1], polygon[k, 2],
+                polygon[k + 1, 0], polygon[k + 1, 1], polygon[k + 1, 2],
+                face, nearness, owner,
+            )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def draw_parallel(vertices, faces, nearness, owner):  # type: ignore[no-untyped-def]
+    """Draw triangles whose vertices are (x, y, w) on the sample plane already."""
+    for face in range(faces.shape[0]):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        fill_triangle(
+            vertices[a, 0], vertices[a, 1], vertices[a, 2],
+            vertices[b, 0], vertices[b, 1], vertices[b, 2],
+            vertices[c, 0], vertices[c, 1], vertices[c, 2],
+            face, nearness, owner,
+        )  # fmt: skip
+
+
+def empty_buffers(height: int, width: int) -> tuple[Float32s, Int32s]:
+    """``nearness`` (0 = infinitely far) and ``owner`` buffers with nothing drawn."""
+    return np.zeros((height, width), np.float32), np.full((height, width), NOBODY, np.int32)
