@@ -96,7 +96,7 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
         description = json.loads(data[_PREFIX.size : body])
         total = body + int(description["bytes"])
         table, header = list(description["arrays"]), dict(description["header"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         raise RendezviewError(
             f"{path}: the model file is cut off or damaged in its header; train or copy it again"
         ) from None
@@ -107,17 +107,19 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
         )
     if hashlib.sha256(memoryview(data)[:total]).digest() != data[total:]:
         raise RendezviewError(f"{path}: the model file is damaged (checksum); copy it again")
-    return header, {entry["name"]: _array(data, body, entry, path) for entry in table}
-
-
-def _array(data: bytes, body: int, entry: dict[str, Any], path: Path) -> npt.NDArray[Any]:
     try:
-        if entry["dtype"] not in _DTYPES:
-            raise ValueError(entry["dtype"])
-        shape = tuple(int(n) for n in entry["shape"])
-        flat = np.frombuffer(
-            data, dtype=entry["dtype"], count=math.prod(shape), offset=body + int(entry["offset"])
-        )
-        return flat.reshape(shape)
-    except (ValueError, KeyError, TypeError) as error:
+        arrays = {str(entry["name"]): _array(data, body, total, entry) for entry in table}
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
         raise RendezviewError(f"{path}: the model file's table is wrong: {error}") from None
+    return header, arrays
+
+
+def _array(data: bytes, body: int, end: int, entry: dict[str, Any]) -> npt.NDArray[Any]:
+    if entry["dtype"] not in _DTYPES:
+        raise ValueError(entry["dtype"])
+    dtype = np.dtype(entry["dtype"])
+    shape, start = tuple(int(n) for n in entry["shape"]), body + int(entry["offset"])
+    count = math.prod(shape)
+    if min(shape, default=0) < 0 or start < body or start + count * dtype.itemsize > end:
+        raise ValueError(f"{entry['name']} lies outside the file")
+    return np.frombuffer(data, dtype=dtype, count=count, offset=start).reshape(shape)

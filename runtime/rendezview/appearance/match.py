@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -11,9 +11,10 @@ from scipy import fft
 
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.signature import Readings, Signature, twist
-from rendezview.pose import Array, minimal_rotation
+from rendezview.pose import Array, minimal_rotation, rotation_angle
 
 _COARSE = 4  # readings averaged for the first search
+_SETTLED = 0.5  # of the residual that good views keep below: no other attitude is tried
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +23,10 @@ class MatchOptions:
 
     prior_error_rad: float = np.deg2rad(20.0)  # Cleghorn & Sternberg's "about 20 degrees"
     margin_edges: float = 1.2  # nodes that far outside the prior's circle may be on too
-    hypotheses: int = 4  # attitudes whose nodes are asked
+    hypotheses: int = 4  # attitudes whose nodes are asked, near a prior …
+    hypotheses_anywhere: int = 12  # … and without one
+    rival_angle_rad: float = np.deg2rad(25.0)  # another answer, no longer the same one
+    rival_residual: float = 1.5  # times the best one's: as good as that is not worse
     kernel_edges: float = 1.65  # on nodes farther than this from the others weigh little
 
 
@@ -34,6 +38,8 @@ class Match:
     weights: Array  # (K,) trust in each, 0 … 1
     direction: Array  # (3,) unit, view centre → camera, target frame
     centred_from_target: Array  # (3, 3) attitude of the camera turned to the centroid
+    residual: float = float("nan")  # r.m.s. of the readings less those of the most alike view
+    rival: Match | None = None  # another attitude that fits nearly as well
 
 
 class Matcher:
@@ -61,53 +67,74 @@ class Matcher:
         return np.asarray(groups.mean(axis=-1), dtype=np.float32)
 
     def match(
-        self, signature: Signature, prior_centred_from_target: Array | None = None
+        self,
+        signature: Signature,
+        prior_centred_from_target: Array | None = None,
+        prior_error_rad: float | None = None,
     ) -> Match | None:
-        """The attitude on which most trees agree, or ``None`` where no node is on.
+        """The attitude whose views are most alike and whose trees agree.
 
         Args:
             signature: of the frame.
-            prior_centred_from_target: (3, 3) expected attitude of the centred camera,
-                right within ``prior_error_rad``; ``None`` to look everywhere.
+            prior_centred_from_target: (3, 3) expected attitude of the centred camera;
+                ``None`` to look everywhere.
+            prior_error_rad: how far off the prior may be; ``None``: as the options say.
+
+        Returns:
+            ``None`` where no node is on. Without a prior, ``rival`` holds another attitude
+            that fits nearly as well, if there is one.
         """
-        best: Match | None = None
-        tried: set[int] = set()
-        for node, roll in self._candidates(signature.readings, prior_centred_from_target):
-            if node in tried:
-                continue
-            tried.add(node)
-            attitude = _about_boresight(roll) @ self._node_rotations[node]
-            found = self._ask(signature.readings, attitude)
-            if found is None:
+        error_rad = self.options.prior_error_rad if prior_error_rad is None else prior_error_rad
+        usual = _SETTLED * self.model.held_out.residual
+        found: list[Match] = []
+        readings = signature.readings
+        for node, roll in self._candidates(readings, prior_centred_from_target, error_rad):
+            first = self._ask(readings, _about_boresight(roll) @ self._node_rotations[node])
+            if first is None:
                 continue
             # Once more with the roll that fits the views around the direction found.
-            attitude = self._aligned(signature.readings, found)
-            again = self._ask(signature.readings, attitude) or found
-            if best is None or again.weights.sum() > best.weights.sum():
-                best = again
-        if best is None:
+            attitude, _ = self._aligned(readings, first)
+            second = self._ask(readings, attitude) or first
+            attitude, residual = self._aligned(readings, second)
+            found.append(
+                replace(second, centred_from_target=attitude, residual=residual, rival=None)
+            )
+            if prior_centred_from_target is not None and residual < usual:
+                return found[-1]
+        if not found:
             return None
-        return Match(
-            best.on_nodes, best.weights, best.direction, self._aligned(signature.readings, best)
-        )
+        best = min(found, key=lambda m: m.residual)
+        if prior_centred_from_target is not None:
+            return best
+        others = [m for m in found if _apart(m, best) > self.options.rival_angle_rad]
+        rival = min(others, key=lambda m: m.residual, default=None)
+        if rival is None or rival.residual > self.options.rival_residual * best.residual:
+            return best
+        return replace(best, rival=rival)
 
     def nodes_on(
         self, readings: Readings, centred_from_target: Array, nodes: npt.NDArray[np.intp]
     ) -> tuple[npt.NDArray[np.intp], Array]:
         """Of some nodes (K,) those that are on, with their trust, at a known attitude."""
         rolls = twist(centred_from_target, self._node_rotations[nodes])
-        trust = self._trust[self.model.forest.leaves(readings, nodes, rolls)]
+        trust = self.trust_of(self.model.forest.leaves(readings, nodes, rolls))
         on = trust > 0.0
         return nodes[on], trust[on]
 
-    def _candidates(self, readings: Readings, prior: Array | None) -> list[tuple[int, float]]:
+    def trust_of(self, leaves: npt.NDArray[np.int32]) -> Array:
+        """How surely a leaf (K,) means on, 0 … 1; 0 at a leaf that means off."""
+        return np.asarray(self._trust[leaves])
+
+    def _candidates(
+        self, readings: Readings, prior: Array | None, prior_error_rad: float
+    ) -> list[tuple[int, float]]:
         """Nodes and rolls in order of likeness, by circular correlation of signatures."""
         coarse = self._coarse(readings)
         spectrum = fft.rfft(coarse)
         if prior is None:
             nodes = np.arange(len(self._spectra))
         else:
-            reach = self.options.prior_error_rad + self._edge
+            reach = prior_error_rad + self._edge
             nodes = self._sphere.within(-prior[2], reach)
         # correlation[s] = Σ_b view[b + s] node[b]
         correlation = fft.irfft(spectrum * self._spectra[nodes], n=len(coarse), axis=1)
@@ -118,11 +145,12 @@ class Matcher:
         if prior is not None:
             expected = twist(prior, self._node_rotations[nodes])
             off = (rolls[None] - expected[:, None] + np.pi) % (2.0 * np.pi) - np.pi
-            distance[np.abs(off) > self.options.prior_error_rad + step] = np.inf
+            distance[np.abs(off) > prior_error_rad + step] = np.inf
         shift = np.argmin(distance, axis=1)
         least = distance[np.arange(len(nodes)), shift]
         order = np.argsort(least, kind="stable")
         result: list[tuple[int, float]] = []
+        most = self.options.hypotheses_anywhere if prior is None else self.options.hypotheses
         for k in order:
             node = int(nodes[k])
             near = any(
@@ -133,7 +161,7 @@ class Matcher:
                 continue
             roll = _best_roll(readings, self._readings[node], float(rolls[shift[k]]), step)
             result.append((node, roll))
-            if len(result) == self.options.hypotheses:
+            if len(result) == most:
                 break
         return result
 
@@ -164,8 +192,11 @@ class Matcher:
             mean = mean / np.sqrt(mean @ mean)
         return mean, weights
 
-    def _aligned(self, readings: Readings, found: Match) -> Array:
-        """The attitude with the direction found and the roll of the most alike view near it."""
+    def _aligned(self, readings: Readings, found: Match) -> tuple[Array, float]:
+        """The attitude with the direction found and the roll of the most alike view near it.
+
+        Also how far that view is off: root mean square of the differences of readings.
+        """
         near = self._lattice.within(found.direction, 0.75 * self._edge)
         rotations = self.model.views.centred_from_target[near]
         guess = twist(found.centred_from_target, rotations)
@@ -177,7 +208,12 @@ class Matcher:
                 best, least, roll = k, d, r
         # turn the target so that it is seen from the direction found, without rolling
         turn = minimal_rotation(found.direction, self._lattice.nodes[near[best]])
-        return np.asarray(_about_boresight(roll) @ rotations[best] @ turn)
+        attitude = np.asarray(_about_boresight(roll) @ rotations[best] @ turn)
+        return attitude, float(np.sqrt(least / len(readings)))
+
+
+def _apart(a: Match, b: Match) -> float:
+    return rotation_angle(a.centred_from_target @ b.centred_from_target.T)
 
 
 def _about_boresight(angle_rad: float) -> Array:

@@ -20,6 +20,9 @@ from rendezview.pose import Array
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 _DIRECTION_OF_STEP = np.array([[5, 6, 7], [4, -1, 0], [3, 2, 1]])  # [dy + 1, dx + 1]
+# How far inside a border the target's own grey level is looked for, pixels. More would take
+# the brighter body behind a thin, dim panel for the panel's level and eat the panel's outline.
+_EDGE_REACH = 2
 
 
 @njit(cache=True, nogil=True)
@@ -74,7 +77,7 @@ def _edge_shift(grey: npt.NDArray[np.uint8], x: int, y: int, dx: int, dy: int, s
     height, width = grey.shape
     inside = float(grey[y, x])
     best = inside
-    for step in range(1, 3):
+    for step in range(1, _EDGE_REACH + 1):
         xi, yi = x - step * dx, y - step * dy
         if 0 <= xi < width and 0 <= yi < height:
             best = max(best, float(grey[yi, xi]))
@@ -84,7 +87,7 @@ def _edge_shift(grey: npt.NDArray[np.uint8], x: int, y: int, dx: int, dy: int, s
         return 0.5
     outer, inner = float(grey[yo, xo]), inside
     position = 0.0  # of the inner pixel along the normal
-    for _ in range(3):
+    for _ in range(_EDGE_REACH + 1):
         if inner >= level:
             if outer >= level:
                 return position + 0.99
@@ -165,10 +168,9 @@ def radial_maxima(rays: Array, centred_from_camera: Array, maxima: Array) -> Non
                 angle = b / per_radian
                 c, s = np.cos(angle), np.sin(angle)
                 across = c * dy - s * dx
-                if abs(across) > 1e-300:
-                    distance = cross / across
-                else:
-                    distance = max(np.hypot(x0, y0), np.hypot(x1, y1))
+                distance = max(np.hypot(x0, y0), np.hypot(x1, y1))
+                if abs(across) > 1e-300:  # the quotient of a segment along the ray is rounding
+                    distance = min(distance, cross / across)
                 k = b % bins
                 if distance > maxima[k]:
                     maxima[k] = distance

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,11 @@ from rendezview.appearance.silhouette import (
 )
 from rendezview.appearance.status import Status
 from rendezview.camera import Camera
-from rendezview.pose import Array, Pose
+from rendezview.pose import Array, Pose, rotation_angle
+
+# Beyond the residual that 99.5 % of good frames keep below, the outline is another one:
+# of another body, or of the lit parts only.
+_MOST_RESIDUAL = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,15 +64,20 @@ class Recognizer:
         self.silhouette_options = silhouette or SilhouetteOptions()
         self.matcher = Matcher(model, match)
 
-    def recognize(self, image: npt.ArrayLike, prior: Pose | None = None) -> Sighting:
+    def recognize(
+        self,
+        image: npt.ArrayLike,
+        prior: Pose | None = None,
+        prior_error_rad: float | None = None,
+    ) -> Sighting:
         """Look at one frame.
 
         Args:
             image: (H, W) uint8 grey levels, of the camera's size.
-            prior: camera_from_target, right to about 20° in attitude; its range and
-                bearing only serve to choose among several bodies. ``None``: all
-                attitudes are searched, and a body that looks alike from two sides may
-                be taken for the wrong one.
+            prior: camera_from_target, roughly; its range and bearing only serve to choose
+                among several bodies. ``None``: all attitudes are searched, and a view that
+                fits two of them gives ``AMBIGUOUS``.
+            prior_error_rad: how far off the prior's attitude may be; default 20°.
 
         Raises:
             RendezviewError: the image is no 8-bit grey picture of the camera's size.
@@ -82,39 +91,39 @@ class Recognizer:
         outlines = [self.camera.rays(points) for points in found.outlines_px]
         signature = Signature.of_outlines(outlines, self.model.bins, self.model.smooth_bins)
         clock.lap("signature")
+        seen = Sighting(Status.OK, silhouette=found, signature=signature, stage_ms=clock.stages)
         if signature is None:
-            return Sighting(
-                Status.SMALL,
-                "the silhouette encloses no area",
-                silhouette=found,
-                stage_ms=clock.stages,
-            )
-        match = self.matcher.match(signature, self._centred(prior, signature))
+            return replace(seen, status=Status.SMALL, reason="the silhouette encloses no area")
+        match = self.matcher.match(signature, self._centred(prior, signature), prior_error_rad)
         clock.lap("trees")
         if match is None:
-            return Sighting(
-                Status.UNRECOGNIZED,
-                "no node of the sphere recognises this view"
-                + ("" if prior is None else " near the prior attitude"),
-                silhouette=found,
-                signature=signature,
-                stage_ms=clock.stages,
+            near = "" if prior is None else " near the prior attitude"
+            return replace(
+                seen,
+                status=Status.UNRECOGNIZED,
+                reason=f"no node of the sphere recognises this view{near}",
+            )
+        seen = replace(seen, on_nodes=match.on_nodes, weights=match.weights)
+        limit = _MOST_RESIDUAL * self.model.held_out.residual
+        if match.residual > limit:
+            return replace(
+                seen,
+                status=Status.UNRECOGNIZED,
+                reason=f"the outline is unlike every view of the target (differs by "
+                f"{match.residual:.0f} thousandths of its size, at most {limit:.0f} is usual)",
+            )
+        if match.rival is not None:
+            apart = rotation_angle(match.centred_from_target @ match.rival.centred_from_target.T)
+            return replace(
+                seen,
+                status=Status.AMBIGUOUS,
+                reason=f"two attitudes {np.rad2deg(apart):.0f}° apart fit this outline: "
+                "give a prior, or look at more frames",
             )
         pose, covariance = place(self.model, match, signature)
-        points = node_points(self.model, match, signature)
+        points_m = node_points(self.model, match, signature)
         clock.lap("pose")
-        return Sighting(
-            Status.OK,
-            None,
-            pose,
-            covariance,
-            match.on_nodes,
-            match.weights,
-            points,
-            found,
-            signature,
-            clock.stages,
-        )
+        return replace(seen, pose=pose, covariance=covariance, points_m=points_m)
 
     def _expected_px(self, prior: Pose | None) -> Array | None:
         if prior is None:

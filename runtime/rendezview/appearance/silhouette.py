@@ -43,6 +43,7 @@ class SilhouetteOptions:
     level_grey: float | None = None  # for FIXED
     noise_sigmas: float = 5.0  # one false pixel in three frames of a megapixel
     least_contrast_grey: float = 8.0  # a noiseless frame still has quantisation
+    averaged_px: int = 1  # threshold the mean of so many pixels a side: finds dimmer faces
     cleaning: Cleaning = Cleaning.NONE
     background: Picture | None = None  # a frame without the target, subtracted first
     least_area_px: int = 60  # below about 9 px across the outline is all staircase
@@ -117,17 +118,24 @@ def find_silhouette(
     """
     options = options or SilhouetteOptions()
     if options.background is not None:
+        if options.background.dtype != np.uint8:
+            raise RendezviewError(
+                f"the background frame must be 8-bit (uint8), not {options.background.dtype}"
+            )
         if options.background.shape != image.shape:
             raise RendezviewError(
                 f"the background frame is {options.background.shape[::-1]} px, "
                 f"the frame {image.shape[::-1]} px"
             )
         image = cv2.subtract(image, options.background).astype(np.uint8, copy=False)
-    sky, noise = sky_level(image)
-    level = _level(image, options, sky, noise)
+    mean = image
+    if options.averaged_px > 1:
+        mean = np.asarray(cv2.blur(image, (options.averaged_px,) * 2), dtype=np.uint8)
+    sky, noise = sky_level(mean)
+    level = _level(mean, options, sky, noise)
     if level >= 255.0:
         return Missing(Status.FULL, f"the sky itself is at {sky:.0f} of 255 grey levels")
-    mask = np.asarray(cv2.threshold(image, level, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
+    mask = np.asarray(cv2.threshold(mean, level, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
     if options.cleaning is not Cleaning.NONE:
         kind = cv2.MORPH_OPEN if options.cleaning is Cleaning.OPEN else cv2.MORPH_CLOSE
         mask = cv2.morphologyEx(mask, kind, np.ones((3, 3), np.uint8)).astype(np.uint8, copy=False)
@@ -274,6 +282,8 @@ def _distance_to_box(x: float, y: float, box: tuple[int, int, int, int]) -> floa
 def sky_level(image: Picture) -> tuple[float, float]:
     """Median and spread (one σ, from the darker half) of the grey levels along the border.
 
+    From the brighter half where the darker one is cut off at black.
+
     A silhouette that touches the border is refused anyway, so what is seen there is sky.
     """
     return _ring_statistics(image)
@@ -305,4 +315,12 @@ def _ring_statistics(image: npt.NDArray[np.uint8]) -> tuple[float, float]:
         seen += counts[low]
         low += 1
     below = low - 0.5 + (0.1587 * total - seen) / counts[low]
-    return level, max(0.0, level - below)
+    if low > 0:
+        return level, max(0.0, level - below)
+    # A black sky, its noise cut off at 0: half a σ above the median, at the 69.15 % quantile.
+    seen, high = 0, 0
+    while seen + counts[high] <= 0.6915 * total:
+        seen += counts[high]
+        high += 1
+    above = high - 0.5 + (0.6915 * total - seen) / counts[high]
+    return level, max(0.0, level - below, 2.0 * (above - level))

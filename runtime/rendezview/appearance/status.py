@@ -15,4 +15,5 @@ class Status(StrEnum):
     SMALL = "small"  # too few pixels for a signature
     RIVALS = "rivals"  # several bodies, and nothing to choose by
     UNRECOGNIZED = "unrecognized"  # a silhouette, but no node is on
+    AMBIGUOUS = "ambiguous"  # without a prior: two attitudes fit
     UNREADABLE = "unreadable"  # the frame could not be read

@@ -15,8 +15,9 @@ from rendezview.pose import Pose
 class TrackerOptions:
     """When to let go of the last pose."""
 
-    longest_outage_s: float = 10.0  # after that the last pose says nothing: look everywhere
-    most_misses: int = 3  # frames in a row without a pose, likewise
+    widening_rad: float = np.deg2rad(10.0)  # of the search, each frame without a pose
+    widest_rad: float = np.deg2rad(60.0)  # a view from the other side is farther off
+    longest_outage_s: float = 60.0  # after that the last pose says nothing: look everywhere
 
 
 class Tracker:
@@ -52,10 +53,17 @@ class Tracker:
                 f"frames must come in order of time: {time_s} s after {self._last_time_s} s"
             )
         self._last_time_s = time_s
-        since = 0.0 if self._prior_time_s is None else time_s - self._prior_time_s
-        if since > self.options.longest_outage_s or self._misses >= self.options.most_misses:
+        if self._prior_time_s is None:
+            self._prior_time_s = time_s  # a first prior is of the first frame's time
+        since = time_s - self._prior_time_s
+        if since > self.options.longest_outage_s:
             self._prior = None
-        sighting = self.recognizer.recognize(image, self._prior)
+        error_rad = min(
+            self.recognizer.matcher.options.prior_error_rad
+            + self._misses * self.options.widening_rad,
+            self.options.widest_rad,
+        )
+        sighting = self.recognizer.recognize(image, self._prior, error_rad)
         if sighting.pose is None:
             self._misses += 1
         else:

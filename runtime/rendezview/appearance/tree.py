@@ -146,9 +146,8 @@ def _leaves(
     out: npt.NDArray[np.int32],
 ) -> None:
     bins = readings.shape[0]
-    per_radian = bins / (2.0 * np.pi)
     for t in range(trees.shape[0]):
-        shift = -rolls_rad[t] * per_radian
+        shift = -rolls_rad[t] * bins / (2.0 * np.pi)  # rounded as in `rolled`
         whole = int(np.floor(shift))
         part = np.float32(shift - whole)
         rest = np.float32(1.0) - part

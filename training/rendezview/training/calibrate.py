@@ -16,6 +16,7 @@ from rendezview.pose import Array
 from rendezview.training.views import ViewSet
 
 _LOST_RAD = np.deg2rad(30.0)  # farther off is a wrong answer, which no covariance describes
+_USUAL = 0.995  # share of the held-out views that have less residual than the model states
 _PRIOR_ERROR_RAD = np.deg2rad(10.0)
 
 
@@ -26,7 +27,7 @@ def calibrated(model: ViewModel, views: ViewSet, seed: int) -> ViewModel:
     """
     rng = np.random.default_rng([seed, _STREAM])
     matcher = Matcher(model)
-    errors = []
+    errors, residuals = [], []
     for k in range(len(views)):
         prior_error = rng.normal(size=3)
         prior_error *= _PRIOR_ERROR_RAD / np.linalg.norm(prior_error)
@@ -36,12 +37,17 @@ def calibrated(model: ViewModel, views: ViewSet, seed: int) -> ViewModel:
         if match is None or angle_between(match.direction, views.direction[k]) > _LOST_RAD:
             continue
         pose, _ = place(model, match, signature)
+        residuals.append(match.residual)
         errors.append(_errors(model, pose.apply(model.centre_m), pose.rotation, views, k))
     if not errors:
         return model
     direction, roll, range_fraction, bearing = np.sqrt(np.mean(np.square(errors), axis=0))
     held_out = HeldOut(
-        float(direction / np.sqrt(2.0)), float(roll), float(range_fraction), float(bearing)
+        float(direction / np.sqrt(2.0)),
+        float(roll),
+        float(range_fraction),
+        float(bearing),
+        float(np.quantile(residuals, _USUAL)),
     )
     return dataclasses.replace(model, held_out=held_out)
 

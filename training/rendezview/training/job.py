@@ -78,6 +78,8 @@ def train(
             model cannot be written.
     """
     options = options or TrainingOptions()
+    if jobs == 0:
+        raise RendezviewError("jobs = 0: give the number of parallel jobs, or -1 for all cores")
     if path.is_dir() or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera)
@@ -148,6 +150,7 @@ _UNMEASURED = HeldOut(
     roll_rad=float(np.deg2rad(2.0)),
     range_fraction=0.03,
     bearing_rad=0.005,
+    residual=200.0,
 )
 
 

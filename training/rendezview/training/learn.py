@@ -145,7 +145,9 @@ class Decisions:
         """(T,) share of right decisions; NaN for a node that no view fell to."""
         total = self.in_total + self.out_total
         right = self.in_right + self.out_right
-        return np.divide(right, total, out=np.full(len(total), np.nan), where=total > 0)
+        share = np.full(len(total), np.nan)
+        np.divide(right, total, out=share, where=total > 0)
+        return share
 
 
 def decide(

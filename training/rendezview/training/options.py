@@ -30,12 +30,12 @@ class TrainingOptions:
     order: int = 3  # 642 nodes, the paper's compromise
     bins: int = 360
     smooth_bins: int = 9  # noise of the outline, structure thinner than 2 % of the turn
-    component_step: int = 2  # smoothed neighbours say the same: trees look at every second bin
+    component_step: int = 4  # smoothed neighbours say the same: trees look at every fourth bin
     resolution_px: int = 512  # of the lattice's views, filled by the sphere's picture
     sphere_radius_m: float | None = None  # None: the camera's field of view decides
     renderer: Renderer = Renderer.NUMBA
     neighbourhood: Neighbourhood = Neighbourhood.DISC  # of the paper's training
-    perturbed_views: int = 24_000  # random views as a real camera has them; 0: the paper's 73
+    perturbed_views: int = 32_000  # random views as a real camera has them; 0: the paper's 73
     clean_fraction: float = 0.25  # of the perturbed views: without noise, at the sphere radius
     held_out_views: int = 4_000  # the same, never trained on: the accuracy that is reported
     range_radii: tuple[float, float] = (1.0, 3.0)  # of the perturbed views
@@ -56,14 +56,19 @@ class TrainingOptions:
             "smooth_bins": self.smooth_bins % 2 == 1 and 1 <= self.smooth_bins <= self.bins // 2,
             "component_step": 1 <= self.component_step <= self.bins // 4,
             "resolution_px": 32 <= self.resolution_px <= 8192,
-            "sphere_radius_m": self.sphere_radius_m is None or self.sphere_radius_m > 0,
+            "sphere_radius_m": self.sphere_radius_m is None or 0 < self.sphere_radius_m < np.inf,
             "perturbed_views": 0 <= self.perturbed_views <= 10_000_000,
             "held_out_views": 0 <= self.held_out_views <= 10_000_000,
             "clean_fraction": 0.0 <= self.clean_fraction <= 1.0,
-            "range_radii": 1.0 <= self.range_radii[0] <= self.range_radii[1],
+            "range_radii": 1.0 <= self.range_radii[0] <= self.range_radii[1] < np.inf,
+            "roll_error_rad": 0.0 <= self.roll_error_rad <= np.pi,
+            "noise_sigma_grey": 0.0 <= self.noise_sigma_grey <= 255.0,
             "label_edges": 0.5 <= self.label_edges <= 2.0,
+            "reach_edges": self.label_edges <= self.reach_edges < np.inf,
+            "far_edges": 0.0 <= self.far_edges < np.inf,
+            "far_fraction": 0.0 <= self.far_fraction <= 1.0,
             "min_samples_split": self.min_samples_split >= 2,
-            "min_gain": self.min_gain >= 0.0,
+            "min_gain": 0.0 <= self.min_gain < np.inf,
             "seed": self.seed >= 0,
         }
         for name, right in checks.items():
@@ -99,7 +104,8 @@ def view_geometry(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -
     """The sphere of views: as told, or so that the target just fills the camera's picture.
 
     Raises:
-        RendezviewError: the sphere does not enclose the target.
+        RendezviewError: the sphere does not enclose the target, or the camera does not
+            decide one.
     """
     centre_m, target_radius_m = mesh.bounding_sphere
     if options.sphere_radius_m is not None:
@@ -110,6 +116,11 @@ def view_geometry(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -
                 f"{target_radius_m:.3g} m: give at least {_LEAST_RADII * target_radius_m:.3g} m"
             )
     elif camera is not None:
+        if camera.half_fov_rad == 0.0:
+            raise RendezviewError(
+                "the camera's boresight lies outside its picture, so its field of view says "
+                "nothing of the sphere: give the sphere radius"
+            )
         radii = 1.0 / np.sin(_FILL * camera.half_fov_rad)
         radius_m = float(max(radii, _LEAST_RADII)) * target_radius_m
     else:

@@ -9,9 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.appearance.outline import crack_outline
 from rendezview.appearance.signature import Readings, Signature
-from rendezview.appearance.silhouette import outer_borders, outlines_of_mask
+from rendezview.appearance.silhouette import (
+    Missing,
+    SilhouetteOptions,
+    find_silhouette,
+    outlines_of_mask,
+)
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array, Pose
 from rendezview.training.options import TrainingOptions, ViewGeometry
@@ -22,6 +26,7 @@ _SUPERSAMPLING = 2  # of perturbed views
 _MARGIN_PX = 6  # of sky around a perturbed view
 _SKY_GREY = 12.0
 _TILE = 1024  # side of the tile of noise
+_WHOLE = SilhouetteOptions(merge_gap=10.0)  # one target is in the picture: all blobs are its own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +153,7 @@ def _perturbed_view(
     rotation = look_from(direction, rng.uniform(0.0, 2.0 * np.pi))
     clean = rng.random() < options.clean_fraction
     near, far = options.range_radii
-    radii = near if clean else 1.0 / rng.uniform(1.0 / far, 1.0 / near)
+    radii = near if clean else rng.uniform(near, far)
     noise = options.noise_sigma_grey * rng.uniform(0.5, 1.5)
     blur_px = rng.uniform(0.4, 1.2)
     level = rng.uniform(80.0, 200.0)
@@ -167,23 +172,16 @@ def _perturbed_view(
         return _view(direction, range_m, turned, outlines, options)
     drawn = renderer.draw(pose, window.supersampled(_SUPERSAMPLING))
     cover = cv2.resize(drawn, (window.width, window.height), interpolation=cv2.INTER_AREA)
-    cover = cv2.GaussianBlur(cover, (0, 0), blur_px)
+    cover = np.asarray(cv2.GaussianBlur(cover, (0, 0), blur_px), dtype=np.uint8)
     frame = exposed(cover, level / 255.0, _SKY_GREY, noise, _noise_tile(), corner[0], corner[1])
-    outlines = _flight_outlines(frame, noise, window)
+    outlines = _flight_outlines(frame, window)
     return _view(direction, range_m, turned, outlines, options)
 
 
-def _flight_outlines(frame: Mask, noise: float, window: Window) -> list[Array]:
-    """Outlines as the flight code finds them, with the sky known and no blob left out."""
-    level = _SKY_GREY + max(5.0 * noise, 8.0)
-    mask = cv2.threshold(frame, level, 255, cv2.THRESH_BINARY)[1]
-    borders = outer_borders(mask)
-    longest = max((len(b) for b in borders), default=0)
-    return [
-        _rays(crack_outline(b, frame, _SKY_GREY), window)
-        for b in borders
-        if len(b) >= max(3, 0.02 * longest)
-    ]
+def _flight_outlines(frame: Mask, window: Window) -> list[Array]:
+    """Outlines as the flight code finds them; none where it finds no silhouette."""
+    found = find_silhouette(frame, _WHOLE)
+    return [] if isinstance(found, Missing) else [_rays(o, window) for o in found.outlines_px]
 
 
 def _looking(

@@ -1,0 +1,88 @@
+"""A whole sequence through the tracker, frame by frame, with nothing lost on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from rendezview.appearance.model import ViewModel
+from rendezview.appearance.recognizer import Recognizer, Sighting
+from rendezview.appearance.silhouette import SilhouetteOptions
+from rendezview.appearance.status import Status
+from rendezview.appearance.tracker import Tracker, TrackerOptions
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.pose import Pose
+from rendezview.sequences import Frame, Sequence
+
+
+def follow(
+    model: ViewModel,
+    sequence: Sequence,
+    *,
+    prior: Pose | None = None,
+    independent: bool = False,
+    silhouette: SilhouetteOptions | None = None,
+    options: TrackerOptions | None = None,
+) -> Iterator[tuple[Frame, Sighting]]:
+    """One sighting for each frame, in order.
+
+    Args:
+        model: of the target.
+        sequence: frames; without times they count as one second apart.
+        prior: camera_from_target of the first frame, right to about 20°; ``None`` to look
+            everywhere.
+        independent: every frame on its own, no prior and no memory.
+        silhouette: how to find the target.
+        options: of the tracker.
+
+    A frame that cannot be read gives the status ``UNREADABLE``, and the next goes on.
+
+    Raises:
+        RendezviewError: the times of the frames do not rise.
+    """
+    recognizers: dict[Camera, Recognizer] = {}
+    tracker: Tracker | None = None
+    last_s = float("-inf")
+    for index, frame in enumerate(sequence):
+        if frame.camera not in recognizers:
+            recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette)
+        recognizer = recognizers[frame.camera]
+        if tracker is None:
+            tracker = Tracker(recognizer, prior, options)
+        tracker.recognizer = recognizer
+        time_s = float(index) if frame.time_s is None else frame.time_s
+        try:
+            image = frame.read()
+        except RendezviewError as error:
+            yield frame, Sighting(Status.UNREADABLE, str(error))
+            continue
+        if independent:
+            yield frame, recognizer.recognize(image)
+            continue
+        if not time_s > last_s:
+            raise RendezviewError(
+                f"{sequence.source}: the time of frame {frame.im_id} ({time_s} s) is not later "
+                f"than that of the frame before ({last_s} s); use --independent for a set of "
+                "single frames"
+            )
+        last_s = time_s
+        yield frame, tracker.update(time_s, image)
+
+
+def record(frame: Frame, sighting: Sighting) -> dict[str, Any]:
+    """One frame as it stands in a log of JSON lines."""
+    return {
+        "im_id": frame.im_id,
+        "image": frame.name,
+        "time_s": frame.time_s,
+        "status": str(sighting.status),
+        "reason": sighting.reason,
+        "pose": sighting.pose,
+        "covariance": sighting.covariance,
+        "score": sighting.score,
+        "on_nodes": sighting.on_nodes,
+        "weights": sighting.weights,
+        "points_m": sighting.points_m,
+        "stage_ms": sighting.stage_ms,
+    }

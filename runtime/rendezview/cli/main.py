@@ -1,0 +1,93 @@
+"""The ``rendezview`` command: finds its sub-commands, and says errors in one line.
+
+Sub-commands are entry points of the group ``rendezview.commands``, each a function that
+typer understands; those of the ground side need ``rendezview[training]``. Only the one
+that is called is imported, so that each starts fast.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from typing import Any
+
+import typer
+
+from rendezview.errors import RendezviewError
+
+GROUP = "rendezview.commands"
+
+# In the order of a first use. What stands here is shown without importing the command.
+_SUMMARIES = {
+    "demo": "Train, simulate, track, report: the tour.",
+    "train": "Train a view model of a target.",
+    "simulate": "Render camera frames of a target with the truth of every one.",
+    "track": "Recognise and track a target through a sequence of frames.",
+    "evaluate": "Compare results with the truth of their scene.",
+    "show": "Draw a model, a scene or a log.",
+    "export": "Print a model's decision trees.",
+}
+
+
+def make_app(called: str | None) -> typer.Typer:
+    """The application with the command that is called, and a line for each of the others.
+
+    Raises:
+        RendezviewError: the command's packages are not installed.
+    """
+    app = typer.Typer(
+        help="Where a spacecraft is relative to another one, from a single camera and a CAD model.",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    app.callback()(_root)
+    points = {point.name: point for point in metadata.entry_points(group=GROUP)}
+    for name in sorted(points, key=_place):
+        command = _load(points[name]) if name == called else _nothing
+        app.command(name, help=_SUMMARIES.get(name) if command is _nothing else None)(command)
+    return app
+
+
+def _place(name: str) -> tuple[int, str]:
+    names = list(_SUMMARIES)
+    return (names.index(name) if name in names else len(names), name)
+
+
+def _load(point: metadata.EntryPoint) -> Callable[..., Any]:
+    try:
+        command: Callable[..., Any] = point.load()
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] == "rendezview":
+            raise
+        raise RendezviewError(
+            f"`rendezview {point.name}` belongs to the ground side and {error.name} is not "
+            "installed: pip install 'rendezview[training]'"
+        ) from None
+    return command
+
+
+def _nothing() -> None:
+    """Stands for a command that is not called."""
+
+
+def _root(version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:
+    """Where a spacecraft is relative to another one, from a single camera and a CAD model."""
+
+
+def main() -> None:
+    """Run a command: exit 0; 1 for what the user can fix, said in one line; 2 for usage."""
+    arguments = sys.argv[1:]
+    if arguments[:1] == ["--version"]:
+        print(f"rendezview {metadata.version('rendezview')}")
+        return
+    try:
+        make_app(next((a for a in arguments if not a.startswith("-")), None))()
+    except RendezviewError as error:
+        print(f"rendezview: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("rendezview: interrupted", file=sys.stderr)
+        sys.exit(130)

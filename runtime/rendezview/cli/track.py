@@ -1,0 +1,142 @@
+"""``rendezview track``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from rendezview.appearance import SilhouetteOptions, Status, Threshold, ViewModel
+from rendezview.appearance.following import follow, record
+from rendezview.camera import Camera
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.files import read_json
+from rendezview.pose import Pose
+from rendezview.results import JsonLinesWriter, ResultRow, write_results
+from rendezview.sequences import Sequence, open_sequence
+
+
+def track(
+    model: Annotated[Path, typer.Argument(help="Model file (*.rvm).")],
+    scene: Annotated[
+        Path, typer.Argument(help="BOP scene, SPEED folder, folder of images, or video.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Results, BOP CSV.")],
+    log: Annotated[Path | None, typer.Option(help="Everything of each frame, JSON lines.")] = None,
+    camera: Annotated[
+        Path | None,
+        typer.Option(
+            help="Camera file (OpenCV YAML, ROS, SPEED or BOP JSON); wins over the scene."
+        ),
+    ] = None,
+    prior: Annotated[
+        str | None,
+        typer.Option(
+            help="Attitude of the first frame, right to about 20°: 'w,x,y,z' (camera from target), "
+            "a JSON file with quat_wxyz [and translation_m], or 'scene' for the scene's own truth. "
+            "Without it all attitudes are searched."
+        ),
+    ] = None,
+    independent: Annotated[
+        bool, typer.Option("--independent", help="Each frame on its own, no memory.")
+    ] = False,
+    threshold: Annotated[
+        str, typer.Option(help="noise, otsu, or a grey level from 0 to 254.")
+    ] = "noise",
+    obj_id: Annotated[
+        int | None, typer.Option(help="Which object of a BOP scene is the target.")
+    ] = None,
+) -> None:
+    """Recognise and track a target through a sequence of frames.
+
+    Example: rendezview track hubble.rvm approach -o poses.csv --log log.jsonl --prior scene
+    """
+    loaded = ViewModel.load(model)
+    sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
+    first = _prior(prior, sequence, loaded)
+    options = _silhouette(threshold)
+    rows: list[ResultRow] = []
+    outcomes: Counter[Status] = Counter()
+    times_ms: list[float] = []
+    writer = JsonLinesWriter(log) if log else None
+    try:
+        with ProgressBar() as progress:
+            frames = follow(
+                loaded, sequence, prior=first, independent=independent, silhouette=options
+            )
+            for done, (frame, sighting) in enumerate(frames, start=1):
+                outcomes[sighting.status] += 1
+                total_ms = sum(sighting.stage_ms.values())
+                times_ms.append(total_ms)
+                if sighting.pose is not None:
+                    rows.append(
+                        ResultRow(
+                            sequence.scene_id,
+                            frame.im_id,
+                            frame.obj_id,
+                            sighting.score,
+                            sighting.pose,
+                            1e-3 * total_ms,
+                        )
+                    )
+                if writer:
+                    writer.write(record(frame, sighting))
+                progress("frames", done, len(sequence))
+    finally:
+        # Ctrl-C or an error in the middle keeps what was computed.
+        if writer:
+            writer.close()
+        if rows or not times_ms:
+            write_results(output, rows)
+    if not rows:
+        write_results(output, rows)
+    told = ", ".join(
+        f"{count} {status}" for status, count in outcomes.most_common() if status is not Status.OK
+    )
+    Console(stderr=True).print(
+        f"{len(rows)} poses in {len(sequence)} frames"
+        + (f" ({told})" if told else "")
+        + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
+        highlight=False,
+    )
+
+
+def _silhouette(threshold: str) -> SilhouetteOptions:
+    if threshold in (Threshold.NOISE, Threshold.OTSU):
+        return SilhouetteOptions(threshold=Threshold(threshold))
+    try:
+        return SilhouetteOptions(threshold=Threshold.FIXED, level_grey=float(threshold))
+    except ValueError:
+        raise RendezviewError(
+            f"--threshold must be noise, otsu or a grey level from 0 to 254, not {threshold!r}"
+        ) from None
+
+
+def _prior(text: str | None, sequence: Sequence, model: ViewModel) -> Pose | None:
+    if text is None:
+        return None
+    if text == "scene":
+        truth = sequence.frames[0].camera_from_target if len(sequence) else None
+        if truth is None:
+            raise RendezviewError(
+                f"{sequence.source}: the first frame has no true pose to start from; "
+                "give --prior 'w,x,y,z' or leave it out"
+            )
+        return truth
+    # Only the attitude matters; without a translation the target is straight ahead.
+    ahead = [0.0, 0.0, 2.0 * model.sphere_radius_m]
+    try:
+        if Path(text).is_file():
+            content = read_json(Path(text), "a prior pose")
+            return Pose.from_quat_wxyz(content["quat_wxyz"], content.get("translation_m", ahead))
+        return Pose.from_quat_wxyz([float(part) for part in text.split(",")], ahead)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise RendezviewError(
+            f"--prior {text!r}: give 'scene', a quaternion 'w,x,y,z', or a JSON file with "
+            "quat_wxyz and, if you like, translation_m"
+        ) from None

@@ -1,0 +1,58 @@
+"""Estimates against truth: error measures, evaluation of sequences, pictures, reports."""
+
+from rendezview.evaluation.evaluate import evaluate
+from rendezview.evaluation.evaluation import (
+    WRONG_RAD,
+    Evaluation,
+    FrameResult,
+    Statistics,
+    summary_rows,
+)
+from rendezview.evaluation.frame_pictures import frame_overlay
+from rendezview.evaluation.palette import pixels, png
+from rendezview.evaluation.pose_errors import (
+    SPEED_PLUS_ROTATION_RAD,
+    SPEED_PLUS_TRANSLATION,
+    PoseErrors,
+    pose_errors,
+    speed_terms,
+)
+from rendezview.evaluation.report import write_report
+from rendezview.evaluation.signature_pictures import TreeTest, signature_picture, tree_tests
+from rendezview.evaluation.sphere_pictures import model_picture, sphere_picture
+from rendezview.evaluation.symmetry import discrete_turns, nearest_alike
+from rendezview.evaluation.track_pictures import (
+    error_curves,
+    point_cloud,
+    sighting_curves,
+    stage_picture,
+)
+
+__all__ = [
+    "SPEED_PLUS_ROTATION_RAD",
+    "SPEED_PLUS_TRANSLATION",
+    "WRONG_RAD",
+    "Evaluation",
+    "FrameResult",
+    "PoseErrors",
+    "Statistics",
+    "TreeTest",
+    "discrete_turns",
+    "error_curves",
+    "evaluate",
+    "frame_overlay",
+    "model_picture",
+    "nearest_alike",
+    "pixels",
+    "png",
+    "point_cloud",
+    "pose_errors",
+    "sighting_curves",
+    "signature_picture",
+    "speed_terms",
+    "sphere_picture",
+    "stage_picture",
+    "summary_rows",
+    "tree_tests",
+    "write_report",
+]

@@ -1,0 +1,152 @@
+"""What the report shows of single frames: a strip of them, and one looked at closely."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Ordered
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from rendezview.appearance import Sighting, ViewModel
+from rendezview.appearance.signature import rolled, twist
+from rendezview.errors import RendezviewError
+from rendezview.evaluation.evaluation import Evaluation, FrameResult
+from rendezview.evaluation.frame_pictures import frame_overlay
+from rendezview.evaluation.page import Card
+from rendezview.evaluation.palette import png
+from rendezview.evaluation.signature_pictures import signature_picture, tree_tests
+from rendezview.evaluation.sphere_pictures import sphere_picture
+from rendezview.pose import Array, Pose
+from rendezview.sequences import Sequence
+
+_STRIP = 8  # frames shown
+_STRIP_PROBLEMS = 3  # of them without a pose or wrong
+
+
+def shown_frames(count: int, missing: set[int], wrong: set[int]) -> list[int]:
+    """Positions of eight frames, evenly spread; three are problems, more where all else is.
+
+    Args:
+        count: of all frames.
+        missing: positions of those without a pose.
+        wrong: positions of those with a wrong one; of both kinds some are shown.
+    """
+    good = [k for k in range(count) if k not in missing | wrong]
+    room = max(_STRIP_PROBLEMS, _STRIP - len(good))
+    some = _spread(sorted(wrong), max(room // 2, room - len(missing)))
+    some += _spread(sorted(missing), room - len(some))
+    return sorted(some + _spread(good, _STRIP - len(some)))
+
+
+def _spread(items: list[int], most: int) -> list[int]:
+    if len(items) <= most:
+        return items
+    return [items[int(k)] for k in np.linspace(0, len(items) - 1, most).round()]
+
+
+def strip(
+    model: ViewModel,
+    sequence: Sequence,
+    sightings: Ordered[Sighting],
+    results: dict[int, FrameResult],
+    evaluation: Evaluation | None,
+) -> list[tuple[int, bytes]]:
+    """Position and picture (PNG) of each frame shown."""
+    wrong_ids = set() if evaluation is None else set(evaluation.wrong)
+    missing = {k for k, sighting in enumerate(sightings) if sighting.pose is None}
+    wrong = {k for k, f in enumerate(sequence) if f.im_id in wrong_ids} - missing
+    pictures = []
+    for k in shown_frames(len(sequence), missing, wrong):
+        frame, sighting = sequence.frames[k], sightings[k]
+        title = f"#{frame.im_id}" + ("" if frame.time_s is None else f"   {frame.time_s:.1f} s")
+        note, image = "", None
+        errors = results[frame.im_id].errors if frame.im_id in results else None
+        if errors is not None and sighting.pose is not None:
+            note = (
+                f"{'Wrong: e' if k in wrong else 'E'}rror "
+                f"{np.rad2deg(errors.rotation_rad):.1f}° in attitude, "
+                f"{100.0 * errors.range_fraction:.1f} % in range"
+            )
+        try:
+            image = frame.read()
+        except RendezviewError:
+            if sighting.pose is not None:
+                raise
+            image = np.zeros((frame.camera.height, frame.camera.width), dtype=np.uint8)
+        figure = frame_overlay(
+            image, sighting, frame.camera, model, title=title, note=note, bad=k in wrong
+        )
+        pictures.append((k, png(figure)))
+    return pictures
+
+
+def details(
+    model: ViewModel,
+    sequence: Sequence,
+    sightings: Ordered[Sighting],
+    results: dict[int, FrameResult],
+) -> list[Card]:
+    """Sphere and signature of one typical frame."""
+    chosen = _typical(sequence, sightings, results)
+    if chosen is None:
+        return []
+    frame, sighting = sequence.frames[chosen], sightings[chosen]
+    assert sighting.pose is not None
+    cards = [
+        Card(
+            "sphere",
+            f"Sphere of views, frame #{frame.im_id}",
+            "Each cell is a node with its own decision tree. Outlined cells are on: their trees "
+            "recognise this view. The sphere is seen from where the camera is estimated to be.",
+            png(
+                sphere_picture(
+                    model,
+                    on_nodes=sighting.on_nodes,
+                    direction=_direction(model, sighting.pose),
+                    truth=None
+                    if frame.camera_from_target is None
+                    else _direction(model, frame.camera_from_target),
+                )
+            ),
+        )
+    ]
+    figure = _signature(model, sighting)
+    if figure is not None:
+        cards.append(
+            Card(
+                "signature",
+                f"Signature, frame #{frame.im_id}",
+                "Distance from the silhouette's centroid to its outermost edge, rolled to the "
+                "best on node. Short bars are the thresholds that its tree asked about.",
+                png(figure),
+            )
+        )
+    return cards
+
+
+def _typical(
+    sequence: Sequence, sightings: Ordered[Sighting], results: dict[int, FrameResult]
+) -> int | None:
+    """Position of the recognised frame with the median error, or else the median score."""
+    ranked = []
+    for k, (frame, sighting) in enumerate(zip(sequence, sightings, strict=True)):
+        if sighting.pose is not None:
+            errors = results[frame.im_id].errors if frame.im_id in results else None
+            ranked.append((sighting.score if errors is None else errors.rotation_rad, k))
+    return sorted(ranked)[len(ranked) // 2][1] if ranked else None
+
+
+def _direction(model: ViewModel, camera_from_target: Pose) -> Array:
+    """(3,) from the view centre to the camera, target frame."""
+    return np.asarray(camera_from_target.inverse().translation_m - model.centre_m)
+
+
+def _signature(model: ViewModel, sighting: Sighting) -> Figure | None:
+    if sighting.signature is None or sighting.pose is None or not len(sighting.on_nodes):
+        return None
+    node = int(sighting.on_nodes[int(np.argmax(sighting.weights))])
+    attitude = sighting.signature.centred_from_camera @ sighting.pose.rotation
+    roll = float(twist(attitude, model.views.centred_from_target[node]))
+    readings = rolled(sighting.signature.readings, roll)
+    tests = tree_tests(model.forest, node, readings)
+    return signature_picture(readings, model.views.readings[node], tests, node=node)

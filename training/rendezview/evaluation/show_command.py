@@ -1,0 +1,152 @@
+"""``rendezview show``."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from matplotlib.figure import Figure
+from rich.console import Console
+
+from rendezview.appearance import ViewModel
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.evaluation.palette import png
+from rendezview.evaluation.sphere_pictures import model_picture
+from rendezview.evaluation.track_pictures import point_cloud, sighting_curves
+from rendezview.files import atomic_write, atomic_write_text, make_folder
+from rendezview.pose import Pose
+from rendezview.results import read_json_lines
+from rendezview.sequences import Sequence, open_sequence
+
+_SHEET = (4, 3)  # frames across and down
+_CELL_PX = 320
+
+
+def show(
+    what: Annotated[Path, typer.Argument(help="Model (*.rvm), log (*.jsonl) or scene.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Folder; default NAME-pictures.")
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file, where a scene has none.")
+    ] = None,
+) -> None:
+    """Draw a model, a scene or a log.
+
+    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log: range, on
+    nodes and the point cloud. A scene: a sheet of frames.
+
+    Example: rendezview show hubble.rvm -o hubble-pictures
+    """
+    if not what.exists():
+        raise RendezviewError(f"{what}: no such model, log or scene")
+    folder = output or Path(f"{what.stem if what.is_file() else what.resolve().name}-pictures")
+    make_folder(folder)
+    if what.suffix == ".rvm":
+        written = _show_model(ViewModel.load(what), folder)
+    elif what.suffix == ".jsonl":
+        written = _show_log(what, folder)
+    else:
+        sequence = open_sequence(what, Camera.load(camera) if camera else None)
+        written = [_show_scene(sequence, folder)]
+    console = Console(stderr=True)
+    for path in written:
+        console.print(str(path), highlight=False)
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    with atomic_write(path, durable=False) as file:
+        file.write(png(figure))
+    return path
+
+
+def _show_model(model: ViewModel, folder: Path) -> list[Path]:
+    table = io.StringIO()
+    writer = csv.writer(table)
+    writer.writerow(
+        [
+            "node",
+            "x",
+            "y",
+            "z",
+            "depth",
+            "leaves",
+            "training_accuracy",
+            "held_out_accuracy",
+            "area_m2",
+        ]
+    )
+    for k, direction in enumerate(model.geodesic.nodes):
+        held_out = model.held_out_accuracy[k]
+        writer.writerow(
+            [
+                k,
+                *(f"{v:.6f}" for v in direction),
+                model.forest.depth(k),
+                model.forest.leaf_count(k),
+                f"{model.training_accuracy[k]:.4f}",
+                "" if np.isnan(held_out) else f"{held_out:.4f}",
+                f"{model.views.area_m2[k]:.4f}",
+            ]
+        )
+    atomic_write_text(folder / "nodes.csv", table.getvalue())
+    return [_save(model_picture(model), folder / "model.png"), folder / "nodes.csv"]
+
+
+def _show_log(path: Path, folder: Path) -> list[Path]:
+    records = list(read_json_lines(path))
+    if not records:
+        raise RendezviewError(f"{path}: the log is empty")
+    try:
+        poses = [_pose(r["pose"]) for r in records]
+        points = [p for r in records for p in r["points_m"]]
+        on_nodes = [len(r["on_nodes"]) for r in records]
+        timed = all(r["time_s"] is not None for r in records)
+        x = [r["time_s"] if timed else r["im_id"] for r in records]
+    except (KeyError, TypeError, ValueError) as error:
+        raise RendezviewError(f"{path}: not a log of `rendezview track` ({error})") from None
+    places = np.array(
+        [np.full(3, np.nan) if p is None else p.inverse().translation_m for p in poses]
+    )
+    ranges = np.linalg.norm(places, axis=1)
+    curves = sighting_curves(x, ranges, on_nodes, x_label="time, s" if timed else "frame")
+    cloud = point_cloud(
+        np.reshape(points, (-1, 3)),
+        target_radius_m=0.1 * float(np.nanmedian(ranges)) if points else 1.0,
+        estimates_m=places,
+    )
+    return [_save(curves, folder / "curves.png"), _save(cloud, folder / "cloud.png")]
+
+
+def _pose(value: dict[str, list[float]] | None) -> Pose | None:
+    if value is None:
+        return None
+    return Pose.from_quat_wxyz(value["quat_wxyz"], value["translation_m"])
+
+
+def _show_scene(sequence: Sequence, folder: Path) -> Path:
+    """A sheet of frames spread over the sequence, in order."""
+    across, down = _SHEET
+    chosen = np.unique(np.linspace(0, len(sequence) - 1, across * down).round().astype(int))
+    cells = []
+    for k in chosen:
+        image = sequence.frames[k].read()
+        height = round(_CELL_PX * image.shape[0] / image.shape[1])
+        cell = cv2.resize(image, (_CELL_PX, height), interpolation=cv2.INTER_AREA)
+        cv2.putText(cell, str(sequence.frames[k].im_id), (6, 18), 0, 0.5, 255, 1, cv2.LINE_AA)
+        cells.append(cell)
+    tallest = max(c.shape[0] for c in cells)
+    sheet = np.zeros((tallest * -(-len(cells) // across), _CELL_PX * across), dtype=np.uint8)
+    for k, cell in enumerate(cells):
+        top, left = tallest * (k // across), _CELL_PX * (k % across)
+        sheet[top : top + cell.shape[0], left : left + _CELL_PX] = cell
+    path = folder / "frames.png"
+    with atomic_write(path, durable=False) as file:
+        file.write(cv2.imencode(".png", sheet)[1].tobytes())
+    return path

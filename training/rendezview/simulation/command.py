@@ -1,0 +1,153 @@
+"""``rendezview simulate``."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from rendezview.camera import Camera
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.simulation.background import Earth, Stars
+from rendezview.simulation.scene import SceneOptions
+from rendezview.simulation.scene import simulate as simulate_scene
+from rendezview.simulation.sensor import SensorOptions
+from rendezview.simulation.shading import ShadingOptions
+from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
+from rendezview.training.bundled import find_target
+from rendezview.training.mesh import Mesh, load_mesh
+
+
+class Kind(StrEnum):
+    """Trajectories."""
+
+    CIRCULAR = "circular"
+    SPIRAL = "spiral"
+    VBAR = "vbar"
+    FLYAROUND = "flyaround"
+    TUMBLE = "tumble"
+    RANDOM = "random"
+
+
+def simulate(
+    target: Annotated[
+        str, typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the BOP scene.")],
+    kind: Annotated[Kind, typer.Option("--trajectory", help="How camera and target move.")],
+    unit: Annotated[str | None, typer.Option(help="Unit of a bare mesh.")] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file; default 640 × 480, 53° across.")
+    ] = None,
+    frames: Annotated[int, typer.Option(help="Number of frames.")] = 60,
+    dt: Annotated[float, typer.Option(help="Seconds between frames.")] = 1.0,
+    start_range: Annotated[
+        float | None, typer.Option(help="Metres from the target's middle; default 6 target radii.")
+    ] = None,
+    end_range: Annotated[
+        float | None, typer.Option(help="Metres at the end; default 3 target radii, or the start.")
+    ] = None,
+    turn: Annotated[float, typer.Option(help="Degrees around the target in all.")] = 120.0,
+    sun_phase: Annotated[float, typer.Option(help="Degrees Sun–target–camera.")] = 0.0,
+    sun_direction: Annotated[
+        str | None, typer.Option(help="Fixed Sun instead: 'x,y,z' towards it, target frame.")
+    ] = None,
+    earth: Annotated[bool, typer.Option("--earth", help="The Earth behind the target.")] = False,
+    stars: Annotated[bool, typer.Option("--stars", help="A field of stars.")] = False,
+    noise: Annotated[float, typer.Option(help="Noise, grey levels (one σ).")] = 3.0,
+    blur: Annotated[float, typer.Option(help="Blur of the optics, pixels (one σ).")] = 0.7,
+    bearing: Annotated[
+        float, typer.Option(help="Random trajectory: off-boresight by up to so many degrees.")
+    ] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Pointing jitter, degrees (one σ).")] = 0.3,
+    masks: Annotated[bool, typer.Option("--masks", help="Write mask_visib/ too.")] = False,
+    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a scene.")] = False,
+) -> None:
+    """Render camera frames of a target with the truth of every one.
+
+    Example: rendezview simulate hubble -o approach --trajectory spiral --sun-phase 20
+    """
+    found = find_target(target)
+    mesh = load_mesh(found.mesh_path, unit or found.unit)
+    seen_by = Camera.load(camera) if camera else default_camera()
+    options = SceneOptions(
+        sky_frame="camera" if kind is Kind.TUMBLE else "target",
+        sun_phase_rad=float(np.deg2rad(sun_phase)),
+        sun_azimuth_each_frame=kind is Kind.RANDOM,
+        sun_direction_sky=_direction(sun_direction),
+        earth=Earth() if earth else None,
+        stars=Stars() if stars else None,
+        shading=ShadingOptions(),
+        sensor=SensorOptions(noise_sigma_grey=noise, blur_sigma_px=blur),
+        masks=masks,
+    )
+    path = trajectory(
+        kind.value,
+        _trajectory_options(
+            kind, mesh, frames, dt, start_range, end_range, turn, bearing, jitter, seed
+        ),
+    )
+    with ProgressBar() as progress:
+        simulate_scene(
+            mesh,
+            seen_by,
+            path,
+            options,
+            output,
+            seed,
+            jobs=jobs,
+            progress=lambda done, total: progress("frames", done, total),
+            overwrite=overwrite,
+        )
+    Console(stderr=True).print(f"{output}: {frames} frames", highlight=False)
+
+
+def default_camera() -> Camera:
+    """640 × 480, 53° across: a target fills it at 2.7 of its radii."""
+    return Camera.from_fov(640, 480, float(np.deg2rad(53.0)))
+
+
+def _trajectory_options(
+    kind: Kind,
+    mesh: Mesh,
+    frames: int,
+    dt_s: float,
+    start_range_m: float | None,
+    end_range_m: float | None,
+    turn_deg: float,
+    bearing_deg: float,
+    jitter_deg: float,
+    seed: int,
+) -> TrajectoryOptions:
+    centre, radius_m = mesh.bounding_sphere
+    start_m = start_range_m if start_range_m is not None else 6.0 * radius_m
+    if end_range_m is None and kind in (Kind.SPIRAL, Kind.VBAR, Kind.RANDOM):
+        end_range_m = 3.0 * radius_m
+    return TrajectoryOptions(
+        frames=frames,
+        dt_s=dt_s,
+        start_range_m=start_m,
+        end_range_m=end_range_m,
+        centre_m=(float(centre[0]), float(centre[1]), float(centre[2])),
+        turn_rad=float(np.deg2rad(turn_deg)),
+        bearing_max_rad=float(np.deg2rad(bearing_deg)),
+        pointing_jitter_rad=float(np.deg2rad(jitter_deg)),
+        seed=seed,
+    )
+
+
+def _direction(text: str | None) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise RendezviewError(f"--sun-direction must be 'x,y,z', not {text!r}") from None
+    return x, y, z

@@ -1,0 +1,34 @@
+"""Targets by path, or by the name of one that comes with rendezview."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rendezview.errors import RendezviewError
+from rendezview.target import Target
+
+_HERE = Path(__file__).resolve()
+# In an installed package the vehicles lie beside this one, in a checkout at its top.
+_FOLDERS = (_HERE.parents[1] / "models_cad", _HERE.parents[3] / "models_cad")
+
+
+def bundled_names() -> list[str]:
+    """Names of the vehicles that come with rendezview."""
+    return sorted({p.parent.name for f in _FOLDERS for p in f.glob("*/target.toml")})
+
+
+def find_target(text: str) -> Target:
+    """The target of a path (``target.toml``, its folder, a mesh) or of a bundled name.
+
+    Raises:
+        RendezviewError: neither; the message lists the bundled names.
+    """
+    if Path(text).exists():
+        return Target.load(Path(text))
+    for folder in _FOLDERS:
+        if text.isidentifier() and (folder / text / "target.toml").is_file():
+            return Target.load(folder / text)
+    raise RendezviewError(
+        f"{text}: no such target; give a mesh, a target.toml or its folder, or one of "
+        f"{', '.join(bundled_names())}"
+    )

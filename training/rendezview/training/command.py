@@ -1,0 +1,124 @@
+"""``rendezview train``."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from rendezview.camera import Camera
+from rendezview.cli.progress import ProgressBar
+from rendezview.training.bundled import find_target
+from rendezview.training.job import Trained
+from rendezview.training.job import train as train_model
+from rendezview.training.mesh import load_mesh
+from rendezview.training.options import Neighbourhood, TrainingOptions
+from rendezview.training.renderers import Renderer
+
+_DEFAULT = TrainingOptions()
+
+
+def train(
+    target: Annotated[
+        str, typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Model file to write (*.rvm).")],
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the mesh: m, cm, mm, in, ft; wins over the file.")
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Flight camera; decides sphere radius and sharpness.")
+    ] = None,
+    order: Annotated[int, typer.Option(help="Order of the sphere: 3 has 642 nodes.")] = 3,
+    bins: Annotated[int, typer.Option(help="Readings of a signature.")] = 360,
+    sphere_radius: Annotated[
+        float | None, typer.Option(help="Radius of the sphere of views, metres.")
+    ] = None,
+    resolution: Annotated[int, typer.Option(help="Pixels of a clean view.")] = 512,
+    views: Annotated[
+        int, typer.Option(help="Perturbed views to learn from.")
+    ] = _DEFAULT.perturbed_views,
+    held_out: Annotated[
+        int, typer.Option(help="Perturbed views to measure with.")
+    ] = _DEFAULT.held_out_views,
+    paper: Annotated[
+        bool, typer.Option("--paper", help="As in the paper: 73 clean views a node, raw bins.")
+    ] = False,
+    neighbourhood: Annotated[
+        Neighbourhood, typer.Option(help="Reading of the paper's 73 views.")
+    ] = Neighbourhood.DISC,
+    renderer: Annotated[Renderer, typer.Option(help="What draws the views.")] = Renderer.NUMBA,
+    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    seed: Annotated[int, typer.Option(help="Of the random views.")] = 0,
+) -> None:
+    """Train a view model of a target.
+
+    A killed job goes on where it stopped when the same command is given again.
+
+    Example: rendezview train mysat.stl --unit mm --camera camera.yaml -o mysat.rvm
+    """
+    console = Console(stderr=True)
+    found = find_target(target)
+    mesh = load_mesh(found.mesh_path, unit or found.unit)
+    for note in mesh.notes:
+        console.print(note, highlight=False, style="dim")
+    options = TrainingOptions(
+        order=order,
+        bins=bins,
+        sphere_radius_m=sphere_radius,
+        resolution_px=resolution,
+        perturbed_views=views,
+        held_out_views=held_out,
+        neighbourhood=neighbourhood,
+        renderer=renderer,
+        seed=seed,
+    )
+    if paper:
+        options = replace(options.paper(), held_out_views=held_out)
+    start = time.perf_counter()
+    with ProgressBar() as progress:
+        trained = train_model(
+            mesh,
+            output,
+            name=found.name,
+            options=options,
+            camera=Camera.load(camera) if camera else None,
+            jobs=jobs,
+            progress=progress,
+        )
+    console.print(
+        f"{summary(trained)}\n{output}: {output.stat().st_size / 1e6:.1f} MB in "
+        f"{time.perf_counter() - start:.0f} s",
+        highlight=False,
+    )
+
+
+def summary(trained: Trained) -> str:
+    """What came of a training, in a few lines."""
+    model, forest = trained.model, trained.model.forest
+    depths = [forest.depth(k) for k in range(len(forest))]
+    leaves = [forest.leaf_count(k) for k in range(len(forest))]
+    lines = [
+        f"{model.name}: sphere of {model.sphere_radius_m:.2f} m around a target of "
+        f"{model.target_radius_m:.2f} m, {len(forest)} nodes, {len(model.lattice.nodes)} views",
+        f"trees: depth {np.mean(depths):.1f} (at most {max(depths)}), "
+        f"{np.mean(leaves):.0f} leaves; "
+        f"{100 * np.mean(model.training_accuracy):.1f} % of the training samples right",
+    ]
+    if trained.decisions is not None:
+        d = trained.decisions
+        right = d.in_right.sum() + d.out_right.sum()
+        total = d.in_total.sum() + d.out_total.sum()
+        lines.append(
+            f"held-out decisions right: {100 * right / max(total, 1):.1f} %, "
+            f"in-views {100 * d.in_right.sum() / max(d.in_total.sum(), 1):.1f} %, "
+            f"out-views {100 * d.out_right.sum() / max(d.out_total.sum(), 1):.1f} %; "
+            f"direction of view to {np.rad2deg(model.held_out.direction_rad):.1f}° an axis, "
+            f"range to {100 * model.held_out.range_fraction:.1f} %"
+        )
+    return "\n".join(lines)
