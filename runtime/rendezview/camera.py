@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rendezview.camera_files import intrinsics_to_opencv_yaml, read_intrinsics
 from rendezview.errors import RendezviewError
@@ -95,9 +96,10 @@ class Camera:
         points = np.asarray(points_px, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"points_px must be (N, 2), not {points.shape}")
-        distorted = (points - (self.cx, self.cy)) / (self.fx, self.fy)
-        rays = np.ones((len(points), 3))
-        rays[:, :2] = self._undistort(distorted) if self.is_distorted else distorted
+        rays = np.empty((len(points), 3))
+        _pinhole_rays(points, self.fx, self.fy, self.cx, self.cy, rays)
+        if self.is_distorted:
+            rays[:, :2] = self._undistort(rays[:, :2].copy())
         return rays
 
     def project(self, points_m: npt.ArrayLike) -> Array:
@@ -200,3 +202,11 @@ class Camera:
             error_px = np.abs(self._distort(xy) - distorted) * (self.fx, self.fy)
         xy[~(error_px < _UNDISTORT_ERROR_PX).all(axis=1)] = np.nan
         return xy
+
+
+@njit(cache=True, nogil=True)
+def _pinhole_rays(points: Array, fx: float, fy: float, cx: float, cy: float, rays: Array) -> None:
+    for i in range(points.shape[0]):
+        rays[i, 0] = (points[i, 0] - cx) / fx
+        rays[i, 1] = (points[i, 1] - cy) / fy
+        rays[i, 2] = 1.0

@@ -11,7 +11,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from rendezview.pose import Array
 
@@ -65,18 +64,15 @@ class Geodesic:
         a, b = self.nodes[self.edges[:, 0]], self.nodes[self.edges[:, 1]]
         return float(np.mean(angle_between(a, b)))
 
-    @cached_property
-    def _tree(self) -> cKDTree:
-        return cKDTree(self.nodes)
-
     def within(self, direction: npt.ArrayLike, angle_rad: float) -> npt.NDArray[np.intp]:
         """Indices of the nodes at most ``angle_rad`` from a unit direction (3,), ascending."""
-        chord = 2.0 * np.sin(min(angle_rad, np.pi) / 2.0) + 1e-12
-        return np.array(sorted(self._tree.query_ball_point(direction, chord)), dtype=np.intp)
+        cosine = np.cos(min(angle_rad, np.pi)) - 1e-12
+        return np.flatnonzero(self.nodes @ np.asarray(direction, dtype=np.float64) >= cosine)
 
     def nearest(self, directions: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Index of the node nearest to each unit direction (..., 3)."""
-        return np.asarray(self._tree.query(directions)[1], dtype=np.intp)
+        cosines = np.asarray(directions, dtype=np.float64) @ self.nodes.T
+        return np.asarray(np.argmax(cosines, axis=-1), dtype=np.intp)
 
 
 def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:

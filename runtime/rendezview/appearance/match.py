@@ -6,14 +6,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy import fft
 
+from rendezview.appearance.likeness import (
+    best_shifts,
+    mean_shift,
+    most_alike,
+    roll_and_distance,
+    spread_out,
+)
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.signature import Readings, Signature, twist
 from rendezview.pose import Array, minimal_rotation, rotation_angle
 
 _COARSE = 4  # readings averaged for the first search
+_ROLL_REACH_RAD = np.deg2rad(6.0)  # around the roll that a neighbouring view gives
 _SETTLED = 0.5  # of the residual that good views keep below: no other attitude is tried
 
 
@@ -54,9 +61,8 @@ class Matcher:
         self._node_rotations = np.ascontiguousarray(model.views.centred_from_target[:nodes])
         self._readings = model.views.readings.astype(np.float32)
         self._group = _COARSE if model.bins % _COARSE == 0 else 1
-        coarse = self._coarse(self._readings[:nodes])
-        self._spectra = np.conj(fft.rfft(coarse, axis=1))
-        self._energy = np.sum(coarse**2, axis=1)
+        self._coarse_nodes = self._coarse(self._readings[:nodes])
+        self._spectra = np.conj(fft.rfft(self._coarse_nodes, axis=1))
         forest, on, off = model.forest, model.leaf_on, model.leaf_off
         # Laplace's rule of succession: a pure leaf of one sample is not certain.
         trust = (on + 0.5) / (on + off + 2.0)
@@ -128,42 +134,37 @@ class Matcher:
     def _candidates(
         self, readings: Readings, prior: Array | None, prior_error_rad: float
     ) -> list[tuple[int, float]]:
-        """Nodes and rolls in order of likeness, by circular correlation of signatures."""
+        """Nodes and rolls in order of likeness of their signatures."""
         coarse = self._coarse(readings)
-        spectrum = fft.rfft(coarse)
-        if prior is None:
-            nodes = np.arange(len(self._spectra))
-        else:
-            reach = prior_error_rad + self._edge
-            nodes = self._sphere.within(-prior[2], reach)
-        # correlation[s] = Σ_b view[b + s] node[b]
-        correlation = fft.irfft(spectrum * self._spectra[nodes], n=len(coarse), axis=1)
-        distance = self._energy[nodes, None] - 2.0 * correlation
         step = 2.0 * np.pi / len(coarse)
-        # readings of the node at bin b stand in the view at bin b − roll
-        rolls = -step * np.arange(len(coarse))
-        if prior is not None:
+        if prior is None:
+            most = self.options.hypotheses_anywhere
+            nodes, rolls, distances = self._anywhere(coarse)
+        else:
+            most = self.options.hypotheses
+            nodes = self._sphere.within(-prior[2], prior_error_rad + self._edge)
             expected = twist(prior, self._node_rotations[nodes])
-            off = (rolls[None] - expected[:, None] + np.pi) % (2.0 * np.pi) - np.pi
-            distance[np.abs(off) > prior_error_rad + step] = np.inf
-        shift = np.argmin(distance, axis=1)
-        least = distance[np.arange(len(nodes)), shift]
-        order = np.argsort(least, kind="stable")
-        result: list[tuple[int, float]] = []
-        most = self.options.hypotheses_anywhere if prior is None else self.options.hypotheses
-        for k in order:
+            rolls, distances = np.empty(len(nodes)), np.empty(len(nodes))
+            reach = prior_error_rad + step
+            best_shifts(coarse, self._coarse_nodes, nodes, expected, reach, rolls, distances)
+        order = np.argsort(distances, kind="stable")
+        apart = np.cos(1.2 * self._edge)
+        result = []
+        for k in spread_out(order, self._sphere.nodes[nodes], apart, most):
             node = int(nodes[k])
-            near = any(
-                self._sphere.nodes[node] @ self._sphere.nodes[other] > np.cos(1.2 * self._edge)
-                for other, _ in result
-            )
-            if near:
-                continue
-            roll = _best_roll(readings, self._readings[node], float(rolls[shift[k]]), step)
+            roll, _ = roll_and_distance(readings, self._readings[node], rolls[k], step)
             result.append((node, roll))
-            if len(result) == most:
-                break
         return result
+
+    def _anywhere(self, coarse: Readings) -> tuple[npt.NDArray[np.intp], Array, Array]:
+        """All nodes, each at its most alike roll, by circular correlation of signatures."""
+        # correlation[s] = Σ_b view[b + s] node[b]
+        correlation = fft.irfft(fft.rfft(coarse) * self._spectra, n=len(coarse), axis=1)
+        distances = np.sum(self._coarse_nodes**2, axis=1)[:, None] - 2.0 * correlation
+        shift = np.argmin(distances, axis=1)
+        nodes = np.arange(len(shift))
+        # readings of the node at bin b stand in the view at bin b − roll
+        return nodes, -2.0 * np.pi / len(coarse) * shift, distances[nodes, shift]
 
     def _ask(self, readings: Readings, attitude: Array) -> Match | None:
         """On nodes around an attitude, and the direction on which they agree."""
@@ -181,15 +182,10 @@ class Matcher:
         A mean shift from the best supported node: far-off nodes weigh little, so one
         wrong tree among five does not pull the direction.
         """
-        directions = self._sphere.nodes[on_nodes]
+        weights = np.empty(len(on_nodes))
         width = (self.options.kernel_edges * self._edge) ** 2
-        support = np.exp((directions @ directions.T - 1.0) / width) @ trust
-        mean = directions[int(np.argmax(support))]
-        weights = trust
-        for _ in range(5):
-            weights = trust * np.exp((directions @ mean - 1.0) / width)
-            mean = weights @ directions
-            mean = mean / np.sqrt(mean @ mean)
+        mean = np.empty(3)
+        mean_shift(self._sphere.nodes[on_nodes], trust, width, weights, mean)
         return mean, weights
 
     def _aligned(self, readings: Readings, found: Match) -> tuple[Array, float]:
@@ -200,12 +196,7 @@ class Matcher:
         near = self._lattice.within(found.direction, 0.75 * self._edge)
         rotations = self.model.views.centred_from_target[near]
         guess = twist(found.centred_from_target, rotations)
-        step = np.deg2rad(6.0)
-        best, least, roll = 0, np.inf, 0.0
-        for k in range(len(near)):
-            r, d = _roll_and_distance(readings, self._readings[near[k]], guess[k], step)
-            if d < least:
-                best, least, roll = k, d, r
+        best, roll, least = most_alike(readings, self._readings, near, guess, _ROLL_REACH_RAD)
         # turn the target so that it is seen from the direction found, without rolling
         turn = minimal_rotation(found.direction, self._lattice.nodes[near[best]])
         attitude = np.asarray(_about_boresight(roll) @ rotations[best] @ turn)
@@ -219,40 +210,3 @@ def _apart(a: Match, b: Match) -> float:
 def _about_boresight(angle_rad: float) -> Array:
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def _best_roll(view: Readings, node: Readings, guess_rad: float, reach_rad: float) -> float:
-    return float(_roll_and_distance(view, node, guess_rad, reach_rad)[0])
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _roll_and_distance(
-    view: Readings, node: Readings, guess_rad: float, reach_rad: float
-) -> tuple[float, float]:
-    """Roll of a view against a node by least squared distance of readings, and the distance.
-
-    Whole bins within the reach, then the vertex of the parabola through the least three.
-    """
-    bins = view.shape[0]
-    step = 2.0 * np.pi / bins
-    middle = int(np.rint(-guess_rad / step))
-    half = int(np.ceil(reach_rad / step))
-    count = 2 * half + 1
-    distance = np.empty(count)
-    for k in range(count):
-        start = (middle + k - half) % bins
-        total = np.float32(0.0)
-        for b in range(bins - start):
-            d = view[b + start] - node[b]
-            total += d * d
-        for b in range(bins - start, bins):
-            d = view[b + start - bins] - node[b]
-            total += d * d
-        distance[k] = total
-    best = int(np.argmin(distance))
-    shift = float(middle + best - half)
-    if 0 < best < count - 1:
-        bend = distance[best - 1] - 2.0 * distance[best] + distance[best + 1]
-        if bend > 0.0:
-            shift += 0.5 * (distance[best - 1] - distance[best + 1]) / bend
-    return -shift * step, distance[best]

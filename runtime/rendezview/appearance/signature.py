@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.appearance.outline import radial_maxima, vector_area
+from rendezview.appearance.outline import radial_maxima, spokes_of, vector_area
 from rendezview.pose import Array, minimal_rotation
 
 Readings = npt.NDArray[np.float32]  # whole numbers
@@ -47,7 +47,7 @@ class Signature:
         centred_from_camera = minimal_rotation(total, _BORESIGHT)
         maxima = np.zeros(bins)
         for rays in outlines:
-            radial_maxima(rays, centred_from_camera, maxima)
+            radial_maxima(rays, centred_from_camera, spokes_of(bins), maxima)
         readings = quantised(maxima, UNIT / np.sqrt(area_sr), smooth_bins)
         return cls(readings, area_sr, centred_from_camera)
 

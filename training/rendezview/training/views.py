@@ -172,8 +172,8 @@ def _perturbed_view(
         return _view(direction, range_m, turned, outlines, options)
     drawn = renderer.draw(pose, window.supersampled(_SUPERSAMPLING))
     cover = cv2.resize(drawn, (window.width, window.height), interpolation=cv2.INTER_AREA)
-    cover = np.asarray(cv2.GaussianBlur(cover, (0, 0), blur_px), dtype=np.uint8)
-    frame = exposed(cover, level / 255.0, _SKY_GREY, noise, _noise_tile(), corner[0], corner[1])
+    blurred = np.asarray(cv2.GaussianBlur(cover, (0, 0), blur_px), dtype=np.uint8)
+    frame = exposed(blurred, level / 255.0, _SKY_GREY, noise, _noise_tile(), corner[0], corner[1])
     outlines = _flight_outlines(frame, window)
     return _view(direction, range_m, turned, outlines, options)
 
