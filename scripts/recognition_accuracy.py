@@ -7,9 +7,10 @@ within three edges about random views that neither has seen:
 
 (a) the paper's conditions: a clean silhouette at the sphere radius, roll known;
 (b) real frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,
-    off-centre bearing, roll known to 1° (one σ);
-(c) real frames, end to end: only a prior that is off by up to 20° about a random axis;
-(d) as (c), with the Sun 30–60° from behind the camera: what shadows cost.
+    off-centre bearing, roll known to 1° (one σ), light from behind the camera;
+(c) the same frames end to end: only a prior that is off by up to 20° about a random axis;
+(d) as (c), with the Sun up to 30° from behind the camera, hard shadows;
+(e) as (d), with the Sun 30–60° from behind the camera: what shadows cost.
 
 In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame
 counts: one that gives no silhouette has all its in-decisions wrong and its out-decisions
@@ -47,6 +48,7 @@ from rendezview.training.renderers import make_renderer
 from rendezview.training.views import clean_views, look_from
 
 WIDTH, HEIGHT = 640, 480
+WRONG_DEG = 8.0  # rotation error of an answer that is not one
 
 
 @dataclass
@@ -159,11 +161,11 @@ def decide(
 
 
 def one_real(mesh: Mesh, models: list[ViewModel], camera: Camera, seed: int, k: int) -> list[Tally]:
-    """One frame under (b) for each model, then under (c) and (d) for the first."""
+    """One frame under (b) for each model, then under (c), (d) and (e) for the first."""
     rng = np.random.default_rng([seed, 1, k])
     direction, pose = random_pose(models[0], camera, rng)
     roll_error = float(np.deg2rad(rng.normal()))
-    image = frame_of(mesh, models[0], camera, pose, (0.0, 30.0), rng)
+    image = frame_of(mesh, models[0], camera, pose, (0.0, 0.0), rng)
     tallies = []
     silhouette = find_silhouette(image, SilhouetteOptions())
     for model in models:
@@ -177,12 +179,15 @@ def one_real(mesh: Mesh, models: list[ViewModel], camera: Camera, seed: int, k: 
         tally = Tally()
         decide(model, Matcher(model), signature, attitude, direction, roll_error, tally)
         tallies.append(tally)
-    dim = frame_of(mesh, models[0], camera, pose, (30.0, 60.0), rng)
+    shadowed = [
+        frame_of(mesh, models[0], camera, pose, phases, rng)
+        for phases in ((0.0, 30.0), (30.0, 60.0))
+    ]
     error = rng.normal(size=3)
     error *= np.deg2rad(rng.uniform(0.0, 20.0)) / np.linalg.norm(error)
     prior = Pose(Rotation.from_rotvec(error).as_matrix() @ pose.rotation, pose.translation_m)
     recognizer = Recognizer(models[0], camera)
-    for frame in (image, dim):
+    for frame in (image, *shadowed):
         tallies.append(end_to_end(recognizer, frame, prior, pose, direction))
     return tallies
 
@@ -190,7 +195,7 @@ def one_real(mesh: Mesh, models: list[ViewModel], camera: Camera, seed: int, k: 
 def end_to_end(
     recognizer: Recognizer, frame: np.ndarray, prior: Pose, truth: Pose, direction: Array
 ) -> Tally:
-    """Conditions (c) and (d): the whole recognizer on one frame."""
+    """Conditions (c) to (e): the whole recognizer on one frame."""
     model, tally = recognizer.model, Tally()
     sphere = model.geodesic
     edge = sphere.mean_edge_rad
@@ -236,6 +241,11 @@ def row(table: Table, name: str, t: Tally) -> None:
             return "–"
         return " / ".join(f"{np.quantile(errors, q, method='higher'):.2f}" for q in shares)
 
+    refused = "–"
+    if t.rotation_deg:
+        errors = np.array(t.rotation_deg)
+        wrong = np.isfinite(errors) & (errors > WRONG_DEG)
+        refused = f"{100 * np.mean(np.isinf(errors)):.1f} / {100 * np.mean(wrong):.1f}"
     table.add_row(
         name,
         f"{100 * right / total:.2f}",
@@ -246,6 +256,7 @@ def row(table: Table, name: str, t: Tally) -> None:
         quantiles(t.direction_deg, 0.5, 0.95),
         quantiles(t.rotation_deg, 0.5, 0.95),
         quantiles(t.range_percent, 0.5, 0.95),
+        refused,
     )
 
 
@@ -290,6 +301,7 @@ def main() -> None:
         "direction °, median / 95 %",
         "rotation °, median / 95 %",
         "range %, median / 95 %",
+        "no pose / wrong %",
     ):
         table.add_column(column, justify="left" if column == "condition" else "right")
     for name, model in (("robust", robust), ("paper", paper)):
@@ -301,8 +313,9 @@ def main() -> None:
     row(table, "(b) real frames, robust", joined([f[0] for f in frames]))
     row(table, "(b) real frames, paper", joined([f[1] for f in frames]))
     row(table, "(c) 20° prior, robust", joined([f[2] for f in frames]))
-    row(table, "(d) Sun 30–60°, robust", joined([f[3] for f in frames]))
-    Console(width=150).print(table)
+    row(table, "(d) Sun 0–30°, robust", joined([f[3] for f in frames]))
+    row(table, "(e) Sun 30–60°, robust", joined([f[4] for f in frames]))
+    Console(width=160).print(table)
 
 
 if __name__ == "__main__":

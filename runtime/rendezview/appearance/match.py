@@ -64,7 +64,7 @@ class Matcher:
         self._coarse_nodes = self._coarse(self._readings[:nodes])
         self._spectra = np.conj(fft.rfft(self._coarse_nodes, axis=1))
         forest, on, off = model.forest, model.leaf_on, model.leaf_off
-        # Laplace's rule of succession: a pure leaf of one sample is not certain.
+        # Shrunk, because a pure leaf of one sample is not certain.
         trust = (on + 0.5) / (on + off + 2.0)
         self._trust = np.where(forest.category == 1, trust, 0.0)
 

@@ -13,6 +13,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+import rendezview.appearance.outline
+import rendezview.training.views
 from rendezview.appearance.model import HeldOut, ViewModel, Views
 from rendezview.appearance.tree import Forest
 from rendezview.camera import Camera
@@ -84,7 +86,7 @@ def train(
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera)
     inputs = _inputs(mesh, options, camera)
-    shards = Shards(path.with_name(path.name + ".partial"), inputs)
+    shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     renderer = make_renderer(options.renderer, mesh)
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
@@ -223,6 +225,15 @@ def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Ar
 def _tree_set(arrays: Arrays) -> TreeSet:
     forest = Forest(**{f.name: arrays[f.name] for f in dataclasses.fields(Forest)})
     return TreeSet(forest, arrays["leaf_on"], arrays["leaf_off"], arrays["training_accuracy"])
+
+
+def _code_sha256() -> str:
+    """Of the modules that make shards: shards of other code are of no use."""
+    digest = hashlib.sha256()
+    for module in (rendezview.training.views, rendezview.appearance.outline):
+        for source in sorted(Path(str(module.__file__)).parent.glob("*.py")):
+            digest.update(source.read_bytes())
+    return digest.hexdigest()
 
 
 def _inputs(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> dict[str, Any]:

@@ -1,0 +1,96 @@
+"""What several tests share: an asymmetric body, a camera, drawn frames and a small model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from rendezview.appearance import ViewModel
+from rendezview.camera import Camera
+from rendezview.pose import Pose
+from rendezview.training.job import train
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import TrainingOptions
+from rendezview.training.renderers import NumbaRenderer, Window
+
+Draw = Callable[..., np.ndarray]
+
+BUMPS_M = [  # size, place: no rotation and no mirror maps this body to itself
+    ((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)),
+    ((0.5, 0.5, 0.9), (0.9, 0.5, 0.5)),
+    ((1.4, 0.25, 0.25), (-1.2, -0.4, 0.3)),
+    ((0.3, 1.0, 0.3), (0.3, -0.9, -0.3)),
+]
+
+
+@pytest.fixture(scope="session")
+def bumpy_mesh() -> Mesh:
+    boxes = []
+    for size, place in BUMPS_M:
+        box = trimesh.creation.box(size)
+        box.apply_translation(place)
+        boxes.append(box)
+    whole = trimesh.util.concatenate(boxes)
+    faces = np.array(whole.faces, dtype=np.int32)
+    grey = np.full((len(faces), 3), 0.6, dtype=np.float32)
+    return Mesh(np.array(whole.vertices), faces, grey, ())
+
+
+@pytest.fixture(scope="session")
+def camera() -> Camera:
+    return Camera.from_fov(400, 400, np.deg2rad(40.0))
+
+
+@pytest.fixture(scope="session")
+def tiny_options() -> TrainingOptions:
+    return TrainingOptions(
+        order=2,
+        bins=120,
+        smooth_bins=5,
+        resolution_px=128,
+        perturbed_views=800,
+        held_out_views=150,
+    )
+
+
+@pytest.fixture(scope="session")
+def tiny_model_path(
+    tmp_path_factory: pytest.TempPathFactory, bumpy_mesh: Mesh, tiny_options: TrainingOptions
+) -> Path:
+    path = tmp_path_factory.mktemp("model") / "bumpy.rvm"
+    train(bumpy_mesh, path, name="bumpy", options=tiny_options, jobs=1)
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny_model(tiny_model_path: Path) -> ViewModel:
+    return ViewModel.load(tiny_model_path)
+
+
+@pytest.fixture(scope="session")
+def draw() -> Draw:
+    """Frames (H, W) uint8 of a mesh as a camera has them; noiseless where no rng is given."""
+
+    def frame_of(
+        mesh: Mesh,
+        pose: Pose,
+        camera: Camera,
+        rng: np.random.Generator | None = None,
+        noise_grey: float = 3.0,
+    ) -> np.ndarray:
+        assert camera.fx == camera.fy
+        assert not camera.is_distorted
+        window = Window(camera.width, camera.height, camera.fx, camera.cx, camera.cy)
+        fine = NumbaRenderer(mesh).draw(pose, window.supersampled(4))
+        cover = cv2.resize(fine, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
+        frame = 12.0 + cv2.GaussianBlur(cover, (0, 0), 0.7) * (140.0 / 255.0)
+        if rng is not None:
+            frame = frame + rng.normal(0.0, noise_grey, frame.shape)
+        return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
+
+    return frame_of
