@@ -34,7 +34,8 @@ SILVER = Colour(name="foil-silver", srgb=(206, 211, 220), metallic=0.5, roughnes
 GREY = Colour(name="aluminium", srgb=(150, 154, 160), metallic=0.4, roughness=0.5)
 DARK = Colour(name="dark-grey", srgb=(72, 75, 82), roughness=0.7)
 BLACK = Colour(name="black", srgb=(22, 22, 25), roughness=0.9)
-CELL = Colour(name="solar-cell", srgb=(26, 40, 104), metallic=0.2, roughness=0.25)
+# Solar absorptance of cells about 0.9: they reflect a tenth.
+CELL = Colour(name="solar-cell", srgb=(66, 86, 150), metallic=0.2, roughness=0.25)
 YELLOW = Colour(name="handrail-yellow", srgb=(226, 190, 62), roughness=0.6)
 RED = Colour(name="led-red", srgb=(236, 48, 40), roughness=0.4)
 RETRO = Colour(name="retro-reflector", srgb=(250, 252, 255), metallic=0.1, roughness=0.1)

@@ -120,7 +120,7 @@ def test_a_blurred_disc_is_found_to_a_fiftieth_of_a_pixel(centre, mask_grey):
     frame = blurred_disc(centre, 20.0)
     mask = cv2.threshold(frame, mask_grey, 255, cv2.THRESH_BINARY)[1]
     (border,) = outer_borders(mask)
-    points = crack_outline(border, frame, 12.0)
+    points = crack_outline(border, frame, 12.0, 2)
     assert np.abs(centroid(points) - centre).max() < 0.02
     assert np.sqrt(-signed_area(points) / np.pi) == pytest.approx(20.0, abs=0.1)
 
@@ -141,7 +141,7 @@ def test_a_noisy_disc_found_by_default_is_neither_fat_nor_displaced(radius):
 def test_the_edge_of_a_frame_at_the_picture_border_stays_in_reach():
     frame = np.full((8, 8), 200, dtype=np.uint8)
     (border,) = outer_borders(frame)
-    points = crack_outline(border, frame, 10.0)
+    points = crack_outline(border, frame, 10.0, 2)
     assert np.abs(signed_area(points)) == pytest.approx(64 - 0.5)
 
 

@@ -22,13 +22,12 @@ from rendezview.pose import Array
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 _DIRECTION_OF_STEP = np.array([[5, 6, 7], [4, -1, 0], [3, 2, 1]])  # [dy + 1, dx + 1]
-# How far inside a border the target's own grey level is looked for, pixels. More would take
-# the brighter body behind a thin, dim panel for the panel's level and eat the panel's outline.
-_EDGE_REACH = 2
 
 
 @njit(cache=True, nogil=True)
-def crack_outline(border: npt.NDArray[np.int32], grey: npt.NDArray[np.uint8], sky: float) -> Array:
+def crack_outline(
+    border: npt.NDArray[np.int32], grey: npt.NDArray[np.uint8], sky: float, reach: int
+) -> Array:
     """Sub-pixel outline between the border pixels of a silhouette and their outer neighbours.
 
     Each side of a border pixel that faces the outside gives one point. Where ``grey`` is
@@ -42,6 +41,8 @@ def crack_outline(border: npt.NDArray[np.int32], grey: npt.NDArray[np.uint8], sk
             ``CHAIN_APPROX_NONE`` gives it (counter-clockwise on the screen).
         grey: (H, W) the frame, or (0, 0).
         sky: grey level of the background.
+        reach: how far inside the border the target's own level is looked for, pixels. Too
+            far takes the bright body behind a dim panel for the panel's level.
 
     Returns:
         (M, 2) points in pixels, pixel (0, 0) being the centre of the top-left pixel.
@@ -62,7 +63,7 @@ def crack_outline(border: npt.NDArray[np.int32], grey: npt.NDArray[np.uint8], sk
         for k in range(first & 1, steps, 2):  # the sides; corners give no point
             direction = (first - k) & 7
             dx, dy = _DX[direction], _DY[direction]
-            shift = 0.5 if drawn else _edge_shift(grey, x, y, dx, dy, sky)
+            shift = 0.5 if drawn else _edge_shift(grey, x, y, dx, dy, sky, reach)
             points[count, 0] = x + shift * dx
             points[count, 1] = y + shift * dy
             count += 1
@@ -70,12 +71,14 @@ def crack_outline(border: npt.NDArray[np.int32], grey: npt.NDArray[np.uint8], sk
 
 
 @njit(cache=True, nogil=True)
-def _edge_shift(grey: npt.NDArray[np.uint8], x: int, y: int, dx: int, dy: int, sky: float) -> float:
+def _edge_shift(
+    grey: npt.NDArray[np.uint8], x: int, y: int, dx: int, dy: int, sky: float, reach: int
+) -> float:
     """Distance along (dx, dy) from pixel (x, y) to the middle grey level of the edge."""
     height, width = grey.shape
     inside = float(grey[y, x])
     best = inside
-    for step in range(1, _EDGE_REACH + 1):
+    for step in range(1, reach + 1):
         xi, yi = x - step * dx, y - step * dy
         if 0 <= xi < width and 0 <= yi < height:
             best = max(best, float(grey[yi, xi]))
@@ -85,7 +88,7 @@ def _edge_shift(grey: npt.NDArray[np.uint8], x: int, y: int, dx: int, dy: int, s
         return 0.5
     outer, inner = float(grey[yo, xo]), inside
     position = 0.0  # of the inner pixel along the normal
-    for _ in range(_EDGE_REACH + 1):
+    for _ in range(reach + 1):
         if inner >= level:
             if outer >= level:
                 return position + 0.99

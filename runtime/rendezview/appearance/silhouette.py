@@ -42,8 +42,9 @@ class SilhouetteOptions:
     threshold: Threshold = Threshold.NOISE
     level_grey: float | None = None  # for FIXED
     noise_sigmas: float = 5.0  # one false pixel in three frames of a megapixel
-    least_contrast_grey: float = 8.0  # a noiseless frame still has quantisation
-    averaged_px: int = 1  # threshold the mean of so many pixels a side: finds dimmer faces
+    least_contrast_grey: float = 4.0  # a noiseless frame still has quantisation
+    averaged_px: int = 3  # threshold the mean of 3 × 3 pixels: dim panels stand out of the noise
+    reach_px: int = 2  # how far inside its border the target's own grey level is looked for
     cleaning: Cleaning = Cleaning.NONE
     background: Picture | None = None  # a frame without the target, subtracted first
     least_area_px: int = 60  # below about 9 px across the outline is all staircase
@@ -150,7 +151,7 @@ def outer_borders(mask: Picture) -> list[Border]:
 
 def outlines_of_mask(mask: Picture) -> list[Array]:
     """Outlines (M, 2) in pixels of everything that is on in a drawn, noiseless mask."""
-    return [crack_outline(border, _NO_GREY, 0.0) for border in outer_borders(mask)]
+    return [crack_outline(border, _NO_GREY, 0.0, 0) for border in outer_borders(mask)]
 
 
 _NO_GREY = np.zeros((0, 0), dtype=np.uint8)
@@ -221,7 +222,7 @@ def _choose(
         ]
         return Missing(Status.BORDER, f"the silhouette touches the border ({', '.join(side)})")
     return Silhouette(
-        tuple(crack_outline(borders[k], image, sky) for k in chosen),
+        tuple(crack_outline(borders[k], image, sky, options.reach_px) for k in chosen),
         sum(area[k] for k in chosen),
         joined,
         sky,

@@ -7,6 +7,7 @@ that is called is imported, so that each starts fast.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable
 from importlib import metadata
@@ -17,6 +18,7 @@ import typer
 from rendezview.errors import RendezviewError
 
 GROUP = "rendezview.commands"
+_INTERRUPTED = "rendezview: interrupted"
 
 # In the order of a first use. What stands here is shown without importing the command.
 _SUMMARIES = {
@@ -88,6 +90,16 @@ def main() -> None:
     except RendezviewError as error:
         print(f"rendezview: {error}", file=sys.stderr)
         sys.exit(1)
+    except OSError as error:  # of the standard output: files say theirs as RendezviewError
+        place = f"{error.filename}: " if error.filename else ""
+        print(f"rendezview: {place}{error.strerror or error}", file=sys.stderr)
+        # What waits in the buffer would fail once more when the interpreter ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except KeyboardInterrupt:
-        print("rendezview: interrupted", file=sys.stderr)
+        print(_INTERRUPTED, file=sys.stderr)
         sys.exit(130)
+    except SystemExit as end:
+        if end.code == 130:  # typer's own answer to Ctrl-C, which says nothing
+            print(_INTERRUPTED, file=sys.stderr)
+        raise

@@ -54,8 +54,10 @@ def track(
 ) -> None:
     """Recognise and track a target through a sequence of frames.
 
+    \b
     Example: rendezview track hubble.rvm approach -o poses.csv --log log.jsonl --prior scene
     """
+    _check_places(output, log, model)
     loaded = ViewModel.load(model)
     sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
     first = _prior(prior, sequence, loaded)
@@ -88,13 +90,14 @@ def track(
                     writer.write(record(frame, sighting))
                 progress("frames", done, len(sequence))
     finally:
-        # Ctrl-C or an error in the middle keeps what was computed.
-        if writer:
-            writer.close()
-        if rows or not times_ms:
-            write_results(output, rows)
-    if not rows:
-        write_results(output, rows)
+        # Ctrl-C or an error in the middle keeps what was computed, and a log that cannot be
+        # written does not take the poses with it.
+        try:
+            if writer:
+                _end(writer, bool(outcomes))
+        finally:
+            if outcomes:
+                write_results(output, rows)
     told = ", ".join(
         f"{count} {status}" for status, count in outcomes.most_common() if status is not Status.OK
     )
@@ -103,7 +106,26 @@ def track(
         + (f" ({told})" if told else "")
         + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
         highlight=False,
+        soft_wrap=True,
     )
+
+
+def _check_places(output: Path, log: Path | None, model: Path) -> None:
+    """Refuse at once what would fail, or do harm, only when all frames are computed."""
+    if output.is_dir() or not output.parent.is_dir():
+        raise RendezviewError(f"{output}: give a file name in an existing folder for the results")
+    places = [path.resolve() for path in (output, log, model) if path is not None]
+    if len(set(places)) < len(places):
+        raise RendezviewError(
+            f"{output}: model, results and log must be different files: choose another name"
+        )
+
+
+def _end(writer: JsonLinesWriter, anything: bool) -> None:
+    if anything:
+        writer.close()
+    else:
+        writer.discard()
 
 
 def _silhouette(threshold: str) -> SilhouetteOptions:

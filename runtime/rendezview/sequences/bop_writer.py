@@ -63,8 +63,8 @@ class BopSceneWriter:
         if _holds_scene(self.folder):
             if not overwrite:
                 raise RendezviewError(
-                    f"{self.folder}: already holds a scene: choose another folder, or allow "
-                    f"overwriting"
+                    f"{self.folder}: already holds a scene: choose another folder, or let "
+                    f"it be overwritten (--overwrite)"
                 )
             _remove_scene(self.folder)
         make_folder(self.folder / "gray")

@@ -28,8 +28,8 @@ from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
-_VIEWS = 12_000  # fewer than `train` takes, so that the tour is short
-_SUN_PHASE_DEG = 10.0  # behind the camera: how shadows are dealt with is no part of the tour
+_VIEWS = 16_000  # fewer than `train` takes, so that the tour is short
+_SUN_PHASE_DEG = 0.0  # light from behind the camera: shadows are no part of the tour
 _PRIOR_ERROR_RAD = np.deg2rad(15.0)
 
 
@@ -43,12 +43,12 @@ def demo(
 ) -> None:
     """Train, simulate, track, report: the tour.
 
-    A space telescope is learned from its CAD model, then approached on a spiral from 58 m
-    to 27 m, and recognised frame by frame from a first attitude that is 15° wrong.
+    A space telescope is learned from its CAD model, then approached from 61 m to 28 m, half
+    around it, and recognised frame by frame from a first attitude that is 15° wrong.
 
     Example: rendezview demo -o tour
     """
-    console = Console(highlight=False)
+    console = Console(highlight=False, soft_wrap=True)
     start = time.perf_counter()
     target, camera = find_target("hubble"), default_camera()
     mesh = load_mesh(target.mesh_path, target.unit)
@@ -66,11 +66,11 @@ def demo(
         )
         console.print(summary(trained), style="dim")
         model = trained.model
-        console.print(f"2. Flying a spiral of {frames} frames …")
+        console.print(f"2. Flying half around it, nearer and nearer: {frames} frames …")
         path = trajectory(
-            "spiral",
+            "flyaround",
             TrajectoryOptions(
-                frames=frames,
+                frames=2 * frames - 1,
                 start_range_m=2.4 * model.sphere_radius_m,
                 end_range_m=1.1 * model.sphere_radius_m,
                 centre_m=(
@@ -78,12 +78,11 @@ def demo(
                     float(model.centre_m[1]),
                     float(model.centre_m[2]),
                 ),
-                turn_rad=float(np.deg2rad(150.0)),
                 pointing_jitter_rad=float(np.deg2rad(0.4)),
                 roll_jitter_rad=float(np.deg2rad(0.4)),
                 seed=seed,
             ),
-        )
+        )[:frames]  # half-way round it is nearest
         simulate(
             mesh,
             camera,

@@ -109,7 +109,7 @@ def trajectory(kind: TrajectoryKind, options: TrajectoryOptions | None = None) -
         )
     if kind in ("circular", "tumble") and options.last_range_m != options.start_range_m:
         raise RendezviewError(
-            f"a {kind} trajectory keeps its range: leave end_range_m out, or choose spiral"
+            f"a {kind} trajectory keeps its range: leave the end range out, or choose spiral"
         )
     rng = np.random.default_rng(options.seed)
     times_s = options.dt_s * np.arange(options.frames, dtype=np.float64)

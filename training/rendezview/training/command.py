@@ -66,7 +66,7 @@ def train(
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     for note in mesh.notes:
-        console.print(note, highlight=False, style="dim")
+        console.print(note, highlight=False, style="dim", soft_wrap=True)
     options = TrainingOptions(
         order=order,
         bins=bins,
@@ -95,6 +95,7 @@ def train(
         f"{summary(trained)}\n{output}: {output.stat().st_size / 1e6:.1f} MB in "
         f"{time.perf_counter() - start:.0f} s",
         highlight=False,
+        soft_wrap=True,
     )
 
 

@@ -26,7 +26,12 @@ _SUPERSAMPLING = 2  # of perturbed views
 _MARGIN_PX = 6  # of sky around a perturbed view
 _SKY_GREY = 12.0
 _TILE = 1024  # side of the tile of noise
-_WHOLE = SilhouetteOptions(merge_gap=10.0)  # one target is in the picture: all blobs are its own
+# One target is in the picture, so all blobs are its own. A low threshold, as in flight, and a
+# high one, which stands for wires and panels too dim to be seen.
+_THRESHOLDS = (
+    SilhouetteOptions(merge_gap=10.0),
+    SilhouetteOptions(merge_gap=10.0, averaged_px=1, least_contrast_grey=8.0),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,6 +163,7 @@ def _perturbed_view(
     blur_px = rng.uniform(0.4, 1.2)
     level = rng.uniform(80.0, 200.0)
     corner = rng.integers(0, _TILE, size=2)
+    threshold = _THRESHOLDS[int(rng.integers(len(_THRESHOLDS)))]
     range_m = geometry.sphere_radius_m * radii
     # off-centre bearing, as far as the target stays in the picture
     half = np.arctan(geometry.flight_half_px / geometry.flight_focal_px)
@@ -174,13 +180,13 @@ def _perturbed_view(
     cover = cv2.resize(drawn, (window.width, window.height), interpolation=cv2.INTER_AREA)
     blurred = np.asarray(cv2.GaussianBlur(cover, (0, 0), blur_px), dtype=np.uint8)
     frame = exposed(blurred, level / 255.0, _SKY_GREY, noise, _noise_tile(), corner[0], corner[1])
-    outlines = _flight_outlines(frame, window)
+    outlines = _flight_outlines(frame, window, threshold)
     return _view(direction, range_m, turned, outlines, options)
 
 
-def _flight_outlines(frame: Mask, window: Window) -> list[Array]:
+def _flight_outlines(frame: Mask, window: Window, threshold: SilhouetteOptions) -> list[Array]:
     """Outlines as the flight code finds them; none where it finds no silhouette."""
-    found = find_silhouette(frame, _WHOLE)
+    found = find_silhouette(frame, threshold)
     return [] if isinstance(found, Missing) else [_rays(o, window) for o in found.outlines_px]
 
 
