@@ -184,12 +184,6 @@ class JsonLinesWriter:
                 self._file.close()
             raise write_error(self.path, error) from error
 
-    def discard(self) -> None:
-        """Remove the partial file; ``path`` stays as it was."""
-        with contextlib.suppress(OSError):
-            self._file.close()
-        self.partial_path.unlink(missing_ok=True)
-
     def __enter__(self) -> Self:
         return self
 

@@ -93,8 +93,10 @@ def track(
         # Ctrl-C or an error in the middle keeps what was computed, and a log that cannot be
         # written does not take the poses with it.
         try:
-            if writer:
-                _end(writer, bool(outcomes))
+            if writer and outcomes:
+                writer.close()
+            elif writer:
+                writer.partial_path.unlink(missing_ok=True)
         finally:
             if outcomes:
                 write_results(output, rows)
@@ -119,13 +121,6 @@ def _check_places(output: Path, log: Path | None, model: Path) -> None:
         raise RendezviewError(
             f"{output}: model, results and log must be different files: choose another name"
         )
-
-
-def _end(writer: JsonLinesWriter, anything: bool) -> None:
-    if anything:
-        writer.close()
-    else:
-        writer.discard()
 
 
 def _silhouette(threshold: str) -> SilhouetteOptions:

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.results import read_results
 from rendezview.sequences import open_sequence
@@ -45,6 +46,8 @@ def evaluate(
 
     Example: rendezview evaluate approach poses.csv --target hubble
     """
+    if not 0.0 <= wrong <= 180.0:
+        raise RendezviewError(f"--wrong must be an angle from 0 to 180 degrees, not {wrong}")
     sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
     found = find_target(target) if target else None
     centre_m = None

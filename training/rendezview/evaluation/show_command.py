@@ -22,7 +22,8 @@ from rendezview.evaluation.track_pictures import point_cloud, sighting_curves
 from rendezview.files import atomic_write, atomic_write_text, make_folder
 from rendezview.pose import Pose
 from rendezview.results import read_json_lines
-from rendezview.sequences import Sequence, open_sequence
+from rendezview.sequences import Frame, Sequence, open_sequence
+from rendezview.sequences.frame import GreyImage
 
 _SHEET = (4, 3)  # frames across and down
 _CELL_PX = 320
@@ -47,7 +48,6 @@ def show(
     if not what.exists():
         raise RendezviewError(f"{what}: no such model, log or scene")
     folder = output or Path(f"{what.stem if what.is_file() else what.resolve().name}-pictures")
-    make_folder(folder)
     if what.suffix == ".rvm":
         written = _show_model(ViewModel.load(what), folder)
     elif what.suffix == ".jsonl":
@@ -95,6 +95,7 @@ def _show_model(model: ViewModel, folder: Path) -> list[Path]:
                 f"{model.views.area_m2[k]:.4f}",
             ]
         )
+    make_folder(folder)
     atomic_write_text(folder / "nodes.csv", table.getvalue())
     return [_save(model_picture(model), folder / "model.png"), folder / "nodes.csv"]
 
@@ -121,6 +122,7 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
         target_radius_m=0.1 * float(np.nanmedian(ranges)) if points else 1.0,
         estimates_m=places,
     )
+    make_folder(folder)
     return [_save(curves, folder / "curves.png"), _save(cloud, folder / "cloud.png")]
 
 
@@ -130,13 +132,25 @@ def _pose(value: dict[str, list[float]] | None) -> Pose | None:
     return Pose.from_quat_wxyz(value["quat_wxyz"], value["translation_m"])
 
 
+def _picture(frame: Frame) -> GreyImage:
+    """The frame's image; where it cannot be read, an empty one that says so."""
+    try:
+        return frame.read()
+    except RendezviewError:
+        empty = np.zeros((frame.camera.height, frame.camera.width), dtype=np.uint8)
+        scale = frame.camera.width / _CELL_PX
+        place = (round(6 * scale), frame.camera.height // 2)
+        cv2.putText(empty, "unreadable", place, 0, 0.7 * scale, 255, max(1, round(scale)))
+        return empty
+
+
 def _show_scene(sequence: Sequence, folder: Path) -> Path:
     """A sheet of frames spread over the sequence, in order."""
     across, down = _SHEET
     chosen = np.unique(np.linspace(0, len(sequence) - 1, across * down).round().astype(int))
     cells = []
     for k in chosen:
-        image = sequence.frames[k].read()
+        image = _picture(sequence.frames[k])
         height = round(_CELL_PX * image.shape[0] / image.shape[1])
         cell = cv2.resize(image, (_CELL_PX, height), interpolation=cv2.INTER_AREA)
         cv2.putText(cell, str(sequence.frames[k].im_id), (6, 18), 0, 0.5, 255, 1, cv2.LINE_AA)
@@ -146,6 +160,7 @@ def _show_scene(sequence: Sequence, folder: Path) -> Path:
     for k, cell in enumerate(cells):
         top, left = tallest * (k // across), _CELL_PX * (k % across)
         sheet[top : top + cell.shape[0], left : left + _CELL_PX] = cell
+    make_folder(folder)
     path = folder / "frames.png"
     with atomic_write(path, durable=False) as file:
         file.write(cv2.imencode(".png", sheet)[1].tobytes())

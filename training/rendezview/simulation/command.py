@@ -44,7 +44,7 @@ def simulate(
     camera: Annotated[
         Path | None, typer.Option(help="Camera file; default 640 × 480, 53° across.")
     ] = None,
-    frames: Annotated[int, typer.Option(help="Number of frames.")] = 60,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     dt: Annotated[float, typer.Option(help="Seconds between frames.")] = 1.0,
     start_range: Annotated[
         float | None, typer.Option(help="Metres from the target's middle; default 6 target radii.")
@@ -53,7 +53,9 @@ def simulate(
         float | None, typer.Option(help="Metres at the end; default 3 target radii, or the start.")
     ] = None,
     turn: Annotated[float, typer.Option(help="Degrees around the target in all.")] = 120.0,
-    sun_phase: Annotated[float, typer.Option(help="Degrees Sun–target–camera.")] = 0.0,
+    sun_phase: Annotated[
+        float, typer.Option(min=0.0, max=180.0, help="Degrees Sun–target–camera.")
+    ] = 0.0,
     sun_direction: Annotated[
         str | None, typer.Option(help="Fixed Sun instead: 'x,y,z' towards it, target frame.")
     ] = None,
@@ -67,7 +69,7 @@ def simulate(
     jitter: Annotated[float, typer.Option(help="Pointing jitter, degrees (one σ).")] = 0.3,
     masks: Annotated[bool, typer.Option("--masks", help="Write mask_visib/ too.")] = False,
     jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a scene.")] = False,
 ) -> None:
     """Render camera frames of a target with the truth of every one.

@@ -54,19 +54,21 @@ def train(
     ] = Neighbourhood.DISC,
     renderer: Annotated[Renderer, typer.Option(help="What draws the views.")] = Renderer.NUMBA,
     jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    seed: Annotated[int, typer.Option(help="Of the random views.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random views.")] = 0,
 ) -> None:
     """Train a view model of a target.
 
     A killed job goes on where it stopped when the same command is given again.
 
+    \b
     Example: rendezview train mysat.stl --unit mm --camera camera.yaml -o mysat.rvm
     """
     console = Console(stderr=True)
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
-    for note in mesh.notes:
-        console.print(note, highlight=False, style="dim", soft_wrap=True)
+    notes = "\n".join(mesh.notes)
+    if console.is_terminal:  # a log says them with the rest, so that an error is one line
+        console.print(notes, highlight=False, style="dim", soft_wrap=True)
     options = TrainingOptions(
         order=order,
         bins=bins,
@@ -91,6 +93,8 @@ def train(
             jobs=jobs,
             progress=progress,
         )
+    if not console.is_terminal:
+        console.print(notes, highlight=False, soft_wrap=True)
     console.print(
         f"{summary(trained)}\n{output}: {output.stat().st_size / 1e6:.1f} MB in "
         f"{time.perf_counter() - start:.0f} s",

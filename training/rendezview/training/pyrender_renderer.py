@@ -13,6 +13,11 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.renderers import Mask, Window, project_vertices
 
 
+# pyrender draws four samples a pixel and reads the depth of the first, which the standard
+# pattern puts at (3/8, 1/8) of the pixel from its lower left corner: not at its centre.
+_SAMPLE_PX = (0.375 - 0.5, 0.5 - 0.125)
+
+
 class PyrenderRenderer:
     """Off-screen OpenGL through pyrender; slower than the default and never needed."""
 
@@ -32,8 +37,8 @@ class PyrenderRenderer:
         camera = pyrender.IntrinsicsCamera(
             window.focal_px,
             window.focal_px,
-            window.cx + 0.5,  # OpenGL counts from the pixel's corner
-            window.cy + 0.5,
+            window.cx + 0.5 + _SAMPLE_PX[0],  # OpenGL counts from the pixel's corner
+            window.cy + 0.5 + _SAMPLE_PX[1],
             znear=near,
             zfar=distance + 2.0 * radius,
         )
