@@ -90,6 +90,9 @@ def main() -> None:
     except RendezviewError as error:
         print(f"rendezview: {error}", file=sys.stderr)
         sys.exit(1)
+    except MemoryError as error:
+        print(f"rendezview: not enough memory ({error})", file=sys.stderr)
+        sys.exit(1)
     except OSError as error:  # of the standard output: files say theirs as RendezviewError
         place = f"{error.filename}: " if error.filename else ""
         print(f"rendezview: {place}{error.strerror or error}", file=sys.stderr)

@@ -67,4 +67,4 @@ def evaluate(
     console = Console()
     console.print(evaluation.as_table())
     for note in evaluation.notes:
-        console.print(note, highlight=False)
+        console.print(note, highlight=False, soft_wrap=True)

@@ -37,9 +37,9 @@ def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the tour.")] = Path(
         "rendezview-demo"
     ),
-    frames: Annotated[int, typer.Option(help="Frames of the approach.")] = 60,
+    frames: Annotated[int, typer.Option(min=1, help="Frames of the approach.")] = 60,
     jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
 ) -> None:
     """Train, simulate, track, report: the tour.
 

@@ -57,7 +57,7 @@ def show(
         written = [_show_scene(sequence, folder)]
     console = Console(stderr=True)
     for path in written:
-        console.print(str(path), highlight=False)
+        console.print(str(path), highlight=False, soft_wrap=True)
 
 
 def _save(figure: Figure, path: Path) -> Path:

@@ -108,7 +108,7 @@ def simulate(
             progress=lambda done, total: progress("frames", done, total),
             overwrite=overwrite,
         )
-    Console(stderr=True).print(f"{output}: {frames} frames", highlight=False)
+    Console(stderr=True).print(f"{output}: {frames} frames", highlight=False, soft_wrap=True)
 
 
 def default_camera() -> Camera:

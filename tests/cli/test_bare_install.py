@@ -1,0 +1,57 @@
+"""What flies needs nothing of the ground side; `scripts/check_bare_install.py` tries a wheel."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+GROUND = ("trimesh", "sklearn", "joblib", "matplotlib", "networkx", "lxml", "PIL",
+          "rendezview.training", "rendezview.simulation", "rendezview.evaluation")  # fmt: skip
+BLOCKER = f"""
+import sys
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        for refused in {GROUND!r}:
+            if name == refused or name.startswith(refused + "."):
+                raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Blocker())
+import rendezview.appearance
+from rendezview.cli.main import main
+main()
+"""
+
+
+def _bare(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", BLOCKER, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+def test_tracking_and_export_run_without_the_ground_side(
+    tiny_model_path: Path, scene: Path, tmp_path: Path
+):
+    out = tmp_path / "poses.csv"
+    done = _bare("track", tiny_model_path, scene, "-o", out, "--prior", "scene")
+    assert done.returncode == 0, done.stderr
+    assert " in 9 frames" in done.stderr
+    assert len(out.read_text().splitlines()) > 1
+    assert _bare("export", tiny_model_path, "--rules", "--node", 0).stdout.startswith("Node 0")
+
+
+def test_ground_commands_say_what_to_install():
+    # Here the packages stand in for the whole ground side, whose code every wheel holds.
+    program = BLOCKER.replace(repr(GROUND), repr(GROUND[:7]))
+    done = subprocess.run(
+        [sys.executable, "-c", program, "train", "--help"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("rendezview: ")
+    assert "pip install 'rendezview[training]'" in done.stderr
