@@ -1,6 +1,6 @@
 """The README's picture: four frames of a finished demo, side by side.
 
-    rendezview demo -o rendezview-demo && python scripts/readme_picture.py rendezview-demo
+rendezview demo -o rendezview-demo && python scripts/readme_picture.py rendezview-demo
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ from enum import StrEnum
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.appearance.outline import crack_outline
+from rendezview.appearance.sky import MOST_AVERAGED_PX, mean_above, sky_level
 from rendezview.appearance.status import Status
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array
@@ -43,7 +43,7 @@ class SilhouetteOptions:
     level_grey: float | None = None  # for FIXED
     noise_sigmas: float = 5.0  # one false pixel in three frames of a megapixel
     least_contrast_grey: float = 4.0  # a noiseless frame still has quantisation
-    averaged_px: int = 3  # threshold the mean of 3 × 3 pixels: dim panels stand out of the noise
+    averaged_px: int = 3  # a side, of the mean that is thresholded: dim panels leave the noise
     reach_px: int = 2  # how far inside its border the target's own grey level is looked for
     cleaning: Cleaning = Cleaning.NONE
     background: Picture | None = None  # a frame without the target, subtracted first
@@ -57,6 +57,10 @@ class SilhouetteOptions:
             self.level_grey is not None and 0.0 <= self.level_grey < 255.0
         ):
             raise ValueError(f"a fixed threshold needs level_grey in [0, 255): {self.level_grey}")
+        if self.averaged_px not in range(1, MOST_AVERAGED_PX + 1, 2):
+            raise ValueError(
+                f"averaged_px must be odd, 1 to {MOST_AVERAGED_PX}: {self.averaged_px}"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,14 +133,14 @@ def find_silhouette(
                 f"the frame {image.shape[::-1]} px"
             )
         image = cv2.subtract(image, options.background).astype(np.uint8, copy=False)
-    mean = image
-    if options.averaged_px > 1:
-        mean = np.asarray(cv2.blur(image, (options.averaged_px,) * 2), dtype=np.uint8)
-    sky, noise = sky_level(mean)
-    level = _level(mean, options, sky, noise)
+    sky, noise = sky_level(image, options.averaged_px)
+    level = _level(image, options, sky, noise)
     if level >= 255.0:
         return Missing(Status.FULL, f"the sky itself is at {sky:.0f} of 255 grey levels")
-    mask = np.asarray(cv2.threshold(mean, level, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
+    if options.averaged_px > 1:
+        mask = mean_above(image, level, options.averaged_px)
+    else:
+        mask = np.asarray(cv2.threshold(image, level, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8)
     if options.cleaning is not Cleaning.NONE:
         kind = cv2.MORPH_OPEN if options.cleaning is Cleaning.OPEN else cv2.MORPH_CLOSE
         mask = cv2.morphologyEx(mask, kind, np.ones((3, 3), np.uint8)).astype(np.uint8, copy=False)
@@ -278,50 +282,3 @@ def _distance_to_box(x: float, y: float, box: tuple[int, int, int, int]) -> floa
     # of two boxes around the point, the one centred on it
     off = np.hypot(0.5 * (box[0] + box[2]) - x, 0.5 * (box[1] + box[3]) - y)
     return float(np.hypot(dx, dy) + 1e-3 * off)
-
-
-def sky_level(image: Picture) -> tuple[float, float]:
-    """Median and spread (one σ, from the darker half) of the grey levels along the border.
-
-    From the brighter half where the darker one is cut off at black.
-
-    A silhouette that touches the border is refused anyway, so what is seen there is sky.
-    """
-    return _ring_statistics(image)
-
-
-@njit(cache=True, nogil=True)
-def _ring_statistics(image: npt.NDArray[np.uint8]) -> tuple[float, float]:
-    height, width = image.shape
-    counts = np.zeros(256, dtype=np.int64)
-    deep = min(3, height, width)
-    for k in range(deep):
-        for x in range(width):
-            counts[image[k, x]] += 1
-            counts[image[height - 1 - k, x]] += 1
-        for y in range(height):
-            counts[image[y, k]] += 1
-            counts[image[y, width - 1 - k]] += 1
-    total = counts.sum()
-    seen = 0
-    median = 0
-    while seen + counts[median] <= total // 2:
-        seen += counts[median]
-        median += 1
-    # within the bin, where the half lies: the median of quantised noise
-    level = median - 0.5 + (0.5 * total - seen) / counts[median]
-    # 15.87 % quantile: one σ below the median of Gaussian noise
-    seen, low = 0, 0
-    while seen + counts[low] <= 0.1587 * total:
-        seen += counts[low]
-        low += 1
-    below = low - 0.5 + (0.1587 * total - seen) / counts[low]
-    if low > 0:
-        return level, max(0.0, level - below)
-    # A black sky, its noise cut off at 0: half a σ above the median, at the 69.15 % quantile.
-    seen, high = 0, 0
-    while seen + counts[high] <= 0.6915 * total:
-        seen += counts[high]
-        high += 1
-    above = high - 0.5 + (0.6915 * total - seen) / counts[high]
-    return level, max(0.0, level - below, 2.0 * (above - level))

@@ -12,7 +12,6 @@ from rendezview.pose import Pose
 from rendezview.training.mesh import Mesh
 from rendezview.training.renderers import Mask, Window, project_vertices
 
-
 # pyrender draws four samples a pixel and reads the depth of the first, which the standard
 # pattern puts at (3/8, 1/8) of the pixel from its lower left corner: not at its centre.
 _SAMPLE_PX = (0.375 - 0.5, 0.5 - 0.125)
