@@ -97,7 +97,7 @@ def main() -> None:
         level = 25.0
         mask = cv2.threshold(frame, level, 255, cv2.THRESH_BINARY)[1]
         borders = outer_borders(mask)
-        outlines = [camera.rays(crack_outline(b, frame, 5.0, 2)) for b in borders]
+        outlines = [camera.rays(crack_outline(b, frame, 5.0, 20.0, 2)) for b in borders]
         maxima = np.zeros(model.bins)
         identity = np.eye(3)
 

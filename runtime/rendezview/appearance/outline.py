@@ -26,7 +26,11 @@ _DIRECTION_OF_STEP = np.array([[5, 6, 7], [4, -1, 0], [3, 2, 1]])  # [dy + 1, dx
 
 @njit(cache=True, nogil=True)
 def crack_outline(
-    border: npt.NDArray[np.int32], grey: npt.NDArray[np.uint8], sky: float, reach: int
+    border: npt.NDArray[np.int32],
+    grey: npt.NDArray[np.uint8],
+    sky: float,
+    contrast: float,
+    reach: int,
 ) -> Array:
     """Sub-pixel outline between the border pixels of a silhouette and their outer neighbours.
 
@@ -41,6 +45,8 @@ def crack_outline(
             ``CHAIN_APPROX_NONE`` gives it (counter-clockwise on the screen).
         grey: (H, W) the frame, or (0, 0).
         sky: grey level of the background.
+        contrast: grey levels above the sky that the target must have just inside; a side
+            where it has not, such as one beyond a corner, gives no point.
         reach: how far inside the border the target's own level is looked for, pixels. Too
             far takes the bright body behind a dim panel for the panel's level.
 
@@ -63,18 +69,26 @@ def crack_outline(
         for k in range(first & 1, steps, 2):  # the sides; corners give no point
             direction = (first - k) & 7
             dx, dy = _DX[direction], _DY[direction]
-            shift = 0.5 if drawn else _edge_shift(grey, x, y, dx, dy, sky, reach)
-            points[count, 0] = x + shift * dx
-            points[count, 1] = y + shift * dy
-            count += 1
+            shift = 0.5 if drawn else _edge_shift(grey, x, y, dx, dy, sky, contrast, reach)
+            if not np.isnan(shift):
+                points[count, 0] = x + shift * dx
+                points[count, 1] = y + shift * dy
+                count += 1
     return points[:count]
 
 
 @njit(cache=True, nogil=True)
 def _edge_shift(
-    grey: npt.NDArray[np.uint8], x: int, y: int, dx: int, dy: int, sky: float, reach: int
+    grey: npt.NDArray[np.uint8],
+    x: int,
+    y: int,
+    dx: int,
+    dy: int,
+    sky: float,
+    contrast: float,
+    reach: int,
 ) -> float:
-    """Distance along (dx, dy) from pixel (x, y) to the middle grey level of the edge."""
+    """Distance along (dx, dy) from pixel (x, y) to the middle grey level of the edge; or NaN."""
     height, width = grey.shape
     inside = float(grey[y, x])
     best = inside
@@ -82,6 +96,8 @@ def _edge_shift(
         xi, yi = x - step * dx, y - step * dy
         if 0 <= xi < width and 0 <= yi < height:
             best = max(best, float(grey[yi, xi]))
+    if best < sky + contrast:
+        return np.nan
     level = 0.5 * (sky + best)
     xo, yo = x + dx, y + dy
     if not (0 <= xo < width and 0 <= yo < height):
@@ -99,7 +115,7 @@ def _edge_shift(
         if not (0 <= xi < width and 0 <= yi < height):
             break
         inner = float(grey[yi, xi])
-    return 0.5
+    return np.nan
 
 
 @njit(cache=True, nogil=True)

@@ -155,7 +155,7 @@ def outer_borders(mask: Picture) -> list[Border]:
 
 def outlines_of_mask(mask: Picture) -> list[Array]:
     """Outlines (M, 2) in pixels of everything that is on in a drawn, noiseless mask."""
-    return [crack_outline(border, _NO_GREY, 0.0, 0) for border in outer_borders(mask)]
+    return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in outer_borders(mask)]
 
 
 _NO_GREY = np.zeros((0, 0), dtype=np.uint8)
@@ -226,7 +226,7 @@ def _choose(
         ]
         return Missing(Status.BORDER, f"the silhouette touches the border ({', '.join(side)})")
     return Silhouette(
-        tuple(crack_outline(borders[k], image, sky, options.reach_px) for k in chosen),
+        tuple(crack_outline(borders[k], image, sky, level - sky, options.reach_px) for k in chosen),
         sum(area[k] for k in chosen),
         joined,
         sky,

@@ -75,10 +75,10 @@ def _ring_statistics(image: Picture, side: int) -> tuple[float, float]:
                 counts[image[y, k]] += 1
                 counts[image[y, width - 1 - k]] += 1
     else:
-        for x in range(width - side + 1):
+        for x in range(0, width - side + 1, side):
             counts[_mean(image, 0, x, side)] += 1
             counts[_mean(image, height - side, x, side)] += 1
-        for y in range(height - side + 1):
+        for y in range(0, height - side + 1, side):
             counts[_mean(image, y, 0, side)] += 1
             counts[_mean(image, y, width - side, side)] += 1
     level = _quantile(counts, 0.5)
