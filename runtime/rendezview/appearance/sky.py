@@ -7,6 +7,7 @@ import numpy.typing as npt
 from numba import njit
 
 Picture = npt.NDArray[np.uint8]
+_MANY = 1000  # windows along two borders
 MOST_AVERAGED_PX = 15  # the sum of 15 × 15 levels still fits 16 bits
 
 
@@ -75,10 +76,12 @@ def _ring_statistics(image: Picture, side: int) -> tuple[float, float]:
                 counts[image[y, k]] += 1
                 counts[image[y, width - 1 - k]] += 1
     else:
-        for x in range(0, width - side + 1, side):
+        # windows side by side are enough where there are many
+        step = side if width + height > _MANY else 1
+        for x in range(0, width - side + 1, step):
             counts[_mean(image, 0, x, side)] += 1
             counts[_mean(image, height - side, x, side)] += 1
-        for y in range(0, height - side + 1, side):
+        for y in range(0, height - side + 1, step):
             counts[_mean(image, y, 0, side)] += 1
             counts[_mean(image, y, width - side, side)] += 1
     level = _quantile(counts, 0.5)

@@ -181,6 +181,9 @@ def _perturbed_view(
     blurred = np.asarray(cv2.GaussianBlur(cover, (0, 0), blur_px), dtype=np.uint8)
     frame = exposed(blurred, level / 255.0, _SKY_GREY, noise, _noise_tile(), corner[0], corner[1])
     outlines = _flight_outlines(frame, window, threshold)
+    if not outlines:  # a speck of noise at the border of this small window, or a dark target
+        mask = np.where(cover > 127, 255, 0).astype(np.uint8)
+        outlines = [_rays(points, window) for points in outlines_of_mask(mask)]
     return _view(direction, range_m, turned, outlines, options)
 
 
