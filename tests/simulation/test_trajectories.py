@@ -225,5 +225,5 @@ def test_an_unknown_kind_is_refused_with_the_known_ones() -> None:
 
 @pytest.mark.parametrize("kind", ["circular", "tumble"])
 def test_an_end_range_is_refused_where_the_range_is_kept(kind: TrajectoryKind) -> None:
-    with pytest.raises(RendezviewError, match="end_range_m"):
+    with pytest.raises(RendezviewError, match="end range"):
         made(kind, end_range_m=10.0)

@@ -82,12 +82,12 @@ def train(
     options = options or TrainingOptions()
     if jobs == 0:
         raise RendezviewError("jobs = 0: give the number of parallel jobs, or -1 for all cores")
-    if path.is_dir() or not path.parent.is_dir():
+    if (path.exists() and not path.is_file()) or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera)
     inputs = _inputs(mesh, options, camera)
-    shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     renderer = make_renderer(options.renderer, mesh)
+    shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
