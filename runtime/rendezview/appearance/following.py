@@ -13,6 +13,7 @@ from rendezview.appearance.tracker import Tracker, TrackerOptions
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
+from rendezview.results import ResultRow
 from rendezview.sequences import Frame, Sequence
 
 
@@ -68,6 +69,14 @@ def follow(
             )
         last_s = time_s
         yield frame, tracker.update(time_s, image)
+
+
+def result_row(scene_id: int, frame: Frame, sighting: Sighting) -> ResultRow | None:
+    """One frame as it stands in the results; ``None`` without a pose."""
+    if sighting.pose is None:
+        return None
+    spent_s = 1e-3 * sum(sighting.stage_ms.values())
+    return ResultRow(scene_id, frame.im_id, frame.obj_id, sighting.score, sighting.pose, spent_s)
 
 
 def record(frame: Frame, sighting: Sighting) -> dict[str, Any]:

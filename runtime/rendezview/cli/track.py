@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from rendezview.appearance import SilhouetteOptions, Status, Threshold, ViewModel
-from rendezview.appearance.following import follow, record
+from rendezview.appearance.following import follow, record, result_row
 from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
@@ -73,19 +73,10 @@ def track(
             )
             for done, (frame, sighting) in enumerate(frames, start=1):
                 outcomes[sighting.status] += 1
-                total_ms = sum(sighting.stage_ms.values())
-                times_ms.append(total_ms)
-                if sighting.pose is not None:
-                    rows.append(
-                        ResultRow(
-                            sequence.scene_id,
-                            frame.im_id,
-                            frame.obj_id,
-                            sighting.score,
-                            sighting.pose,
-                            1e-3 * total_ms,
-                        )
-                    )
+                times_ms.append(sum(sighting.stage_ms.values()))
+                row = result_row(sequence.scene_id, frame, sighting)
+                if row is not None:
+                    rows.append(row)
                 if writer:
                     writer.write(record(frame, sighting))
                 progress("frames", done, len(sequence))

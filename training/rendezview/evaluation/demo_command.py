@@ -11,13 +11,12 @@ import typer
 from rich.console import Console
 
 from rendezview.appearance import Status
-from rendezview.appearance.following import follow, record
+from rendezview.appearance.following import follow, record, result_row
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.report import write_report
 from rendezview.files import make_folder
-from rendezview.pose import Pose
-from rendezview.results import JsonLinesWriter, ResultRow, write_results
+from rendezview.results import JsonLinesWriter, write_results
 from rendezview.sequences import open_sequence
 from rendezview.simulation.command import default_camera
 from rendezview.simulation.scene import SceneOptions, simulate
@@ -102,17 +101,14 @@ def demo(
         error = rng.normal(size=3)
         error *= _PRIOR_ERROR_RAD / np.linalg.norm(error)
         prior = truth.perturbed(np.concatenate([error, np.zeros(3)]))
-        prior = Pose(prior.rotation, truth.translation_m)
         sightings, rows = [], []
         with JsonLinesWriter(output / "log.jsonl") as log:
             for frame, sighting in follow(model, sequence, prior=prior):
                 sightings.append(sighting)
                 log.write(record(frame, sighting))
-                if sighting.pose is not None:
-                    spent_s = 1e-3 * sum(sighting.stage_ms.values())
-                    rows.append(
-                        ResultRow(1, frame.im_id, 1, sighting.score, sighting.pose, spent_s)
-                    )
+                row = result_row(sequence.scene_id, frame, sighting)
+                if row is not None:
+                    rows.append(row)
                 progress("tracking", len(sightings), len(sequence))
         write_results(output / "poses.csv", rows)
     evaluation = evaluate_rows(sequence, rows, target.symmetries, model.centre_m)

@@ -169,8 +169,9 @@ def _perturbed_view(
     half = np.arctan(geometry.flight_half_px / geometry.flight_focal_px)
     room = max(0.0, half - np.arcsin(geometry.target_radius_m / range_m))
     bearing = room * rng.uniform(-0.7, 0.7, size=2)
-    turned = _bearing_rotation(bearing) @ rotation
-    pose = _looking(turned, range_m, geometry, _bearing_rotation(bearing))
+    turn = _bearing_rotation(bearing)
+    turned = turn @ rotation
+    pose = _looking(turned, range_m, geometry, turn)
     window = _window_around(pose, geometry)
     if clean:
         mask = renderer.draw(pose, window)
