@@ -25,7 +25,7 @@ MAGIC = b"RVM\n"
 VERSION = 1
 _PREFIX = struct.Struct("<4sIQ")
 _ALIGN = 64
-_DTYPES = ("|u1", "<u2", "<i2", "<i4", "<i8", "<f4", "<f8")
+_DTYPES = ("|u1", "|i1", "<u2", "<i2", "<i4", "<i8", "<f4", "<f8")
 
 
 def write_container(

@@ -17,7 +17,7 @@ from rendezview.appearance.likeness import (
 )
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.signature import Readings, Signature, twist
-from rendezview.pose import Array, minimal_rotation, rotation_angle
+from rendezview.pose import Array, Pose, minimal_rotation, rotation_angle
 
 _COARSE = 4  # readings averaged for the first search
 _ROLL_REACH_RAD = np.deg2rad(6.0)  # around the roll that a neighbouring view gives
@@ -117,6 +117,15 @@ class Matcher:
         if rival is None or rival.residual > self.options.rival_residual * best.residual:
             return best
         return replace(best, rival=rival)
+
+    def at(self, signature: Signature, pose: Pose) -> Match | None:
+        """On nodes at a known pose, camera_from_target; None where there are none."""
+        attitude = signature.centred_from_camera @ pose.rotation
+        found = self._ask(signature.readings, attitude)
+        if found is None:
+            return None
+        _, residual = self._aligned(signature.readings, found)
+        return replace(found, residual=residual)
 
     def nodes_on(
         self, readings: Readings, centred_from_target: Array, nodes: npt.NDArray[np.intp]

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.appearance.container import read_container, write_container
+from rendezview.appearance.contours import Contours
+from rendezview.appearance.lit_views import LitViews
 from rendezview.appearance.tree import Forest
 from rendezview.errors import RendezviewError
 from rendezview.geodesic import Geodesic
 from rendezview.pose import Array
+from rendezview.target import Symmetry
+
+_Part = TypeVar("_Part")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +68,9 @@ class ViewModel:
     training_accuracy: Array  # (T,) share of right decisions on the training samples
     held_out_accuracy: Array  # (T,) the same on held-out samples; NaN where not measured
     held_out: HeldOut
+    contours: Contours | None  # for refinement; None: trained without
+    lit: LitViews | None  # for first poses in hard light; None: trained without
+    symmetries: tuple[Symmetry, ...]  # turns that change nothing
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
 
     @property
@@ -86,6 +95,12 @@ class ViewModel:
         }
         arrays |= {f"forest.{f.name}": getattr(self.forest, f.name) for f in fields(Forest)}
         arrays |= {name: getattr(self, name) for name in _ARRAYS}
+        if self.contours is not None:
+            arrays |= {
+                f"contours.{f.name}": getattr(self.contours, f.name) for f in fields(Contours)
+            }
+        if self.lit is not None:
+            arrays |= {f"lit.{f.name}": getattr(self.lit, f.name) for f in fields(LitViews)}
         header = {
             "name": self.name,
             "order": self.order,
@@ -93,6 +108,10 @@ class ViewModel:
             "target_radius_m": self.target_radius_m,
             "smooth_bins": self.smooth_bins,
             "held_out": {f.name: getattr(self.held_out, f.name) for f in fields(HeldOut)},
+            "symmetries": [
+                {"kind": s.kind, "axis": np.asarray(s.axis).tolist(), "angle_rad": s.angle_rad}
+                for s in self.symmetries
+            ],
             "provenance": self.provenance,
         }
         write_container(Path(path), header, arrays)
@@ -117,6 +136,12 @@ class ViewModel:
                 views=Views(**{f.name: arrays[f"views.{f.name}"] for f in fields(Views)}),
                 forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
                 held_out=HeldOut(**header["held_out"]),
+                contours=_part(arrays, "contours", Contours),
+                lit=_part(arrays, "lit", LitViews),
+                symmetries=tuple(
+                    Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
+                    for s in header.get("symmetries", [])
+                ),
                 provenance=dict(header["provenance"]),
                 **{name: arrays[name] for name in _ARRAYS},
             )
@@ -142,11 +167,23 @@ class ViewModel:
             "training_accuracy": (self.training_accuracy, (nodes,)),
             "held_out_accuracy": (self.held_out_accuracy, (nodes,)),
         }
+        if self.contours is not None:
+            self.contours.check(count)
+        if self.lit is not None:
+            self.lit.check(count)
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
         if self.forest.component.max(initial=-1) >= self.bins:
             raise ValueError("a tree looks at a bin that the signature has not")
+
+
+def _part(
+    arrays: dict[str, npt.NDArray[Any]], name: str, kind: Callable[..., _Part]
+) -> _Part | None:
+    """A part that a model may be without."""
+    found = {key.partition(".")[2]: a for key, a in arrays.items() if key.startswith(f"{name}.")}
+    return kind(**found) if found else None
 
 
 _ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")

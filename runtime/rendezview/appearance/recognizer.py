@@ -11,6 +11,8 @@ import numpy.typing as npt
 from rendezview.appearance.match import Matcher, MatchOptions
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.placement import node_points, place
+from rendezview.appearance.pose_finder import Found, Outlines, PoseFinder
+from rendezview.appearance.refine import Sky
 from rendezview.appearance.signature import Signature
 from rendezview.appearance.silhouette import (
     Missing,
@@ -22,6 +24,8 @@ from rendezview.appearance.silhouette import (
 from rendezview.appearance.status import Status
 from rendezview.camera import Camera
 from rendezview.pose import Array, Pose, rotation_angle
+
+_CLOSE_MARGIN = 0.1  # of merits: two poses that explain a frame as well
 
 # Beyond the residual that 99.5 % of good frames keep below, the outline is another one:
 # of another body, or of the lit parts only.
@@ -41,12 +45,27 @@ class Sighting:
     points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))  # camera seen by each on node
     silhouette: Silhouette | None = None
     signature: Signature | None = None
+    found: Found | None = None  # the best refined pose and its rival, given or not
     stage_ms: dict[str, float] = field(default_factory=dict)
 
     @property
+    def confidence(self) -> float | None:
+        """Probability that the refined pose is right, 0 … 1; None without refinement."""
+        return None if self.found is None else self.found.confidence
+
+    @property
+    def candidates(self) -> tuple[Pose, ...]:
+        """Poses that fit but are not given: too little sure, or two that fit as well."""
+        if self.found is None or self.status is Status.OK:
+            return ()
+        rival = self.found.rival
+        close = rival is not None and self.found.margin < _CLOSE_MARGIN
+        return (self.found.best.pose, *((rival.pose,) if rival and close else ()))
+
+    @property
     def score(self) -> float:
-        """Agreement of the trees: the sum of the weights, about 3 for a good view."""
-        return float(self.weights.sum())
+        """The confidence of a refined pose; else the agreement of the trees, the sum of weights."""
+        return float(self.weights.sum()) if self.confidence is None else self.confidence
 
 
 class Recognizer:
@@ -58,32 +77,124 @@ class Recognizer:
         camera: Camera,
         silhouette: SilhouetteOptions | None = None,
         match: MatchOptions | None = None,
+        *,
+        refine: bool = True,
+        trees: bool = True,
+        least_confidence: float = 0.9,
     ) -> None:
+        """A recognizer of one model in the frames of one camera.
+
+        Args:
+            silhouette: what counts as the target.
+            match: how the trees are asked.
+            refine: move poses onto the edges of the frame, if the model has contour points.
+            trees: ask for on nodes even where refinement from the prior is sure of itself;
+                without, such frames take half the time.
+            least_confidence: a refined pose less sure than this is not given.
+        """
         self.model = model
         self.camera = camera
         self.silhouette_options = silhouette or SilhouetteOptions()
         self.matcher = Matcher(model, match)
+        self.trees = trees
+        self.least_confidence = least_confidence
+        self.finder = PoseFinder(model, camera) if refine and model.contours is not None else None
+        if silhouette is None and self.finder is not None:
+            # Shadow cuts a body in pieces; refinement tells whether they are the target's.
+            self.silhouette_options = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
 
     def recognize(
         self,
         image: npt.ArrayLike,
         prior: Pose | None = None,
         prior_error_rad: float | None = None,
+        sun_camera: npt.ArrayLike | None = None,
     ) -> Sighting:
         """Look at one frame.
 
         Args:
             image: (H, W) uint8 grey levels, of the camera's size.
-            prior: camera_from_target, roughly; its range and bearing only serve to choose
-                among several bodies. ``None``: all attitudes are searched, and a view that
-                fits two of them gives ``AMBIGUOUS``.
+            prior: camera_from_target, roughly; its range and bearing serve refinement as a
+                starting point and choose among several bodies. ``None``: all attitudes are
+                searched, and a view that fits two of them gives ``AMBIGUOUS``.
             prior_error_rad: how far off the prior's attitude may be; default 20°.
+            sun_camera: (3,) towards the Sun, camera frame, if it is known.
 
         Raises:
+            ValueError: the direction to the Sun is none.
             RendezviewError: the image is no 8-bit grey picture of the camera's size.
         """
         clock = _Clock()
         frame = check_frame(image, self.camera.width, self.camera.height)
+        if self.finder is None:
+            return self._by_trees(frame, prior, prior_error_rad, clock)
+        sun = _unit(sun_camera)
+        sky = Sky.of(frame)
+        found = None
+        if prior is not None:
+            found = self.finder.at(frame, sky, prior)
+            clock.lap("refine")
+            if found is not None and not self.trees:
+                return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)
+        seen = self._by_trees(frame, prior, prior_error_rad, clock, sure=found)
+        if found is None:
+            outlines = None
+            if seen.silhouette is not None and seen.signature is not None:
+                rays = [self.camera.rays(points) for points in seen.silhouette.outlines_px]
+                outlines = Outlines(rays, seen.signature)
+            if prior is not None:
+                error = prior_error_rad or self.matcher.options.prior_error_rad
+                also = [] if seen.pose is None else [seen.pose]
+                found = self.finder.near(frame, sky, prior, error, outlines, also)
+            elif outlines is not None:
+                found = self.finder.anywhere(frame, sky, outlines, sun)
+            elif seen.status is not Status.OK:
+                return seen  # nothing stands out, and nobody says where to look
+            clock.lap("refine")
+        return self._judged(seen, found)
+
+    def _judged(self, seen: Sighting, found: Found | None) -> Sighting:
+        """The sighting with the refined pose, or with the reason why there is none."""
+        nothing = replace(seen, pose=None, covariance=None, points_m=np.zeros((0, 3)))
+        if found is None:
+            if seen.status in (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED):
+                return replace(
+                    nothing,
+                    status=Status.UNRECOGNIZED,
+                    reason="no pose of the target fits the edges",
+                )
+            return nothing
+        if found.confidence >= self.least_confidence:
+            return _sighting(seen, found)
+        if found.rival is not None and found.margin < _CLOSE_MARGIN:
+            apart = found.best.pose.angle_to(found.rival.pose)
+            return replace(
+                nothing,
+                status=Status.AMBIGUOUS,
+                found=found,
+                reason=f"two poses {np.rad2deg(apart):.0f}° apart fit this frame: "
+                "give a prior, or look at more frames",
+            )
+        return replace(
+            nothing,
+            status=Status.LOST,
+            found=found,
+            reason=f"the best pose explains {100 * found.best.outline:.0f} % of its outline and "
+            f"{100 * found.best.inner:.0f} % of its inner edges: too little to be sure",
+        )
+
+    def _by_trees(
+        self,
+        frame: npt.NDArray[np.uint8],
+        prior: Pose | None,
+        prior_error_rad: float | None,
+        clock: _Clock,
+        sure: Found | None = None,
+    ) -> Sighting:
+        """Silhouette, signature, on nodes and the coarse pose they mean.
+
+        Where the pose is ``sure`` already, the trees are only asked at its attitude.
+        """
         found = find_silhouette(frame, self.silhouette_options, self._expected_px(prior))
         clock.lap("silhouette")
         if isinstance(found, Missing):
@@ -94,7 +205,10 @@ class Recognizer:
         seen = Sighting(Status.OK, silhouette=found, signature=signature, stage_ms=clock.stages)
         if signature is None:
             return replace(seen, status=Status.SMALL, reason="the silhouette encloses no area")
-        match = self.matcher.match(signature, self._centred(prior, signature), prior_error_rad)
+        if sure is not None:
+            match = self.matcher.at(signature, sure.best.pose)
+        else:
+            match = self.matcher.match(signature, self._centred(prior, signature), prior_error_rad)
         clock.lap("trees")
         if match is None:
             near = "" if prior is None else " near the prior attitude"
@@ -141,6 +255,27 @@ class Recognizer:
         if prior is None:
             return None
         return np.asarray(signature.centred_from_camera @ prior.rotation)
+
+
+def _unit(direction: npt.ArrayLike | None) -> Array | None:
+    if direction is None:
+        return None
+    vector = np.asarray(direction, dtype=np.float64)
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not 0.0 < length < np.inf:
+        raise ValueError(f"sun_camera must be three finite numbers, not all zero: {direction!r}")
+    return np.asarray(vector / length)
+
+
+def _sighting(seen: Sighting, found: Found) -> Sighting:
+    return replace(
+        seen,
+        status=Status.OK,
+        reason=None,
+        pose=found.best.pose,
+        covariance=found.best.covariance,
+        found=found,
+    )
 
 
 class _Clock:

@@ -16,4 +16,5 @@ class Status(StrEnum):
     RIVALS = "rivals"  # several bodies, and nothing to choose by
     UNRECOGNIZED = "unrecognized"  # a silhouette, but no node is on
     AMBIGUOUS = "ambiguous"  # without a prior: two attitudes fit
+    LOST = "lost"  # a pose was found, but the frame does not bear it out
     UNREADABLE = "unreadable"  # the frame could not be read

@@ -20,13 +20,13 @@ from rendezview.evaluation.pose_errors import (
 from rendezview.evaluation.report import write_report
 from rendezview.evaluation.signature_pictures import TreeTest, signature_picture, tree_tests
 from rendezview.evaluation.sphere_pictures import model_picture, sphere_picture
-from rendezview.evaluation.symmetry import discrete_turns, nearest_alike
 from rendezview.evaluation.track_pictures import (
     error_curves,
     point_cloud,
     sighting_curves,
     stage_picture,
 )
+from rendezview.symmetry import discrete_turns, nearest_alike
 
 __all__ = [
     "SPEED_PLUS_ROTATION_RAD",

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.appearance.signature import twist
-from rendezview.evaluation.symmetry import nearest_alike
 from rendezview.geodesic import angle_between
 from rendezview.pose import Array, Pose, minimal_rotation, rotation_angle
+from rendezview.symmetry import nearest_alike
 from rendezview.target import Symmetry
 
 # SPEED+ forgives what its own truth cannot tell (Park et al. 2023, calibration of the test bed).

@@ -1,6 +1,7 @@
 """Camera frames of a target in space, with the truth of every one."""
 
 from rendezview.simulation.background import Earth, Stars
+from rendezview.simulation.mitsuba_renderer import MitsubaOptions
 from rendezview.simulation.scene import SceneOptions, render_frame, simulate, sun_at_phase
 from rendezview.simulation.sensor import SensorOptions, automatic_exposure, expose
 from rendezview.simulation.shading import Rendering, ShadingOptions, render
@@ -14,6 +15,7 @@ from rendezview.simulation.trajectories import (
 
 __all__ = [
     "Earth",
+    "MitsubaOptions",
     "Rendering",
     "SceneOptions",
     "SensorOptions",

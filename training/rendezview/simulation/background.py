@@ -17,7 +17,7 @@ from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array
 from rendezview.simulation.distortion import pixel_rays
-from rendezview.simulation.zbuffer import Float32s
+from rendezview.training.zbuffer import Float32s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

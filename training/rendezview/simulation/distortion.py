@@ -12,7 +12,7 @@ import numpy as np
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array
-from rendezview.simulation.zbuffer import Float32s
+from rendezview.training.zbuffer import Float32s
 
 _AREA_MAX = 9.0  # the wide picture has at most this many times the camera's pixels
 

@@ -24,19 +24,20 @@ from rendezview.simulation.background import (
     ground_rotation,
     star_radiance,
 )
+from rendezview.simulation.mitsuba_renderer import MitsubaOptions, render_mitsuba
 from rendezview.simulation.sensor import SensorOptions, UInt8s, automatic_exposure, expose
 from rendezview.simulation.shading import (
     GREY_FROM_RGB,
-    Rendering,
     ShadingOptions,
     render,
     unit,
 )
 from rendezview.simulation.trajectories import TimedPose, Triple
-from rendezview.simulation.zbuffer import Float32s
 from rendezview.training.mesh import Mesh
+from rendezview.training.zbuffer import Float32s
 
 Progress = Callable[[int, int], None]
+Picture = tuple[Float32s, Float32s]  # radiance, premultiplied by coverage, and coverage
 
 _METERED_FRAMES = 5  # rendered to find the exposure of a scene
 _MASK_COVERAGE = 0.5  # a pixel belongs to the mask when the target covers half of it
@@ -62,6 +63,7 @@ class SceneOptions:
     earth_direction_sky: Triple | None = None
     stars: Stars | None = None
     shading: ShadingOptions = field(default_factory=ShadingOptions)
+    mitsuba: MitsubaOptions | None = None  # drawn by Mitsuba, not by our own scanlines
     sensor: SensorOptions = field(default_factory=SensorOptions)
     masks: bool = False  # write mask_visib/ too
 
@@ -165,7 +167,8 @@ def simulate(
         chosen = np.unique(np.linspace(0, len(poses) - 1, _METERED_FRAMES).round().astype(int))
         # One sample a pixel and no shadows measure the lit faces well enough.
         plain = replace(options.shading, samples=1, shadows=False)
-        pictures = [render(mesh, camera, poses[i][1], suns[i], plain) for i in chosen]
+        drawn = [render(mesh, camera, poses[i][1], suns[i], plain) for i in chosen]
+        pictures = [(picture.radiance, picture.coverage) for picture in drawn]
         options = replace(
             options, sensor=replace(options.sensor, exposure=_exposure(mesh, pictures, options))
         )
@@ -191,11 +194,8 @@ def _sun(mesh: Mesh, pose: Pose, options: SceneOptions, azimuth_rad: float) -> A
     return sun_at_phase(pose.apply(centre_m), options.sun_phase_rad, azimuth_rad)
 
 
-def _exposure(mesh: Mesh, pictures: list[Rendering], options: SceneOptions) -> float:
-    metered = automatic_exposure(
-        [(picture.radiance, picture.coverage) for picture in pictures],
-        options.sensor.black_level_grey,
-    )
+def _exposure(mesh: Mesh, pictures: list[Picture], options: SceneOptions) -> float:
+    metered = automatic_exposure(pictures, options.sensor.black_level_grey)
     if metered is not None:
         return metered
     # Nothing of the target is lit, or none of it is in sight: expose for its mean
@@ -217,11 +217,10 @@ def _frame(
     earth_camera = None
     if options.earth is not None:
         earth_camera = camera_from_sky @ options.earth_direction()
-    picture = render(mesh, camera, camera_from_target, sun, options.shading, earth_camera)
+    radiance, coverage = _target(mesh, camera, camera_from_target, sun, earth_camera, options, rng)
     exposure = options.sensor.exposure
     if exposure is None:
-        exposure = _exposure(mesh, [picture], options)
-    radiance = picture.radiance
+        exposure = _exposure(mesh, [(radiance, coverage)], options)
     if options.stars is not None or options.earth is not None:
         behind = np.zeros_like(radiance)
         if options.stars is not None:
@@ -232,5 +231,25 @@ def _frame(
                 camera, earth_camera, sun, options.earth, below @ camera_from_sky.T
             )
             behind = behind * clear + ground
-        radiance = radiance + (1.0 - picture.coverage) * behind
-    return expose(radiance, exposure, options.sensor, rng), picture.coverage
+        radiance = radiance + (1.0 - coverage) * behind
+    return expose(radiance, exposure, options.sensor, rng), coverage
+
+
+def _target(
+    mesh: Mesh,
+    camera: Camera,
+    camera_from_target: Pose,
+    sun: Array,
+    earth: Array | None,
+    options: SceneOptions,
+    rng: np.random.Generator,
+) -> Picture:
+    """The target alone, by the renderer that was asked for."""
+    if options.mitsuba is None:
+        drawn = render(mesh, camera, camera_from_target, sun, options.shading, earth)
+        return drawn.radiance, drawn.coverage
+    radius = options.earth.angular_radius_rad if options.earth is not None else 0.0
+    seed = int(rng.integers(2**31))
+    return render_mitsuba(
+        mesh, camera, camera_from_target, sun, options.mitsuba, earth, radius, seed
+    )

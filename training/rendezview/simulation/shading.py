@@ -21,8 +21,8 @@ from rendezview.pose import Array, Pose
 from rendezview.simulation.distortion import widened
 from rendezview.simulation.lighting import shade_samples
 from rendezview.simulation.shadows import ShadowMap, shadow_map
-from rendezview.simulation.zbuffer import Float32s, draw_perspective, empty_buffers
 from rendezview.training.mesh import Mesh
+from rendezview.training.zbuffer import Float32s, draw_perspective, empty_buffers
 
 # What a grey camera with a flat visible response makes of linear RGB (Rec. 709 luminance).
 GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.pose import Array
-from rendezview.simulation.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
+from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _MARGIN_TEXELS = 2.0  # so that the texels beside every point are on the map
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -12,17 +13,23 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 import rendezview.appearance.outline
 import rendezview.training.views
+from rendezview.appearance.contours import Contours
+from rendezview.appearance.lit_views import LitViews
 from rendezview.appearance.model import HeldOut, ViewModel, Views
 from rendezview.appearance.tree import Forest
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.geodesic import Geodesic
 from rendezview.pose import Array
+from rendezview.target import Symmetry
 from rendezview.training.calibrate import calibrated
+from rendezview.training.contours import contour_points, faces_beside
 from rendezview.training.learn import Decisions, Samples, TreeSet, decide, learn_trees
+from rendezview.training.lit_views import SunMaps, lit_views, sun_maps
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry, view_geometry
 from rendezview.training.renderers import SilhouetteRenderer, make_renderer
@@ -56,6 +63,7 @@ def train(
     name: str,
     options: TrainingOptions | None = None,
     camera: Camera | None = None,
+    symmetries: Sequence[Symmetry] = (),
     jobs: int = -1,
     progress: Progress | None = None,
 ) -> Trained:
@@ -70,6 +78,7 @@ def train(
         path: of the model file to write.
         name: of the target.
         options: see ``TrainingOptions``.
+        symmetries: of the target, declared or found; see ``find_symmetries``.
         camera: the flight camera; it decides the sphere radius and the sharpness of the
             perturbed views. ``None``: a 40° field of view, 480 pixels.
         jobs: parallel jobs, −1 for all cores (joblib).
@@ -87,12 +96,13 @@ def train(
     geometry = view_geometry(mesh, options, camera)
     inputs = _inputs(mesh, options, camera)
     renderer = make_renderer(options.renderer, mesh)
+    beside = faces_beside(mesh)
     shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
-        drawn = _Drawn(shards, renderer, geometry, options, jobs, progress)
-        trained = _train(drawn, name, inputs)
+        drawn = _Drawn(shards, mesh, beside, renderer, geometry, options, jobs, progress)
+        trained = _train(drawn, name, tuple(symmetries), inputs)
     finally:
         cv2.setNumThreads(threads)
     trained.model.save(path)
@@ -100,11 +110,15 @@ def train(
     return trained
 
 
-def _train(drawn: _Drawn, name: str, inputs: dict[str, Any]) -> Trained:
+def _train(
+    drawn: _Drawn, name: str, symmetries: tuple[Symmetry, ...], inputs: dict[str, Any]
+) -> Trained:
     options, geometry = drawn.options, drawn.geometry
     lattice, slopes = drawn.lattice()
     perturbed = drawn.perturbed("views", _STREAM_OF_TRAINING, options.perturbed_views)
     held_out = drawn.perturbed("held-out", _STREAM_OF_HELD_OUT, options.held_out_views)
+    contours = drawn.contours()
+    lit = drawn.lit()
     samples = Samples(options.order, lattice, perturbed)
     trees = drawn.trees(samples)
     sphere = Geodesic.of_order(options.order)
@@ -140,6 +154,9 @@ def _train(drawn: _Drawn, name: str, inputs: dict[str, Any]) -> Trained:
         held_out_accuracy=np.full(nodes, np.nan) if decisions is None else decisions.accuracy,
         held_out=_UNMEASURED,
         provenance=inputs,
+        contours=contours,
+        lit=lit,
+        symmetries=symmetries,
     )
     if held_out is not None:
         model = calibrated(model, held_out, options.seed)
@@ -161,6 +178,8 @@ class _Drawn:
     """Everything the stages of one job share."""
 
     shards: Shards
+    mesh: Mesh
+    beside: npt.NDArray[np.int32]  # (F, 3) faces over the edges
     renderer: SilhouetteRenderer
     geometry: ViewGeometry
     options: TrainingOptions
@@ -187,6 +206,39 @@ class _Drawn:
         parts = [(stream, range(p.start, p.stop)) for p in _parts(count)]
         return self._views(stage, perturbed_views, parts)
 
+    def contours(self) -> Contours | None:
+        """Contour points of every view of the lattice, from every shell."""
+        radii = self.options.contour_radii
+        if self.options.contour_points == 0:
+            return None
+        directions = Geodesic.of_order(self.options.order + 1).nodes
+        shells_m = np.array(radii) * self.geometry.sphere_radius_m
+        tasks = [
+            (self.mesh, self.beside, self.geometry, self.options, directions[p], range_m)
+            for range_m in shells_m
+            for p in _parts(len(directions))
+        ]
+        shards = self.shards.run("contours", _contour_arrays, tasks, self.jobs, self.progress)
+        views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        shape = (len(shells_m), len(directions))
+        return Contours(
+            shells_m=shells_m, **{n: a.reshape(*shape, *a.shape[1:]) for n, a in views.items()}
+        )
+
+    def lit(self) -> LitViews | None:
+        """What the Sun lights of every view of the lattice, from every side."""
+        if not self.options.lit_views:
+            return None
+        directions = Geodesic.of_order(self.options.order + 1).nodes
+        maps = sun_maps(self.mesh, self.geometry)
+        tasks = [
+            (self.mesh, maps, self.geometry, directions[p], p.start)
+            for p in _parts(len(directions))
+        ]
+        shards = self.shards.run("lit", _lit_arrays, tasks, self.jobs, self.progress)
+        views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        return LitViews(suns=maps.suns, **views)
+
     def trees(self, samples: Samples) -> TreeSet:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
@@ -210,6 +262,25 @@ def _parts(count: int) -> list[slice]:
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:
     views = draw(*arguments)
     return {f.name: getattr(views, f.name) for f in dataclasses.fields(ViewSet)}
+
+
+def _contour_arrays(
+    mesh: Mesh,
+    beside: npt.NDArray[np.int32],
+    geometry: ViewGeometry,
+    options: TrainingOptions,
+    directions: Array,
+    range_m: float,
+) -> Arrays:
+    views = [contour_points(mesh, beside, geometry, d, range_m, options) for d in directions]
+    return {name: np.stack([view[name] for view in views]) for name in views[0]}
+
+
+def _lit_arrays(
+    mesh: Mesh, maps: SunMaps, geometry: ViewGeometry, directions: Array, first: int
+) -> Arrays:
+    views = [lit_views(mesh, maps, geometry, first + k, d) for k, d in enumerate(directions)]
+    return {name: np.concatenate([view[name] for view in views]) for name in views[0]}
 
 
 def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Arrays:

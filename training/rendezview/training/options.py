@@ -45,6 +45,10 @@ class TrainingOptions:
     reach_edges: float = 3.3  # every perturbed view within is a sample of the node …
     far_edges: float = 6.0  # … and out to here only
     far_fraction: float = 0.2  # that share of them: it keeps far nodes off
+    contour_points: int = 200  # a view, for refinement; 0: none, and no refinement
+    contour_radii: tuple[float, ...] = (1.0, 1.5, 3.0)  # shells, in sphere radii
+    contour_resolution_px: int = 400  # of the views that show which edges are seen
+    lit_views: bool = True  # what the Sun lights from each side, for first poses in hard light
     min_samples_split: int = 4  # the paper's "too few samples"
     min_gain: float = 1e-3  # the paper's least entropy gain, nats per sample of the tree
     seed: int = 0
@@ -67,6 +71,11 @@ class TrainingOptions:
             "reach_edges": self.label_edges <= self.reach_edges < np.inf,
             "far_edges": 0.0 <= self.far_edges < np.inf,
             "far_fraction": 0.0 <= self.far_fraction <= 1.0,
+            "contour_points": self.contour_points == 0 or 20 <= self.contour_points <= 4096,
+            "contour_radii": len(self.contour_radii) > 0
+            and all(0.3 <= r < np.inf for r in self.contour_radii)
+            and sorted(set(self.contour_radii)) == list(self.contour_radii),
+            "contour_resolution_px": 64 <= self.contour_resolution_px <= 8192,
             "min_samples_split": self.min_samples_split >= 2,
             "min_gain": 0.0 <= self.min_gain < np.inf,
             "seed": self.seed >= 0,
@@ -79,7 +88,15 @@ class TrainingOptions:
 
     def paper(self) -> TrainingOptions:
         """The paper's own training: 73 clean views a node, every raw bin a component."""
-        return replace(self, perturbed_views=0, smooth_bins=1, component_step=1, label_edges=1.0)
+        return replace(
+            self,
+            perturbed_views=0,
+            smooth_bins=1,
+            component_step=1,
+            label_edges=1.0,
+            contour_points=0,
+            lit_views=False,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

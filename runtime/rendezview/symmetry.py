@@ -37,6 +37,13 @@ def nearest_alike(estimate: Pose, truth: Pose, symmetries: Sequence[Symmetry]) -
     return Pose(best, estimate.translation_m)
 
 
+def angle_between(a: Pose, b: Pose, symmetries: Sequence[Symmetry]) -> float:
+    """Least angle between two attitudes of a symmetric target, radians in [0, π]."""
+    if not symmetries:
+        return a.angle_to(b)
+    return nearest_alike(a, b, symmetries).angle_to(b)
+
+
 def discrete_turns(symmetries: Sequence[Symmetry]) -> list[Array]:
     """All turns (3, 3) that the discrete symmetries generate, the identity first.
 

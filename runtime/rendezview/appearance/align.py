@@ -1,0 +1,190 @@
+"""Gauss–Newton of a pose on the edges of a grey frame: the compiled loops."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.appearance.contours import NO_POINT, OUTLINE
+from rendezview.appearance.edges import (
+    COLUMNS,
+    FOUND,
+    RESIDUAL,
+    STATE,
+    WEIGHT,
+    measure_edges,
+)
+
+# Columns of a stage of the search, from coarse to fine.
+REACH, SPREAD, SMOOTH, ROOM, LINES, STEPS, FIT = range(7)
+
+_CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
+_LEAST_EDGES = 12  # found, for six unknowns
+_LONGEST_TURN_RAD = 0.2  # of one step
+_DAMPING = 1e-3  # of the normal equations: what the edges do not show stays as it was
+_AGREEING_PX = 0.8  # of a residual: such an edge supports the pose by exp(−½)
+
+
+@njit(cache=True, nogil=True)
+def turned(w, rotation):  # type: ignore[no-untyped-def]
+    """exp(w) rotation, for a rotation vector w (3,) (Rodrigues)."""
+    angle = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    if angle < 1e-12:
+        return rotation.copy()
+    x, y, z = w[0] / angle, w[1] / angle, w[2] / angle
+    s, c = np.sin(angle), np.cos(angle)
+    k = 1.0 - c
+    turn = np.empty((3, 3))
+    turn[0, 0], turn[0, 1], turn[0, 2] = c + x * x * k, x * y * k - z * s, x * z * k + y * s
+    turn[1, 0], turn[1, 1], turn[1, 2] = y * x * k + z * s, c + y * y * k, y * z * k - x * s
+    turn[2, 0], turn[2, 1], turn[2, 2] = z * x * k - y * s, z * y * k + x * s, c + z * z * k
+    return turn @ rotation
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def nearest_view(directions, shells_m, rotation, centre):  # type: ignore[no-untyped-def]
+    """Shell and view from which the target is seen most nearly as at a pose."""
+    distance = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    x = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
+    y = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])
+    z = -(rotation[0, 2] * centre[0] + rotation[1, 2] * centre[1] + rotation[2, 2] * centre[2])
+    view, most = 0, -np.inf
+    for i in range(directions.shape[0]):
+        along = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
+        if along > most:
+            view, most = i, along
+    # Perspective goes with the inverse of the distance.
+    shell, least = 0, np.inf
+    for i in range(shells_m.shape[0]):
+        apart = abs(1.0 / shells_m[i] - 1.0 / distance)
+        if apart < least:
+            shell, least = i, apart
+    return shell, view
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def normal_equations(edges, count, cut, matrix, right):  # type: ignore[no-untyped-def]
+    """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
+    matrix[:] = 0.0
+    right[:] = 0.0
+    used, weights = 0, 0.0
+    for j in range(count):
+        if edges[j, STATE] != FOUND:
+            continue
+        r = edges[j, RESIDUAL]
+        q = r / cut
+        if q * q >= 1.0:
+            continue
+        w = edges[j, WEIGHT] * (1.0 - q * q) ** 2
+        used += 1
+        weights += w
+        for a in range(6):
+            wj = w * edges[j, a]
+            right[a] += wj * r
+            for b in range(a + 1):
+                matrix[a, b] += wj * edges[j, b]
+    for a in range(6):
+        for b in range(a):
+            matrix[b, a] = matrix[a, b]
+    return used, weights
+
+
+@njit(cache=True, nogil=True)
+def align(  # type: ignore[no-untyped-def]
+    image, camera, bent, frame, stages, directions, shells_m, point, tangent, kind, run,
+    radius_m, blur_px, rotation, centre, edges,
+):  # fmt: skip
+    """Move a pose (in place) onto the edges; False where too few are found or it runs away.
+
+    Args:
+        frame: (3,) noise, sky level, 1 where the sky is dark.
+        stages: (K, 7) from coarse to fine, columns REACH … FIT.
+        directions: (V, 3) of the views.
+        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+        edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
+    """
+    matrix, right = np.empty((6, 6)), np.empty(6)
+    noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
+    for stage in stages:
+        last = stage[FIT] > 0.0
+        for _ in range(int(stage[STEPS])):
+            shell, view = nearest_view(directions, shells_m, rotation, centre)
+            count = measure_edges(
+                image, camera, bent, rotation, centre, point[shell, view], tangent[shell, view],
+                kind[shell, view], run[shell, view], radius_m, noise, sky, dark, blur_px,
+                int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
+                int(stage[LINES]), last, edges,
+            )  # fmt: skip
+            used, weights = normal_equations(
+                edges, count, _CUT_SPREADS * stage[SPREAD], matrix, right
+            )
+            if used < _LEAST_EDGES:
+                return False
+            scale = camera[0] / centre[2]  # pixels a metre
+            held = _DAMPING * weights * scale * scale
+            for a in range(3):
+                matrix[a, a] += held * radius_m * radius_m
+                matrix[3 + a, 3 + a] += held
+            step = np.linalg.solve(matrix, right)
+            turn = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+            shorter = min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
+            rotation[:] = turned(step[:3] * shorter, rotation)
+            centre += step[3:] * shorter
+            if not (centre[2] > 1.02 * radius_m and centre[2] < 1e9 * radius_m):
+                return False
+            shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
+            if scale * (turn * radius_m + shift) < 0.02:  # pixels
+                break
+    return True
+
+
+@njit(cache=True, nogil=True)
+def support(  # type: ignore[no-untyped-def]
+    image, camera, bent, frame, directions, shells_m, point, tangent, kind, run, radius_m,
+    blur_px, rotation, centre, edges,
+):  # fmt: skip
+    """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
+
+    An edge within a pixel of its place counts nearly whole. ``seen`` is the share of the
+    outline's points that lie in the picture.
+    """
+    shell, view = nearest_view(directions, shells_m, rotation, centre)
+    kinds = kind[shell, view]
+    count = measure_edges(
+        image, camera, bent, rotation, centre, point[shell, view], tangent[shell, view], kinds,
+        run[shell, view], radius_m, frame[0], frame[1], frame[2] > 0.0, blur_px,
+        4, 1.5, 1, 0.0, 1, False, edges,
+    )  # fmt: skip
+    outline, inner = 0.0, 0.0
+    outlines, inners, seen = 1e-9, 1e-9, 0.0
+    for j in range(count):
+        agrees = 0.0
+        if edges[j, STATE] == FOUND:
+            agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / _AGREEING_PX) ** 2)
+        if kinds[j] == OUTLINE:
+            outlines += 1.0
+            outline += agrees
+            seen += edges[j, STATE] >= 0.0
+        elif kinds[j] != NO_POINT:
+            inners += 1.0
+            inner += agrees
+    return outline / outlines, inner / inners, seen / outlines
+
+
+@njit(cache=True, nogil=True)
+def align_each(  # type: ignore[no-untyped-def]
+    image, camera, bent, frame, stages, directions, shells_m, point, tangent, kind, run,
+    radius_m, blur_px, rotations, centres, supports,
+):  # fmt: skip
+    """``align`` and ``support`` of K hypotheses, in place; ``supports`` is (K, 3), 0 where lost."""
+    edges = np.zeros((point.shape[2], COLUMNS))
+    for k in range(rotations.shape[0]):
+        supports[k] = 0.0
+        if align(
+            image, camera, bent, frame, stages, directions, shells_m, point, tangent, kind, run,
+            radius_m, blur_px, rotations[k], centres[k], edges,
+        ):  # fmt: skip
+            supports[k] = support(
+                image, camera, bent, frame, directions, shells_m, point, tangent, kind, run,
+                radius_m, blur_px, rotations[k], centres[k], edges,
+            )  # fmt: skip

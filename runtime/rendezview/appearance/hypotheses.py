@@ -1,0 +1,227 @@
+"""First poses without a prior: every view of the model at every roll against one signature."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy import fft
+from scipy.spatial.transform import Rotation
+
+from rendezview.appearance.lit_views import LIT_BINS, READING_UNIT
+from rendezview.appearance.model import ViewModel
+from rendezview.appearance.outline import radial_maxima, spokes_of
+from rendezview.appearance.placement import range_from_area
+from rendezview.appearance.signature import UNIT, Readings, Signature, quantised, rolled, twist
+from rendezview.pose import Array, Pose, minimal_rotation
+
+_BEST = 4000  # likenesses that are looked through
+_HARMONICS = 20
+_CORRELATED = 3000  # entries at most, of a large catalogue
+_SUN_REACH_RAD = np.deg2rad(30.0)  # the catalogue's Suns are 32° apart
+_APART_RAD = np.deg2rad(7.0)  # views nearer than this, at the same roll, are one hypothesis
+_SAME_ROLL_BINS = 3
+_EXCESS_TOLERANCE = 0.06  # of the mean radius: perspective and the spacing of the views
+_BORESIGHT = np.array([0.0, 0.0, 1.0])
+
+
+class _Catalogue:
+    """Signatures with their spectra: the likeness of one to all, at every roll at once."""
+
+    def __init__(self, readings: Readings) -> None:
+        self.bins = readings.shape[1]
+        self._spectra = np.conj(fft.rfft(readings, axis=1))
+        self._squares = np.sum(readings**2, axis=1)
+        # What a roll leaves unchanged: the sizes of the harmonics.
+        self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
+
+    def most_alike(
+        self, readings: Readings, allowed: npt.NDArray[np.intp] | None = None
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]:
+        """Entries, shifts in bins and squared distances, best first, at most ``_BEST``.
+
+        By circular correlation, of the entries whose harmonics are of the right size.
+        """
+        spectrum = fft.rfft(readings)
+        sizes = self._sizes if allowed is None else self._sizes[allowed]
+        entries = np.arange(len(sizes)) if allowed is None else allowed
+        if len(entries) > _CORRELATED:
+            apart = sizes - np.abs(spectrum[:_HARMONICS]).astype(np.float32)
+            near = np.argpartition(np.einsum("ij,ij->i", apart, apart), _CORRELATED)[:_CORRELATED]
+            entries = entries[near]
+        correlation = fft.irfft(spectrum * self._spectra[entries], n=self.bins, axis=1)
+        distance = self._squares[entries][:, None] - 2.0 * correlation
+        count = min(_BEST, distance.size)
+        first = np.argpartition(distance, count - 1, axis=None)[:count]
+        first = first[np.argsort(distance.ravel()[first], kind="stable")]
+        rows, shifts = np.divmod(first, self.bins)
+        return entries[rows], shifts, np.asarray(distance.ravel()[first])
+
+
+class Hypotheses:
+    """All views of one model, ready to be compared with a signature."""
+
+    def __init__(self, model: ViewModel) -> None:
+        self.model = model
+        self._readings = model.views.readings.astype(np.float32)
+        self._bins = LIT_BINS if model.bins % LIT_BINS == 0 else model.bins
+        self._whole = _Catalogue(self._coarse(self._readings))
+        self._directions = np.ascontiguousarray(model.lattice.nodes)
+        self._lit: _Catalogue | None = None
+        if model.lit is not None and self._bins == LIT_BINS:
+            self._lit = _Catalogue(model.lit.readings.astype(np.float32) * np.float32(READING_UNIT))
+
+    def of(self, signature: Signature, most: int, sun_camera: Array | None = None) -> list[Pose]:
+        """Poses whose views are most alike the signature, spread out.
+
+        Half of them from whole silhouettes, half from those that the Sun lights in part;
+        all from the former where the model has no others.
+
+        Args:
+            most: how many at most.
+            sun_camera: (3,) unit, towards the Sun, camera frame, if it is known: then only
+                parts that this Sun can light are compared.
+        """
+        readings = self._coarse(signature.readings)
+        step = 2.0 * np.pi / self._bins
+        cosine = float(np.cos(_APART_RAD))
+        views, shifts, _ = self._whole.most_alike(readings)
+        share = most if self._lit is None else most // 2
+        chosen = _spread(views, shifts, self._directions, cosine, self._bins, share)
+        poses = [self._of_view(signature, int(views[k]), -step * shifts[k]) for k in chosen]
+        lit = self.model.lit
+        if self._lit is None or lit is None:
+            return poses
+        entries, shifts, _ = self._lit.most_alike(readings)
+        if sun_camera is not None:
+            entries, shifts = self._under(entries, shifts, signature, sun_camera)
+        seen = lit.view[entries].astype(np.intp)
+        chosen = _spread(seen, shifts, self._directions, cosine, self._bins, most - share)
+        poses += [self._of_lit(signature, int(entries[k]), -step * shifts[k]) for k in chosen]
+        return poses
+
+    def _under(
+        self,
+        entries: npt.NDArray[np.intp],
+        shifts: npt.NDArray[np.intp],
+        signature: Signature,
+        sun_camera: Array,
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Of lit views at rolls those whose Sun stands where it is."""
+        lit = self.model.lit
+        assert lit is not None
+        sun = signature.centred_from_camera @ sun_camera
+        roll = -2.0 * np.pi / self._bins * shifts
+        c, s = np.cos(roll), np.sin(roll)
+        unrolled = np.stack([c * sun[0] + s * sun[1], c * sun[1] - s * sun[0], sun[2] + 0.0 * c], 1)
+        attitude = Rotation.from_quat(lit.quat_wxyz[entries][:, [1, 2, 3, 0]].astype(np.float64))
+        there = attitude.apply(unrolled, inverse=True)
+        good = np.einsum("ij,ij->i", there, lit.suns[lit.sun[entries]]) > np.cos(_SUN_REACH_RAD)
+        return entries[good], shifts[good]
+
+    def excess(self, outlines: list[Array], pose: Pose) -> float:
+        """How far lit outlines reach beyond the silhouette that a pose predicts.
+
+        Mean over the bins, in mean radii of the silhouette: 0 where everything that is lit
+        lies inside. What is not lit says nothing, so a target half in shadow has none.
+
+        Args:
+            outlines: (M, 3) rays each, camera frame.
+        """
+        model, views = self.model, self.model.views
+        centre = pose.apply(model.centre_m)
+        range_m = float(np.linalg.norm(centre))
+        turn = minimal_rotation(centre, _BORESIGHT)
+        attitude = turn @ pose.rotation
+        view = int(np.argmax(self._directions @ -attitude[2]))
+        roll = float(twist(attitude, views.centred_from_target[view]))
+        offset = _rolled_offset(views.offset_m[view], roll)
+        centroid = turn.T @ np.array([-offset[0] / range_m, -offset[1] / range_m, 1.0])
+        centred_from_camera = minimal_rotation(centroid, _BORESIGHT)
+        maxima = np.zeros(model.bins)
+        for rays in outlines:
+            radial_maxima(rays, centred_from_camera, spokes_of(model.bins), maxima)
+        loom = 1.0 + views.area_slope[view] * (model.sphere_radius_m / range_m - 1.0)
+        area_sr = float(views.area_m2[view] * max(loom, 0.1)) / range_m**2
+        seen = rolled(quantised(maxima, UNIT / np.sqrt(area_sr), model.smooth_bins), roll)
+        expected = self._readings[view]
+        mean = float(expected.mean())
+        beyond = np.maximum(seen - expected - _EXCESS_TOLERANCE * mean, 0.0)
+        return float(beyond.mean()) / mean
+
+    def _coarse(self, readings: Readings) -> Readings:
+        groups = readings.reshape(*readings.shape[:-1], self._bins, -1)
+        return np.asarray(groups.mean(axis=-1), dtype=np.float32)
+
+    def _of_view(self, signature: Signature, view: int, roll_rad: float) -> Pose:
+        """Pose of a whole silhouette's view at a roll."""
+        views = self.model.views
+        range_m = float(
+            range_from_area(
+                self.model,
+                views.area_m2[view : view + 1],
+                views.area_slope[view : view + 1],
+                signature.area_sr,
+            )[0]
+        )
+        attitude, offset_m = views.centred_from_target[view], views.offset_m[view]
+        return self._pose(signature, attitude, offset_m, range_m, roll_rad)
+
+    def _of_lit(self, signature: Signature, entry: int, roll_rad: float) -> Pose:
+        """Pose of a lit silhouette's view at a roll."""
+        lit = self.model.lit
+        assert lit is not None
+        range_m = float(np.sqrt(lit.area_m2[entry] / signature.area_sr))
+        attitude = Rotation.from_quat(lit.quat_wxyz[entry][[1, 2, 3, 0]]).as_matrix()
+        return self._pose(
+            signature, attitude, lit.offset_m[entry].astype(np.float64), range_m, roll_rad
+        )
+
+    def _pose(
+        self,
+        signature: Signature,
+        attitude: Array,
+        offset_m: Array,
+        range_m: float,
+        roll_rad: float,
+    ) -> Pose:
+        """camera_from_target whose silhouette has the signature's centroid and range."""
+        c, s = np.cos(roll_rad), np.sin(roll_rad)
+        about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        offset = _rolled_offset(offset_m, roll_rad)
+        line = np.array([offset[0] / range_m, offset[1] / range_m, 1.0])
+        line /= np.linalg.norm(line)
+        camera_from_centred = signature.centred_from_camera.T
+        rotation = camera_from_centred @ about @ attitude
+        centre = camera_from_centred @ (range_m * line)
+        return Pose(rotation, centre - rotation @ self.model.centre_m)
+
+
+def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    return np.array([c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]])
+
+
+@njit(cache=True, nogil=True)
+def _spread(  # type: ignore[no-untyped-def]
+    views, shifts, directions, cosine, bins, most
+):
+    """The first of some views and shifts, in order, that are not near one before."""
+    chosen = np.empty(most, dtype=np.intp)
+    count = 0
+    for k in range(views.shape[0]):
+        near = False
+        a = directions[views[k]]
+        for j in range(count):
+            b = directions[views[chosen[j]]]
+            if a[0] * b[0] + a[1] * b[1] + a[2] * b[2] > cosine:
+                apart = abs(shifts[k] - shifts[chosen[j]])
+                if min(apart, bins - apart) <= _SAME_ROLL_BINS:
+                    near = True
+                    break
+        if not near:
+            chosen[count] = k
+            count += 1
+            if count == most:
+                break
+    return chosen[:count]

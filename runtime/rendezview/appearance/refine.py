@@ -1,0 +1,212 @@
+"""Refinement: from a recognised view or a prediction to six degrees of freedom.
+
+The contour points of the nearest view of the model are projected, their edges are searched in
+the grey frame, and a robust Gauss–Newton moves the pose onto them, from coarse to fine. How
+many of the edges are where the pose puts them (its *support*) tells a right pose from a wrong
+one, so that among several starting points the best is kept. Neither mesh nor renderer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.appearance.align import align, align_each, normal_equations, support
+from rendezview.appearance.contours import Contours
+from rendezview.appearance.edges import (
+    COLUMNS,
+    FOUND,
+    RESIDUAL,
+    STATE,
+    WEIGHT,
+    camera_vector,
+    grain,
+)
+from rendezview.appearance.model import ViewModel
+from rendezview.appearance.sky import sky_level
+from rendezview.camera import Camera
+from rendezview.pose import Array, Pose
+
+Picture = npt.NDArray[np.uint8]
+
+# Reach, spread, smooth, room: pixels; then parallel lines, steps, and whether steps are fitted.
+_COARSE = np.array([[20, 9, 4, 4, 1, 3, 0], [10, 4, 2, 2, 1, 3, 0], [5, 1.5, 1, 0, 1, 2, 0]], float)
+_FINE = np.array([[8, 3, 1, 2, 3, 3, 0], [5, 1.2, 1, 0, 3, 4, 1], [5, 0.5, 1, 0, 3, 5, 1]], float)
+_CUT_PX = 1.25  # of the last stage
+_LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
+_DARK_SKY_GREY = 60.0  # above, the sky is no sky
+_SCATTER_GREY = 3.0  # of the border beyond the grain
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineOptions:
+    """How the edges are searched."""
+
+    blur_px: float = 0.85  # σ of an edge as the camera shows it, with reading between pixels
+
+    def __post_init__(self) -> None:
+        if not 0.3 <= self.blur_px <= 5.0:
+            raise ValueError(f"blur_px must be 0.3 to 5: {self.blur_px}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sky:
+    """What lies behind the target."""
+
+    level_grey: float
+    noise_grey: float  # one σ, of neighbouring pixels
+    dark: bool  # black sky: whatever is brighter is the target
+
+    @classmethod
+    def of(cls, image: Picture) -> Sky:
+        """Measured along the border and on a sparse grid."""
+        level, spread = sky_level(image)
+        noise = max(0.7, min(spread, grain(image)))
+        border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+        bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
+        dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
+        return cls(level, noise, dark)
+
+    @property
+    def vector(self) -> Array:
+        """(3,) for the compiled loops."""
+        return np.array([self.noise_grey, self.level_grey, float(self.dark)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A pose on the edges of a frame."""
+
+    pose: Pose  # camera_from_target
+    covariance: Array  # (6, 6) rotation vector, translation; camera frame, left
+    outline: float  # share of the outline whose edges are where the pose puts them
+    inner: float  # the same of creases and steps
+    seen: float  # share of the outline that lies in the picture
+    residual_px: float  # root mean square of the edges that count
+
+    @property
+    def support(self) -> float:
+        """One figure of merit, 0 … 1: two thirds the outline's, one third the inner edges'."""
+        return (2.0 * self.outline + self.inner) / 3.0
+
+
+class Refiner:
+    """Refines poses of one model in the frames of one camera."""
+
+    def __init__(
+        self, model: ViewModel, camera: Camera, options: RefineOptions | None = None
+    ) -> None:
+        if model.contours is None:
+            raise ValueError("the model has no contour points")
+        self.model = model
+        self.camera = camera
+        self.options = options or RefineOptions()
+        contours: Contours = model.contours
+        self._views = (
+            np.ascontiguousarray(model.lattice.nodes),
+            np.ascontiguousarray(contours.shells_m),
+            contours.point,
+            contours.tangent,
+            contours.kind,
+            contours.run,
+            model.target_radius_m,
+            self.options.blur_px,
+        )
+        self._lens = (camera_vector(camera), camera.is_distorted)
+        self._edges = np.zeros((contours.kind.shape[2], COLUMNS))
+
+    def refine(self, image: Picture, sky: Sky, start: Pose) -> Refined | None:
+        """The pose next to ``start`` that fits the edges; None where it finds no hold."""
+        rotation, centre = self._centred(start)
+        frame = sky.vector
+        if not align(image, *self._lens, frame, _FINE, *self._views, rotation, centre, self._edges):
+            return None
+        return self._result(image, frame, rotation, centre)
+
+    def best(self, image: Picture, sky: Sky, starts: list[Pose], keep: int = 4) -> list[Refined]:
+        """The starts aligned coarsely, the ``keep`` best supported refined, best first."""
+        rotations = np.empty((len(starts), 3, 3))
+        centres = np.empty((len(starts), 3))
+        for k, start in enumerate(starts):
+            rotations[k], centres[k] = self._centred(start)
+        supports = np.empty((len(starts), 3))
+        frame = sky.vector
+        align_each(image, *self._lens, frame, _COARSE, *self._views, rotations, centres, supports)
+        merit = (2.0 * supports[:, 0] + supports[:, 1]) / 3.0
+        chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
+        found = []
+        for k in chosen:
+            if align(
+                image, *self._lens, frame, _FINE, *self._views, rotations[k], centres[k],
+                self._edges,
+            ):  # fmt: skip
+                found.append(self._result(image, frame, rotations[k], centres[k]))
+        return sorted(found, key=lambda r: -r.support)
+
+    def _distinct(
+        self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int
+    ) -> list[int]:
+        """The first of the aligned poses, in order, that are not the same again."""
+        chosen: list[int] = []
+        for k in order:
+            if merit[k] <= 0.0 or len(chosen) == most:
+                break
+            cosines = [0.5 * (np.sum(rotations[k] * rotations[j]) - 1.0) for j in chosen]
+            if all(cosine < _SAME_COSINE for cosine in cosines):
+                chosen.append(int(k))
+        return chosen
+
+    def _centred(self, pose: Pose) -> tuple[Array, Array]:
+        """Rotation and view centre of a pose, fresh arrays."""
+        return pose.rotation.copy(), pose.apply(self.model.centre_m)
+
+    def _result(self, image: Picture, frame: Array, rotation: Array, centre: Array) -> Refined:
+        covariance, residual = self._covariance(rotation)
+        outline, inner, seen = support(
+            image, *self._lens, frame, *self._views, rotation, centre, self._edges
+        )
+        arm = rotation @ self.model.centre_m
+        pose = Pose(_orthonormal(rotation), centre - arm)
+        return Refined(pose, covariance, outline, inner, seen, residual)
+
+    def _covariance(self, rotation: Array) -> tuple[Array, float]:
+        """(6, 6) of the pose from the edges last measured, and their residual, pixels.
+
+        With weights w and independent edges of variance σ² the estimate (ΣwJJᵀ)⁻¹ ΣwJr has
+        covariance σ² (ΣwJJᵀ)⁻¹ Σw²JJᵀ (ΣwJJᵀ)⁻¹.
+        """
+        edges = self._edges
+        matrix, right = np.empty((6, 6)), np.empty(6)
+        normal_equations(edges, len(edges), _CUT_PX, matrix, right)
+        q = np.where(edges[:, STATE] == FOUND, edges[:, RESIDUAL] / _CUT_PX, 1.0)
+        weight = edges[:, WEIGHT] * np.maximum(1.0 - q * q, 0.0) ** 2
+        total = max(float(weight.sum()), 1e-12)
+        residual = float(np.sqrt(weight @ edges[:, RESIDUAL] ** 2 / total))
+        jacobian = edges[:, :6]
+        spread = jacobian.T @ (weight[:, None] ** 2 * jacobian)
+        loose = self._nothing_known(total)
+        inverse = np.linalg.inv(matrix + loose)
+        sigma_px = max(residual, _LEAST_SIGMA_PX)
+        centred = sigma_px**2 * (inverse @ (spread + loose) @ inverse)
+        # From the view centre to the target's origin: t = centre − R centre_m.
+        x, y, z = rotation @ self.model.centre_m
+        shift = np.eye(6)
+        shift[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        covariance = shift @ centred @ shift.T
+        return 0.5 * (covariance + covariance.T), residual
+
+    def _nothing_known(self, total: float) -> Array:
+        """Information of about a radian and a target radius: what no edge shows stays finite."""
+        radius_m = self.model.target_radius_m
+        return 1e-4 * np.diag([1.0] * 3 + [radius_m**-2] * 3)
+
+
+_SAME_COSINE = float(np.cos(np.deg2rad(1.5)))
+
+
+def _orthonormal(rotation: Array) -> Array:
+    """The rotation without the rounding of many small turns."""
+    u, _, vt = np.linalg.svd(rotation)
+    return np.asarray(u @ vt)

@@ -1,0 +1,175 @@
+"""Poses on the frames of ``pose_frames.py``: the table of docs/refinement.md.
+
+    python scripts/pose_accuracy.py FRAMES MODELS [--seed 5] [--sun] [--log LOG.jsonl]
+
+MODELS is a folder with a model ``<target>.rvm`` for every folder of FRAMES. Every frame is looked
+at twice: on its own without a prior, and from the true pose of a second earlier: off by up to 5°
+about a random axis, 3 % of range and 1 % of range across. A frame without a pose counts as not
+found; an answer more than 5° off (the least over the target's symmetries) is wrong. The normalised
+error squared is that of the answers that are right; wrong ones are counted beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from rendezview.appearance import Recognizer, Sighting, ViewModel
+from rendezview.pose import Array, Pose
+from rendezview.sequences import open_sequence
+from rendezview.symmetry import angle_between, nearest_alike
+
+WRONG_DEG = 5.0
+
+
+def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
+    """A prior: at most 5° off, the view centre 3 % of range off along and 1 % across."""
+    axis = rng.normal(size=3)
+    turn = axis / np.linalg.norm(axis) * np.deg2rad(rng.uniform(0.0, 5.0))
+    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
+    centre = truth.apply(centre_m)
+    range_m = float(np.linalg.norm(centre))
+    centre = centre * (1.0 + rng.uniform(-0.03, 0.03))
+    centre[:2] += rng.uniform(-0.01, 0.01, 2) * range_m
+    return Pose(rotation, centre - rotation @ centre_m)
+
+
+def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any]:
+    """One answer beside the truth; everything that may tell right from wrong."""
+    record: dict[str, Any] = {
+        "status": str(sighting.status),
+        "confidence": sighting.confidence,
+        "trees": float(sighting.weights.sum()),
+        "ms": sum(sighting.stage_ms.values()),
+    }
+    found = sighting.found
+    if found is not None:
+        best = found.best
+        record |= {
+            "features": [
+                best.outline,
+                best.inner,
+                best.residual_px,
+                found.excess,
+                found.margin,
+                best.seen,
+            ],
+            "best_deg": float(np.rad2deg(angle_between(best.pose, truth, model.symmetries))),
+        }
+    if sighting.pose is not None and sighting.covariance is not None:
+        pose = nearest_alike(sighting.pose, truth, model.symmetries)
+        turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
+        shift = truth.translation_m - pose.translation_m
+        error = np.concatenate([turn, shift])
+        centre = truth.apply(model.centre_m)
+        record |= {
+            "rotation_deg": float(np.rad2deg(np.linalg.norm(turn))),
+            "translation": float(
+                np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre)
+            ),
+            "nees": float(error @ np.linalg.solve(sighting.covariance, error)),
+        }
+    return record
+
+
+def run(
+    frames: Path, models: Path, target: str, condition: str, seed: int, sun: bool
+) -> list[dict[str, Any]]:
+    """Both looks at every frame of one scene."""
+    model = ViewModel.load(models / f"{target}.rvm")
+    suns = json.loads((frames / target / condition / "sun.json").read_text()) if sun else None
+    records = []
+    recognizer = None
+    for k, frame in enumerate(open_sequence(frames / target / condition)):
+        truth = frame.camera_from_target
+        assert truth is not None
+        if recognizer is None:
+            recognizer = Recognizer(model, frame.camera)
+        image = frame.read()
+        rng = np.random.default_rng([seed, k])
+        prior = second_earlier(truth, model.centre_m, rng)
+        light = {} if suns is None else {"sun_camera": np.array(suns[k])}
+        for mode, sighting in (
+            ("first", recognizer.recognize(image, **light)),
+            ("tracked", recognizer.recognize(image, prior, np.deg2rad(6.0), **light)),
+        ):
+            records.append(
+                {"target": target, "condition": condition, "frame": k, "mode": mode}
+                | compared(sighting, truth, model)
+            )
+    return records
+
+
+def row(name: str, records: list[dict[str, Any]]) -> list[str]:
+    """One line of the table."""
+    answers = [r for r in records if "rotation_deg" in r]
+    right = [r for r in answers if r["rotation_deg"] < WRONG_DEG]
+    wrong = len(answers) - len(right)
+    rotation = np.array([r["rotation_deg"] for r in right] or [np.nan])
+    translation = np.array([r["translation"] for r in right] or [np.nan])
+    nees = np.array([r["nees"] for r in right] or [np.nan])
+    closest = sum(r.get("best_deg", 180.0) < WRONG_DEG for r in records)
+    return [
+        name,
+        f"{len(records)}",
+        f"{100 * len(right) / len(records):.1f}",
+        f"{100 * closest / len(records):.1f}",
+        f"{100 * wrong / len(records):.1f}",
+        f"{np.median(rotation):.3f} / {np.percentile(rotation, 95):.2f}",
+        f"{100 * np.median(translation):.3f}",
+        f"{np.mean(nees):.1f} / {np.median(nees):.1f}",
+        f"{np.median([r['ms'] for r in records]):.1f}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("frames", type=Path)
+    parser.add_argument("models", type=Path)
+    parser.add_argument("--seed", type=int, default=5, help="of the priors")
+    parser.add_argument("--sun", action="store_true", help="tell the direction to the Sun")
+    parser.add_argument("--log", type=Path, help="every answer, JSON lines")
+    parser.add_argument("--jobs", type=int, default=2)
+    arguments = parser.parse_args()
+    scenes = sorted(
+        (p.parent.parent.name, p.parent.name) for p in arguments.frames.glob("*/*/scene_gt.json")
+    )
+    started = time.perf_counter()
+    parts = Parallel(n_jobs=arguments.jobs)(
+        delayed(run)(
+            arguments.frames, arguments.models, target, condition, arguments.seed, arguments.sun
+        )
+        for target, condition in scenes
+    )
+    records = [record for part in parts for record in part]
+    if arguments.log:
+        arguments.log.write_text("".join(json.dumps(r) + "\n" for r in records))
+    table = Table(title="poses")
+    for head in (
+        "frames", "n", "right %", "best right %", "wrong %", "rotation ° median / 95 %",
+        "translation % of range", "NEES mean / median", "ms",
+    ):  # fmt: skip
+        table.add_column(head, justify="right")
+    for mode in ("first", "tracked"):
+        for condition in ("low", "high", "earth"):
+            chosen = [r for r in records if r["mode"] == mode and r["condition"] == condition]
+            for target in sorted({r["target"] for r in chosen}):
+                part = [r for r in chosen if r["target"] == target]
+                table.add_row(*row(f"{mode} {condition} {target}", part))
+            if chosen:
+                table.add_row(*row(f"{mode} {condition} all", chosen), style="bold")
+    Console(width=170).print(table)
+    print(f"{time.perf_counter() - started:.0f} s")
+
+
+if __name__ == "__main__":
+    main()
