@@ -55,14 +55,7 @@ def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any
     if found is not None:
         best = found.best
         record |= {
-            "features": [
-                best.outline,
-                best.inner,
-                best.residual_px,
-                found.excess,
-                found.margin,
-                best.seen,
-            ],
+            "features": found.features.tolist(),
             "best_deg": float(np.rad2deg(angle_between(best.pose, truth, model.symmetries))),
         }
     if sighting.pose is not None and sighting.covariance is not None:

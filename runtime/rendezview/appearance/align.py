@@ -16,13 +16,15 @@ from rendezview.appearance.edges import (
 )
 
 # Columns of a stage of the search, from coarse to fine.
-REACH, SPREAD, SMOOTH, ROOM, LINES, STEPS, FIT = range(7)
+REACH, SPREAD, SMOOTH, ROOM, LINES, STRIDE, STEPS, FIT = range(8)
 
 _CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
+CLOSE_PX = 1.5  # spread of the edges that support a refined pose …
+_LOOSE_PX = 3.0  # … and one that is roughly aligned
 _LEAST_EDGES = 12  # found, for six unknowns
 _LONGEST_TURN_RAD = 0.2  # of one step
 _DAMPING = 1e-3  # of the normal equations: what the edges do not show stays as it was
-_AGREEING_PX = 0.8  # of a residual: such an edge supports the pose by exp(−½)
+_AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
 
 
 @njit(cache=True, nogil=True)
@@ -98,7 +100,7 @@ def align(  # type: ignore[no-untyped-def]
 
     Args:
         frame: (3,) noise, sky level, 1 where the sky is dark.
-        stages: (K, 7) from coarse to fine, columns REACH … FIT.
+        stages: (K, 8) from coarse to fine, columns REACH … FIT.
         directions: (V, 3) of the views.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
@@ -113,7 +115,7 @@ def align(  # type: ignore[no-untyped-def]
                 image, camera, bent, rotation, centre, point[shell, view], tangent[shell, view],
                 kind[shell, view], run[shell, view], radius_m, noise, sky, dark, blur_px,
                 int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
-                int(stage[LINES]), last, edges,
+                int(stage[LINES]), int(stage[STRIDE]), last, edges,
             )  # fmt: skip
             used, weights = normal_equations(
                 edges, count, _CUT_SPREADS * stage[SPREAD], matrix, right
@@ -141,11 +143,11 @@ def align(  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def support(  # type: ignore[no-untyped-def]
     image, camera, bent, frame, directions, shells_m, point, tangent, kind, run, radius_m,
-    blur_px, rotation, centre, edges,
+    blur_px, rotation, centre, spread_px, edges,
 ):  # fmt: skip
     """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
 
-    An edge within a pixel of its place counts nearly whole. ``seen`` is the share of the
+    An edge within half the spread of its place counts nearly whole. ``seen`` is the share of the
     outline's points that lie in the picture.
     """
     shell, view = nearest_view(directions, shells_m, rotation, centre)
@@ -153,14 +155,14 @@ def support(  # type: ignore[no-untyped-def]
     count = measure_edges(
         image, camera, bent, rotation, centre, point[shell, view], tangent[shell, view], kinds,
         run[shell, view], radius_m, frame[0], frame[1], frame[2] > 0.0, blur_px,
-        4, 1.5, 1, 0.0, 1, False, edges,
+        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, 1, False, edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
     outlines, inners, seen = 1e-9, 1e-9, 0.0
     for j in range(count):
         agrees = 0.0
         if edges[j, STATE] == FOUND:
-            agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / _AGREEING_PX) ** 2)
+            agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / (_AGREEING * spread_px)) ** 2)
         if kinds[j] == OUTLINE:
             outlines += 1.0
             outline += agrees
@@ -173,18 +175,36 @@ def support(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def align_each(  # type: ignore[no-untyped-def]
-    image, camera, bent, frame, stages, directions, shells_m, point, tangent, kind, run,
-    radius_m, blur_px, rotations, centres, supports,
+    image, camera, bent, frame, first, then, directions, shells_m, point, tangent, kind, run,
+    radius_m, blur_px, rotations, centres, survivors, supports,
 ):  # fmt: skip
-    """``align`` and ``support`` of K hypotheses, in place; ``supports`` is (K, 3), 0 where lost."""
+    """``align`` and ``support`` of K hypotheses, in place.
+
+    All go through the stages ``first``; the ``survivors`` best supported, loosely judged, go
+    on through ``then``. ``supports`` is (K, 3), 0 for the others and the lost.
+    """
     edges = np.zeros((point.shape[2], COLUMNS))
-    for k in range(rotations.shape[0]):
+    count = rotations.shape[0]
+    rough = np.zeros(count)
+    for k in range(count):
         supports[k] = 0.0
         if align(
-            image, camera, bent, frame, stages, directions, shells_m, point, tangent, kind, run,
+            image, camera, bent, frame, first, directions, shells_m, point, tangent, kind, run,
+            radius_m, blur_px, rotations[k], centres[k], edges,
+        ):  # fmt: skip
+            outline, inner, _ = support(
+                image, camera, bent, frame, directions, shells_m, point, tangent, kind, run,
+                radius_m, blur_px, rotations[k], centres[k], _LOOSE_PX, edges,
+            )  # fmt: skip
+            rough[k] = outline + 0.5 * inner
+    order = np.argsort(-rough)
+    for i in range(min(survivors, count)):
+        k = order[i]
+        if rough[k] > 0.0 and align(
+            image, camera, bent, frame, then, directions, shells_m, point, tangent, kind, run,
             radius_m, blur_px, rotations[k], centres[k], edges,
         ):  # fmt: skip
             supports[k] = support(
                 image, camera, bent, frame, directions, shells_m, point, tangent, kind, run,
-                radius_m, blur_px, rotations[k], centres[k], edges,
+                radius_m, blur_px, rotations[k], centres[k], CLOSE_PX, edges,
             )  # fmt: skip

@@ -141,7 +141,7 @@ def step_place(profile, count, zero, start, width, sky, sigma):  # type: ignore[
 @njit(cache=True, nogil=True, fastmath=True)
 def measure_edges(  # type: ignore[no-untyped-def]
     image, camera, bent, rotation, centre, point, tangent, kind, run, radius_m,
-    noise, sky, dark, blur_px, reach_px, spread_px, smooth_px, room_px, lines, fit, out,
+    noise, sky, dark, blur_px, reach_px, spread_px, smooth_px, room_px, lines, stride, fit, out,
 ):  # fmt: skip
     """Look for the edge of every contour point of one view; returns how many points there are.
 
@@ -157,6 +157,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
         smooth_px: width of the two boxes whose difference is the slope.
         room_px: points with another edge nearer than this are left out.
         lines: parallel lines read.
+        stride: every so many-th point only.
         fit: place the edge by ``step_place``.
         out: (N, COLUMNS) measurements.
     """
@@ -176,6 +177,8 @@ def measure_edges(  # type: ignore[no-untyped-def]
         total += 1
         row = out[j]
         row[WEIGHT], row[STATE] = 0.0, OUTSIDE
+        if j % stride:
+            continue
         px, py, pz = point[j, 0] * unit_m, point[j, 1] * unit_m, point[j, 2] * unit_m
         qx = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
         qy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz

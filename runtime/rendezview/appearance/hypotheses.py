@@ -15,9 +15,9 @@ from rendezview.appearance.placement import range_from_area
 from rendezview.appearance.signature import UNIT, Readings, Signature, quantised, rolled, twist
 from rendezview.pose import Array, Pose, minimal_rotation
 
-_BEST = 4000  # likenesses that are looked through
+_BEST = 2000  # likenesses that are looked through
 _HARMONICS = 20
-_CORRELATED = 3000  # entries at most, of a large catalogue
+_CORRELATED = 2000  # entries at most, of a large catalogue
 _SUN_REACH_RAD = np.deg2rad(30.0)  # the catalogue's Suns are 32° apart
 _APART_RAD = np.deg2rad(7.0)  # views nearer than this, at the same roll, are one hypothesis
 _SAME_ROLL_BINS = 3
@@ -71,7 +71,9 @@ class Hypotheses:
         if model.lit is not None and self._bins == LIT_BINS:
             self._lit = _Catalogue(model.lit.readings.astype(np.float32) * np.float32(READING_UNIT))
 
-    def of(self, signature: Signature, most: int, sun_camera: Array | None = None) -> list[Pose]:
+    def of(
+        self, signature: Signature, most: int, sun_camera: Array | None = None
+    ) -> tuple[Array, Array]:
         """Poses whose views are most alike the signature, spread out.
 
         Half of them from whole silhouettes, half from those that the Sun lights in part;
@@ -81,6 +83,9 @@ class Hypotheses:
             most: how many at most.
             sun_camera: (3,) unit, towards the Sun, camera frame, if it is known: then only
                 parts that this Sun can light are compared.
+
+        Returns:
+            Rotations (K, 3, 3) camera_from_target and the view centre (K, 3), camera frame.
         """
         readings = self._coarse(signature.readings)
         step = 2.0 * np.pi / self._bins
@@ -88,17 +93,32 @@ class Hypotheses:
         views, shifts, _ = self._whole.most_alike(readings)
         share = most if self._lit is None else most // 2
         chosen = _spread(views, shifts, self._directions, cosine, self._bins, share)
-        poses = [self._of_view(signature, int(views[k]), -step * shifts[k]) for k in chosen]
+        chosen_views, rolls = views[chosen], -step * shifts[chosen]
+        data = self.model.views
+        range_m = range_from_area(
+            self.model, data.area_m2[chosen_views], data.area_slope[chosen_views], signature.area_sr
+        )
+        whole = _placed(
+            signature, data.centred_from_target[chosen_views], data.offset_m[chosen_views], range_m,
+            rolls,
+        )  # fmt: skip
         lit = self.model.lit
         if self._lit is None or lit is None:
-            return poses
+            return whole
         entries, shifts, _ = self._lit.most_alike(readings)
         if sun_camera is not None:
             entries, shifts = self._under(entries, shifts, signature, sun_camera)
         seen = lit.view[entries].astype(np.intp)
         chosen = _spread(seen, shifts, self._directions, cosine, self._bins, most - share)
-        poses += [self._of_lit(signature, int(entries[k]), -step * shifts[k]) for k in chosen]
-        return poses
+        entries, rolls = entries[chosen], -step * shifts[chosen]
+        attitudes = np.zeros((0, 3, 3))
+        if len(entries):
+            attitudes = Rotation.from_quat(lit.quat_wxyz[entries][:, [1, 2, 3, 0]]).as_matrix()
+        part = _placed(
+            signature, attitudes, lit.offset_m[entries].astype(np.float64),
+            np.sqrt(lit.area_m2[entries] / signature.area_sr), rolls,
+        )  # fmt: skip
+        return np.concatenate([whole[0], part[0]]), np.concatenate([whole[1], part[1]])
 
     def _under(
         self,
@@ -153,48 +173,20 @@ class Hypotheses:
         groups = readings.reshape(*readings.shape[:-1], self._bins, -1)
         return np.asarray(groups.mean(axis=-1), dtype=np.float32)
 
-    def _of_view(self, signature: Signature, view: int, roll_rad: float) -> Pose:
-        """Pose of a whole silhouette's view at a roll."""
-        views = self.model.views
-        range_m = float(
-            range_from_area(
-                self.model,
-                views.area_m2[view : view + 1],
-                views.area_slope[view : view + 1],
-                signature.area_sr,
-            )[0]
-        )
-        attitude, offset_m = views.centred_from_target[view], views.offset_m[view]
-        return self._pose(signature, attitude, offset_m, range_m, roll_rad)
 
-    def _of_lit(self, signature: Signature, entry: int, roll_rad: float) -> Pose:
-        """Pose of a lit silhouette's view at a roll."""
-        lit = self.model.lit
-        assert lit is not None
-        range_m = float(np.sqrt(lit.area_m2[entry] / signature.area_sr))
-        attitude = Rotation.from_quat(lit.quat_wxyz[entry][[1, 2, 3, 0]]).as_matrix()
-        return self._pose(
-            signature, attitude, lit.offset_m[entry].astype(np.float64), range_m, roll_rad
-        )
-
-    def _pose(
-        self,
-        signature: Signature,
-        attitude: Array,
-        offset_m: Array,
-        range_m: float,
-        roll_rad: float,
-    ) -> Pose:
-        """camera_from_target whose silhouette has the signature's centroid and range."""
-        c, s = np.cos(roll_rad), np.sin(roll_rad)
-        about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        offset = _rolled_offset(offset_m, roll_rad)
-        line = np.array([offset[0] / range_m, offset[1] / range_m, 1.0])
-        line /= np.linalg.norm(line)
-        camera_from_centred = signature.centred_from_camera.T
-        rotation = camera_from_centred @ about @ attitude
-        centre = camera_from_centred @ (range_m * line)
-        return Pose(rotation, centre - rotation @ self.model.centre_m)
+def _placed(
+    signature: Signature, attitudes: Array, offsets_m: Array, range_m: Array, rolls_rad: Array
+) -> tuple[Array, Array]:
+    """Rotations and view centres of centred attitudes (K, 3, 3) at rolls and ranges (K,)."""
+    c, s = np.cos(rolls_rad), np.sin(rolls_rad)
+    about = np.zeros((len(c), 3, 3))
+    about[:, 0, 0], about[:, 0, 1], about[:, 1, 0], about[:, 1, 1] = c, -s, s, c
+    about[:, 2, 2] = 1.0
+    x, y = offsets_m[:, 0], offsets_m[:, 1]
+    line = np.stack([(c * x - s * y) / range_m, (s * x + c * y) / range_m, np.ones(len(c))], axis=1)
+    line *= (range_m / np.linalg.norm(line, axis=1))[:, None]
+    camera_from_centred = signature.centred_from_camera.T
+    return camera_from_centred @ about @ attitudes, line @ camera_from_centred.T
 
 
 def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:

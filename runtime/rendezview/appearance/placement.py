@@ -36,7 +36,8 @@ def range_from_area(model: ViewModel, area_m2: Array, slope: Array, area_sr: flo
     """
     range_m = np.sqrt(area_m2 / area_sr)
     for _ in range(4):
-        loom = 1.0 + slope * (model.sphere_radius_m / range_m - 1.0)
+        # Far inside the sphere the linear model ends; a range is given all the same.
+        loom = np.maximum(1.0 + slope * (model.sphere_radius_m / range_m - 1.0), 0.1)
         range_m = np.sqrt(area_m2 * loom / area_sr)
     return np.asarray(range_m)
 

@@ -16,6 +16,7 @@ from rendezview.pose import Array, Pose
 from rendezview.symmetry import angle_between
 
 _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the support
+_ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
 
@@ -24,6 +25,7 @@ class FinderOptions:
     """How far to look."""
 
     hypotheses: int = 60  # views and rolls that are aligned where nothing is known
+    hypotheses_of_several: int = 40  # for each of several outlines
     refined: int = 6  # of them that are refined
     refined_near: int = 3  # the same near a prior
     sure_support: float = 0.5  # of the prior alone: nothing else is tried
@@ -43,25 +45,38 @@ class Found:
 
     best: Refined
     excess: float  # lit outlines beyond the predicted silhouette, see ``Hypotheses.excess``
-    margin: float  # merit above that of the best pose more than 5° away
+    margin: float  # merit above that of the best pose more than 5° away; 1 where there is none
+    dark: bool  # before a dark sky
+    prior: bool  # found near a prior
     rival: Refined | None = None
 
     @property
-    def confidence(self) -> float:
-        """Probability that the pose is right to 5°, 0 … 1.
-
-        A logistic regression on what is known of the frame, fitted to simulated frames of
-        four targets by ``scripts/pose_confidence.py``.
-        """
+    def features(self) -> Array:
+        """(9,) what tells a right pose from a wrong one; the first is 1."""
         best = self.best
-        features = np.array(
-            [1.0, best.outline, best.inner, best.residual_px, min(self.excess, 0.5),
-             min(self.margin, 0.3), best.seen]
-        )  # fmt: skip
-        return float(1.0 / (1.0 + np.exp(-np.clip(features @ _LOGISTIC, -30.0, 30.0))))
+        return np.array(
+            [
+                1.0,
+                best.outline,
+                best.inner,
+                best.residual_px,
+                min(self.excess, 0.3),
+                min(max(self.margin, 0.0), 0.3),
+                best.seen,
+                float(self.dark),
+                float(self.prior),
+            ]
+        )
+
+    @property
+    def confidence(self) -> float:
+        """Probability that the pose is right to 5°, 0 … 1: a logistic regression."""
+        odds = float(np.clip(self.features @ _LOGISTIC, -30.0, 30.0))
+        return float(1.0 / (1.0 + np.exp(-odds)))
 
 
-_LOGISTIC = np.array([-4.0, 8.0, 6.0, 0.0, -20.0, 20.0, 0.0])
+# Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seed 1).
+_LOGISTIC = np.array([-1.34, 5.18, 1.89, -7.84, -12.02, 8.83, -1.34, 1.97, 1.21])
 
 
 def merit(refined: Refined, excess: float) -> float:
@@ -85,19 +100,28 @@ class PoseFinder:
         self.hypotheses = Hypotheses(self.model)
 
     def anywhere(
-        self, image: Picture, sky: Sky, outlines: Outlines, sun_camera: Array | None = None
+        self,
+        image: Picture,
+        sky: Sky,
+        bodies: list[Outlines],
+        sun_camera: Array | None = None,
     ) -> Found | None:
-        """The pose where nothing is known of it."""
-        starts = self.hypotheses.of(outlines.signature, self.options.hypotheses, sun_camera)
-        refined = self.refiner.best(image, sky, starts, self.options.refined)
-        return self._chosen(refined, sky, outlines)
+        """The pose where nothing is known of it, from one or several readings of the outline."""
+        each = self.options.hypotheses
+        if len(bodies) > 1:
+            each = self.options.hypotheses_of_several
+        found = [self.hypotheses.of(o.signature, each, sun_camera) for o in bodies]
+        rotations, centres = (np.concatenate(part) for part in zip(*found, strict=True))
+        refined = self.refiner.best(image, sky, rotations, centres, self.options.refined)
+        refined = self._around(image, sky, refined)
+        return self._chosen(refined, sky, bodies[0] if len(bodies) == 1 else None)
 
     def at(self, image: Picture, sky: Sky, prior: Pose) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is sure."""
         refined = self.refiner.refine(image, sky, prior)
         if refined is None or refined.support < self.options.sure_support:
             return None
-        return self._chosen([refined], sky, None)
+        return self._chosen([refined], sky, None, prior=True)
 
     def near(
         self,
@@ -105,25 +129,38 @@ class PoseFinder:
         sky: Sky,
         prior: Pose,
         error_rad: float,
-        outlines: Outlines | None,
+        bodies: list[Outlines],
         also: list[Pose],
     ) -> Found | None:
         """The pose within some angle of a prior, from turns of it and other starting points."""
-        starts = _turned(prior, self.model.centre_m, error_rad) + also
-        if outlines is not None:
-            most = self.options.hypotheses
-            starts += [
-                pose
-                for pose in self.hypotheses.of(outlines.signature, 3 * most)
-                if pose.angle_to(prior) < error_rad
-            ][:most]
-        refined = self.refiner.best(image, sky, starts, self.options.refined_near)
+        rotations, centres = _turned(prior, self.model.centre_m, error_rad)
+        rotations = np.concatenate([rotations, *(p.rotation[None] for p in also)])
+        centres = np.concatenate([centres, *(p.apply(self.model.centre_m)[None] for p in also)])
+        cosine = np.cos(error_rad)
+        for outlines in bodies:
+            more, places = self.hypotheses.of(outlines.signature, 3 * self.options.hypotheses)
+            trace = np.einsum("kij,ij->k", more, prior.rotation)
+            close = np.flatnonzero(0.5 * (trace - 1.0) > cosine)[: self.options.hypotheses]
+            rotations = np.concatenate([rotations, more[close]])
+            centres = np.concatenate([centres, places[close]])
+        refined = self.refiner.best(image, sky, rotations, centres, self.options.refined_near)
+        refined = self._around(image, sky, refined)
         # An edge of tolerance: alignment may carry a start a little further.
         reach = 1.5 * error_rad + np.deg2rad(3.0)
         inside = [r for r in refined if r.pose.angle_to(prior) < reach]
-        return self._chosen(inside, sky, outlines)
+        return self._chosen(inside, sky, bodies[0] if len(bodies) == 1 else None, prior=True)
 
-    def _chosen(self, refined: list[Refined], sky: Sky, outlines: Outlines | None) -> Found | None:
+    def _around(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
+        """Another look from around a best pose that is not sure: edges may have held it aside."""
+        if not refined or refined[0].support >= self.options.sure_support:
+            return refined
+        rotations, centres = _turned(refined[0].pose, self.model.centre_m, _ASIDE_RAD)
+        others = self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
+        return sorted([*refined, *others], key=lambda r: -r.support)
+
+    def _chosen(
+        self, refined: list[Refined], sky: Sky, outlines: Outlines | None, prior: bool = False
+    ) -> Found | None:
         """The best of refined poses by merit, and the best that is another one."""
         if not refined:
             return None
@@ -141,21 +178,17 @@ class PoseFinder:
             if angle_between(r.pose, best.pose, self.model.symmetries) > _RIVAL_RAD
         ]
         if not others:
-            return Found(best, excess[k], 1.0)
+            return Found(best, excess[k], 1.0, sky.dark, prior)
         j = max(others, key=lambda i: merits[i])
-        return Found(best, excess[k], merits[k] - merits[j], refined[j])
+        return Found(best, excess[k], merits[k] - merits[j], sky.dark, prior, refined[j])
 
 
-def _turned(prior: Pose, centre_m: Array, error_rad: float) -> list[Pose]:
+def _turned(prior: Pose, centre_m: Array, error_rad: float) -> tuple[Array, Array]:
     """The prior, and turns of it about the view centre: along three axes and four diagonals."""
     step = min(error_rad, np.deg2rad(20.0)) * 0.8
     axes = [sign * step * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
     diagonals = [
         step * 0.7 * np.array([a, b, c]) for a in (1, -1) for b in (1, -1) for c in (1, -1)
     ]
-    centre = prior.apply(centre_m)
-    poses = [prior]
-    for turn in Rotation.from_rotvec(axes + diagonals).as_matrix():
-        rotation = turn @ prior.rotation
-        poses.append(Pose(rotation, centre - rotation @ centre_m))
-    return poses
+    turns = Rotation.from_rotvec([np.zeros(3), *axes, *diagonals]).as_matrix()
+    return turns @ prior.rotation, np.tile(prior.apply(centre_m), (len(turns), 1))

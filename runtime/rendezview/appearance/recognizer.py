@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.appearance.bright_sky import find_bodies
 from rendezview.appearance.match import Matcher, MatchOptions
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.placement import node_points, place
@@ -80,7 +81,7 @@ class Recognizer:
         *,
         refine: bool = True,
         trees: bool = True,
-        least_confidence: float = 0.9,
+        least_confidence: float = 0.6,
     ) -> None:
         """A recognizer of one model in the frames of one camera.
 
@@ -127,7 +128,13 @@ class Recognizer:
         clock = _Clock()
         frame = check_frame(image, self.camera.width, self.camera.height)
         if self.finder is None:
-            return self._by_trees(frame, prior, prior_error_rad, clock)
+            bodies = self._bodies(frame, None, prior)
+            clock.lap("silhouette")
+            if isinstance(bodies, Missing):
+                return Sighting(bodies.status, bodies.reason, stage_ms=clock.stages)
+            outlines = self._outlines(bodies)
+            clock.lap("signature")
+            return self._by_trees(bodies, outlines, prior, prior_error_rad, clock)
         sun = _unit(sun_camera)
         sky = Sky.of(frame)
         found = None
@@ -136,19 +143,23 @@ class Recognizer:
             clock.lap("refine")
             if found is not None and not self.trees:
                 return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)
-        seen = self._by_trees(frame, prior, prior_error_rad, clock, sure=found)
+        bodies = self._bodies(frame, sky, prior)
+        clock.lap("silhouette")
+        if isinstance(bodies, Missing):
+            seen = Sighting(bodies.status, bodies.reason, stage_ms=clock.stages)
+            outlines = []
+        else:
+            outlines = self._outlines(bodies)
+            clock.lap("signature")
+            seen = self._by_trees(bodies, outlines, prior, prior_error_rad, clock, found)
         if found is None:
-            outlines = None
-            if seen.silhouette is not None and seen.signature is not None:
-                rays = [self.camera.rays(points) for points in seen.silhouette.outlines_px]
-                outlines = Outlines(rays, seen.signature)
             if prior is not None:
                 error = prior_error_rad or self.matcher.options.prior_error_rad
                 also = [] if seen.pose is None else [seen.pose]
                 found = self.finder.near(frame, sky, prior, error, outlines, also)
-            elif outlines is not None:
+            elif outlines:
                 found = self.finder.anywhere(frame, sky, outlines, sun)
-            elif seen.status is not Status.OK:
+            else:
                 return seen  # nothing stands out, and nobody says where to look
             clock.lap("refine")
         return self._judged(seen, found)
@@ -183,28 +194,43 @@ class Recognizer:
             f"{100 * found.best.inner:.0f} % of its inner edges: too little to be sure",
         )
 
+    def _bodies(
+        self, frame: npt.NDArray[np.uint8], sky: Sky | None, prior: Pose | None
+    ) -> list[Silhouette] | Missing:
+        """The target's silhouette; several readings of it before a bright sky."""
+        if sky is not None and not sky.dark:
+            return find_bodies(frame, sky.noise_grey)
+        found = find_silhouette(frame, self.silhouette_options, self._expected_px(prior))
+        return found if isinstance(found, Missing) else [found]
+
+    def _outlines(self, bodies: list[Silhouette]) -> list[Outlines]:
+        """Rays and signature of each silhouette that encloses anything."""
+        outlines = []
+        for body in bodies:
+            rays = [self.camera.rays(points) for points in body.outlines_px]
+            signature = Signature.of_outlines(rays, self.model.bins, self.model.smooth_bins)
+            if signature is not None:
+                outlines.append(Outlines(rays, signature))
+        return outlines
+
     def _by_trees(
         self,
-        frame: npt.NDArray[np.uint8],
+        bodies: list[Silhouette],
+        outlines: list[Outlines],
         prior: Pose | None,
         prior_error_rad: float | None,
         clock: _Clock,
         sure: Found | None = None,
     ) -> Sighting:
-        """Silhouette, signature, on nodes and the coarse pose they mean.
+        """On nodes of the first silhouette, and the coarse pose they mean.
 
         Where the pose is ``sure`` already, the trees are only asked at its attitude.
         """
-        found = find_silhouette(frame, self.silhouette_options, self._expected_px(prior))
-        clock.lap("silhouette")
-        if isinstance(found, Missing):
-            return Sighting(found.status, found.reason, stage_ms=clock.stages)
-        outlines = [self.camera.rays(points) for points in found.outlines_px]
-        signature = Signature.of_outlines(outlines, self.model.bins, self.model.smooth_bins)
-        clock.lap("signature")
-        seen = Sighting(Status.OK, silhouette=found, signature=signature, stage_ms=clock.stages)
-        if signature is None:
+        seen = Sighting(Status.OK, silhouette=bodies[0], stage_ms=clock.stages)
+        if not outlines:
             return replace(seen, status=Status.SMALL, reason="the silhouette encloses no area")
+        signature = outlines[0].signature
+        seen = replace(seen, signature=signature)
         if sure is not None:
             match = self.matcher.at(signature, sure.best.pose)
         else:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance.align import align, align_each, normal_equations, support
+from rendezview.appearance.align import CLOSE_PX, align, align_each, normal_equations, support
 from rendezview.appearance.contours import Contours
 from rendezview.appearance.edges import (
     COLUMNS,
@@ -31,9 +31,12 @@ from rendezview.pose import Array, Pose
 
 Picture = npt.NDArray[np.uint8]
 
-# Reach, spread, smooth, room: pixels; then parallel lines, steps, and whether steps are fitted.
-_COARSE = np.array([[20, 9, 4, 4, 1, 3, 0], [10, 4, 2, 2, 1, 3, 0], [5, 1.5, 1, 0, 1, 2, 0]], float)
-_FINE = np.array([[8, 3, 1, 2, 3, 3, 0], [5, 1.2, 1, 0, 3, 4, 1], [5, 0.5, 1, 0, 3, 5, 1]], float)
+# Reach, spread, smooth, room: pixels; lines, stride, steps, and whether edges are fitted.
+_ROUGH = np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float)
+_COARSE = np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
+_FINE = np.array(
+    [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 4, 1], [5, 0.5, 1, 0, 3, 1, 5, 1]], float
+)
 _CUT_PX = 1.25  # of the last stage
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
 _DARK_SKY_GREY = 60.0  # above, the sky is no sky
@@ -92,6 +95,16 @@ class Refined:
         return (2.0 * self.outline + self.inner) / 3.0
 
 
+def inflating(outline: float, residual_px: float, dark: float) -> Array:
+    """(4,) what tells how much larger errors are than independent edges would make them."""
+    return np.array([1.0, 1.0 - outline, residual_px, dark])
+
+
+# Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
+# less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seed 1).
+_INFLATION = np.array([3.48, 1.72, 0.91, -1.71])
+
+
 class Refiner:
     """Refines poses of one model in the frames of one camera."""
 
@@ -125,15 +138,22 @@ class Refiner:
             return None
         return self._result(image, frame, rotation, centre)
 
-    def best(self, image: Picture, sky: Sky, starts: list[Pose], keep: int = 4) -> list[Refined]:
-        """The starts aligned coarsely, the ``keep`` best supported refined, best first."""
-        rotations = np.empty((len(starts), 3, 3))
-        centres = np.empty((len(starts), 3))
-        for k, start in enumerate(starts):
-            rotations[k], centres[k] = self._centred(start)
-        supports = np.empty((len(starts), 3))
+    def best(
+        self, image: Picture, sky: Sky, rotations: Array, centres: Array, keep: int = 4
+    ) -> list[Refined]:
+        """Starting poses aligned coarsely, the ``keep`` best supported refined, best first.
+
+        Args:
+            rotations: (K, 3, 3) camera_from_target, changed in place.
+            centres: (K, 3) of the view centre in the camera frame, changed in place.
+        """
+        supports = np.empty((len(rotations), 3))
         frame = sky.vector
-        align_each(image, *self._lens, frame, _COARSE, *self._views, rotations, centres, supports)
+        survivors = max(2 * keep, len(rotations) * 2 // 5)
+        align_each(
+            image, *self._lens, frame, _ROUGH, _COARSE, *self._views, rotations, centres,
+            survivors, supports,
+        )  # fmt: skip
         merit = (2.0 * supports[:, 0] + supports[:, 1]) / 3.0
         chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
         found = []
@@ -165,8 +185,9 @@ class Refiner:
     def _result(self, image: Picture, frame: Array, rotation: Array, centre: Array) -> Refined:
         covariance, residual = self._covariance(rotation)
         outline, inner, seen = support(
-            image, *self._lens, frame, *self._views, rotation, centre, self._edges
+            image, *self._lens, frame, *self._views, rotation, centre, CLOSE_PX, self._edges
         )
+        covariance *= np.exp(inflating(outline, residual, frame[2]) @ _INFLATION)
         arm = rotation @ self.model.centre_m
         pose = Pose(_orthonormal(rotation), centre - arm)
         return Refined(pose, covariance, outline, inner, seen, residual)

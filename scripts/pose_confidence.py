@@ -1,0 +1,83 @@
+"""Confidence and covariance of a pose, fitted to what ``pose_accuracy.py --log`` wrote.
+
+    python scripts/pose_confidence.py LOG.jsonl
+
+Prints the coefficients of ``rendezview.appearance.pose_finder`` (confidence) and of
+``rendezview.appearance.refine`` (inflation of the covariance, to multiply what it has), and, each
+target left out in turn, how many answers would be given and wrong at several least confidences.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from sklearn.linear_model import LogisticRegression
+
+from rendezview.appearance.refine import inflating
+
+WRONG_DEG = 5.0
+_WEIGHT_OF_WRONG = 2.0  # a wrong answer costs more than one that is not given
+
+
+def fitted(features: np.ndarray, right: np.ndarray) -> LogisticRegression:
+    weight = np.where(right, 1.0, _WEIGHT_OF_WRONG)
+    return LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False).fit(
+        features, right, sample_weight=weight
+    )
+
+
+def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of log κ², by most likely Gaussian errors, and the NEES that remain."""
+    right = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
+    features = np.array([inflating(*np.array(r["features"])[[1, 3, 7]]) for r in right])
+    nees = np.array([r["nees"] for r in right])
+
+    def unlikely(theta: np.ndarray) -> float:
+        log = features @ theta
+        return float(np.sum(6.0 * log + nees * np.exp(-log)) + 0.1 * theta[1:] @ theta[1:])
+
+    theta = minimize(unlikely, np.array([1.5, 0.0, 0.0, 0.0]), method="Nelder-Mead",
+                     options={"maxiter": 20_000, "maxfev": 20_000}).x  # fmt: skip
+    return theta, nees * np.exp(-features @ theta)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("log", type=Path)
+    arguments = parser.parse_args()
+    records = [json.loads(line) for line in arguments.log.read_text().splitlines()]
+    chosen = [r for r in records if "features" in r]
+    features = np.array([r["features"] for r in chosen])
+    right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
+    target = np.array([r["target"] for r in chosen])
+    held_out = np.zeros(len(chosen))
+    for name in np.unique(target):
+        model = fitted(features[target != name], right[target != name])
+        held_out[target == name] = model.predict_proba(features[target == name])[:, 1]
+    theta, rest = inflation(records)
+    print("inflation", np.round(theta, 2).tolist())
+    answers = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
+    for condition in ("low", "high", "earth"):
+        part = rest[[r["condition"] == condition for r in answers]]
+        print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
+    print("coefficients", np.round(fitted(features, right).coef_[0], 2).tolist())
+    for mode in ("first", "tracked"):
+        for condition in ("low", "high", "earth"):
+            these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
+            total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
+            for least in (0.5, 0.7, 0.8, 0.9, 0.95):
+                given = these & (held_out >= least)
+                print(
+                    f"{mode} {condition}: least {least}: right "
+                    f"{100 * np.sum(given & right) / total:.1f} %, wrong "
+                    f"{100 * np.sum(given & ~right) / total:.1f} %"
+                )
+
+
+if __name__ == "__main__":
+    main()
