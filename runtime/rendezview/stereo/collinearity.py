@@ -1,0 +1,320 @@
+"""The collinearity equations of all lights in all cameras, linearised and solved.
+
+Welch et al., eq. 3 and 4 with Newton's approximation: two equations for each light in each
+camera (24 for six lights and two cameras), six unknowns. The attitude is a rotation matrix
+with a small left rotation vector as its unknown, so that no attitude is singular; yaw,
+pitch and roll appear in `rendezview.stereo.euler` only.
+
+Frames: everything in the rig frame, ``p_rig = R p_target + t``. Arrays named alike in all
+functions: ``leds`` (L, 3) target frame; ``cr`` (C, 3, 3), ``ct`` (C, 3) camera from rig;
+``xy``, ``weight`` (C, L, 2) as in `rendezview.stereo.rig.Sights`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+
+_NEAREST = 1e-9  # metres in front of a camera
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(
+    rotation: Array,
+    translation: Array,
+    leds: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    information: Array,
+    gradient: Array,
+) -> float:
+    """Fill JᵀJ (6, 6) and Jᵀr (6,) of the weighted equations; returns the sum of squares.
+
+    Residual: seen less predicted, over σ. Infinite where a light is behind a camera.
+    """
+    information[:] = 0.0
+    gradient[:] = 0.0
+    cost = 0.0
+    for j in range(leds.shape[0]):
+        a, b, c = leds[j, 0], leds[j, 1], leds[j, 2]
+        ax = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+        ay = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+        az = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+        px, py, pz = ax + translation[0], ay + translation[1], az + translation[2]
+        for k in range(cr.shape[0]):
+            if weight[k, j, 0] == 0.0:
+                continue
+            m = cr[k]
+            z = m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + ct[k, 2]
+            if not z > _NEAREST:
+                return np.inf
+            for i in range(2):
+                w = weight[k, j, i] / z
+                u = m[i, 0] * px + m[i, 1] * py + m[i, 2] * pz + ct[k, i]
+                x = u / z  # eq. 4 without the intrinsics
+                r = weight[k, j, i] * (xy[k, j, i] - x)
+                gx = w * (m[i, 0] - x * m[2, 0])
+                gy = w * (m[i, 1] - x * m[2, 1])
+                gz = w * (m[i, 2] - x * m[2, 2])
+                # d p / d(rotation vector) = −[R p]×, so the row is (R p) × g
+                h0, h1, h2 = ay * gz - az * gy, az * gx - ax * gz, ax * gy - ay * gx
+                cost += r * r
+                gradient[0] += h0 * r
+                gradient[1] += h1 * r
+                gradient[2] += h2 * r
+                gradient[3] += gx * r
+                gradient[4] += gy * r
+                gradient[5] += gz * r
+                information[0, 0] += h0 * h0
+                information[1, 0] += h1 * h0
+                information[1, 1] += h1 * h1
+                information[2, 0] += h2 * h0
+                information[2, 1] += h2 * h1
+                information[2, 2] += h2 * h2
+                information[3, 0] += gx * h0
+                information[3, 1] += gx * h1
+                information[3, 2] += gx * h2
+                information[3, 3] += gx * gx
+                information[4, 0] += gy * h0
+                information[4, 1] += gy * h1
+                information[4, 2] += gy * h2
+                information[4, 3] += gy * gx
+                information[4, 4] += gy * gy
+                information[5, 0] += gz * h0
+                information[5, 1] += gz * h1
+                information[5, 2] += gz * h2
+                information[5, 3] += gz * gx
+                information[5, 4] += gz * gy
+                information[5, 5] += gz * gz
+    for i in range(6):
+        for j in range(i):
+            information[j, i] = information[i, j]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def squares(
+    rotation: Array,
+    translation: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    out: Array,
+) -> None:
+    """Fill (C, L) sums of squared weighted residuals of each light in each camera.
+
+    0 where not seen; infinite where the light would be behind the camera or shine away from
+    it (``normals`` (L, 3), zeros where its beam is not known).
+    """
+    for j in range(leds.shape[0]):
+        p = rotation @ leds[j] + translation
+        n = rotation @ normals[j]
+        for k in range(cr.shape[0]):
+            out[k, j] = 0.0
+            if weight[k, j, 0] == 0.0:
+                continue
+            q = cr[k] @ p + ct[k]
+            m = cr[k] @ n
+            if not q[2] > _NEAREST or m[0] * q[0] + m[1] * q[1] + m[2] * q[2] > 0.0:
+                out[k, j] = np.inf
+                continue
+            rx = weight[k, j, 0] * (xy[k, j, 0] - q[0] / q[2])
+            ry = weight[k, j, 1] * (xy[k, j, 1] - q[1] / q[2])
+            out[k, j] = rx * rx + ry * ry
+
+
+@njit(cache=True, nogil=True)
+def cholesky_solve(matrix: Array, vector: Array, lower: Array, solution: Array) -> bool:
+    """Solve a small positive definite system in place of LAPACK's overhead; False if it is not."""
+    n = vector.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not s > 1e-13 * matrix[i, i]:
+                    return False
+                lower[i, i] = np.sqrt(s)
+            else:
+                lower[i, j] = s / lower[j, j]
+    for i in range(n):
+        s = vector[i]
+        for k in range(i):
+            s -= lower[i, k] * solution[k]
+        solution[i] = s / lower[i, i]
+    for i in range(n - 1, -1, -1):
+        s = solution[i]
+        for k in range(i + 1, n):
+            s -= lower[k, i] * solution[k]
+        solution[i] = s / lower[i, i]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def turn(step: Array, rotation: Array, turned: Array) -> None:
+    """``exp([step[:3]]×) @ rotation`` (Rodrigues, by the half-angle quaternion)."""
+    x, y, z = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]
+    h2 = x * x + y * y + z * z
+    if h2 > 1e-8:
+        h = np.sqrt(h2)
+        s, c = np.sin(h) / h, np.cos(h)
+    else:
+        s, c = 1.0 - h2 / 6.0, 1.0 - 0.5 * h2 + h2 * h2 / 24.0
+    x, y, z = x * s, y * s, z * s
+    m00, m01, m02 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - c * z), 2.0 * (x * z + c * y)
+    m10, m11, m12 = 2.0 * (x * y + c * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - c * x)
+    m20, m21, m22 = 2.0 * (x * z - c * y), 2.0 * (y * z + c * x), 1.0 - 2.0 * (x * x + y * y)
+    for j in range(3):
+        a, b, d = rotation[0, j], rotation[1, j], rotation[2, j]
+        turned[0, j] = m00 * a + m01 * b + m02 * d
+        turned[1, j] = m10 * a + m11 * b + m12 * d
+        turned[2, j] = m20 * a + m21 * b + m22 * d
+
+
+@njit(cache=True, nogil=True)
+def rotation_vector(m: Array, out: Array) -> None:
+    """Rotation vector (3,) of a rotation matrix, angle in [0, π]."""
+    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    sine = 0.5 * np.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (m[0, 0] + m[1, 1] + m[2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    if sine > 1e-6:
+        scale = 0.5 * angle / sine
+        out[0], out[1], out[2] = scale * x, scale * y, scale * z
+    elif cosine > 0.0:
+        out[0], out[1], out[2] = 0.5 * x, 0.5 * y, 0.5 * z
+    else:  # a half turn: the axis is the largest column of (R + I)/2
+        k = 0
+        for i in range(1, 3):
+            if m[i, i] > m[k, k]:
+                k = i
+        size = np.sqrt(max(0.5 * (m[k, k] + 1.0), 1e-300))
+        for i in range(3):
+            out[i] = angle * (m[i, k] + (1.0 if i == k else 0.0)) * 0.5 / size
+
+
+@njit(cache=True, nogil=True)
+def solve(
+    rotation: Array,
+    translation: Array,
+    leds: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    prior: Array,
+    prior_rotation: Array,
+    prior_translation: Array,
+    iterations: int,
+    tolerance: float,
+    information: Array,
+) -> tuple[float, int, bool]:
+    """Newton-linearised least squares from (rotation, translation), which become the answer.
+
+    Plain steps as in the paper; one that makes the sum of squares larger is shortened by
+    Levenberg's and Marquardt's damping.
+
+    Args:
+        prior: (6, 6) information about the pose besides the equations, zeros for none,
+            around (prior_rotation, prior_translation).
+        iterations: at most so many steps are taken; 1 is the paper's single iteration.
+        tolerance: of the step's length in standard deviations, where it ends.
+        information: (6, 6) becomes that at the answer (at the last but one step where
+            iterations end it), prior included.
+
+    Returns:
+        sum of squares, steps taken, and whether it ended within the tolerance.
+    """
+    gradient = np.empty(6)
+    damped = np.empty((6, 6))
+    lower = np.zeros((6, 6))
+    step = np.empty(6)
+    trial_r, trial_t = np.empty((3, 3)), np.empty(3)
+    trial_information, trial_gradient = np.empty((6, 6)), np.empty(6)
+    has_prior = prior[0, 0] > 0.0
+    cost = normal_equations(
+        rotation, translation, leds, cr, ct, xy, weight, information, gradient
+    )  # fmt: skip
+    if has_prior:
+        cost += _add_prior(
+            rotation, translation, prior, prior_rotation, prior_translation, information, gradient
+        )
+    if not cost < np.inf:
+        return np.inf, 0, False
+    damping = 0.0
+    for taken in range(1, iterations + 1):
+        while True:
+            for i in range(6):
+                for j in range(6):
+                    damped[i, j] = information[i, j]
+                damped[i, i] *= 1.0 + damping
+            if not cholesky_solve(damped, gradient, lower, step):
+                if damping > 1e9 or not information[0, 0] > 0.0:
+                    return cost, taken, False
+                damping = max(10.0 * damping, 1e-6)
+                continue
+            length = 0.0  # stepᵀ JᵀJ step, since JᵀJ step = Jᵀr
+            for i in range(6):
+                length += step[i] * gradient[i]
+                trial_t[i % 3] = translation[i % 3] + step[3 + i % 3]
+            if not length < 1e30:
+                return cost, taken, False
+            turn(step, rotation, trial_r)
+            trial = normal_equations(
+                trial_r, trial_t, leds, cr, ct, xy, weight, trial_information, trial_gradient
+            )
+            if has_prior and trial < np.inf:
+                trial += _add_prior(
+                    trial_r, trial_t, prior, prior_rotation, prior_translation,
+                    trial_information, trial_gradient,
+                )  # fmt: skip
+            if trial <= cost * (1.0 + 1e-12) + 1e-12 or iterations == 1 and trial < np.inf:
+                break
+            if length < tolerance * tolerance:
+                return cost, taken, True
+            damping = max(10.0 * damping, 1e-3)
+            if damping > 1e9:
+                return cost, taken, False
+        rotation[:] = trial_r
+        translation[:] = trial_t
+        information[:] = trial_information
+        gradient[:] = trial_gradient
+        cost = trial
+        if length < tolerance * tolerance and damping < 1e-2:
+            return cost, taken, True
+        damping = 0.1 * damping if damping > 1e-6 else 0.0
+    return cost, iterations, False
+
+
+@njit(cache=True, nogil=True)
+def _add_prior(
+    rotation: Array,
+    translation: Array,
+    prior: Array,
+    prior_rotation: Array,
+    prior_translation: Array,
+    information: Array,
+    gradient: Array,
+) -> float:
+    away = np.empty(6)
+    rotation_vector(rotation @ prior_rotation.T, away)
+    for i in range(3):
+        away[3 + i] = translation[i] - prior_translation[i]
+    cost = 0.0
+    for i in range(6):
+        pulled = 0.0
+        for j in range(6):
+            information[i, j] += prior[i, j]
+            pulled += prior[i, j] * away[j]
+        gradient[i] -= pulled
+        cost += away[i] * pulled
+    return cost

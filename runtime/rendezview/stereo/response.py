@@ -1,0 +1,176 @@
+"""The response of a lateral-effect photodiode, and its correction (Welch et al., eq. 1, 2, 5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+
+TERMS = 10
+_FEWEST_READINGS = 4 * TERMS
+
+
+class Normalisation(StrEnum):
+    """What a difference of currents is divided by."""
+
+    PAIR = "pair"  # x1 + x2 and y1 + y2, eq. 1 and 2
+    TOTAL = "total"  # the mean of the two: the least-squares answer where both pairs share the
+    # light equally, because then three unknowns (light, x, y) stand against four currents
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Ten coefficients an axis from a reading of eq. 1, 2 to metres on the detector, eq. 5."""
+
+    coefficients: Array  # (2, 10): a1 … a10 and b1 … b10
+    normalisation: Normalisation = Normalisation.TOTAL
+
+    def __post_init__(self) -> None:
+        values = np.array(self.coefficients, dtype=np.float64)
+        if values.shape != (2, TERMS) or not np.isfinite(values).all():
+            raise ValueError(f"a response has (2, {TERMS}) finite coefficients, not {values.shape}")
+        values.setflags(write=False)
+        object.__setattr__(self, "coefficients", values)
+        object.__setattr__(self, "normalisation", Normalisation(self.normalisation))
+
+    @classmethod
+    def linear(
+        cls, half_width_m: float, normalisation: Normalisation = Normalisation.TOTAL
+    ) -> Response:
+        """A perfect detector: ±1 is its edge."""
+        coefficients = np.zeros((2, TERMS))
+        coefficients[0, 1] = coefficients[1, 2] = half_width_m
+        return cls(coefficients, normalisation)
+
+    def positions(self, currents: npt.ArrayLike) -> Array:
+        """(..., 4) currents x1 x2 y1 y2 → (..., 2) metres on the detector."""
+        return cubic_terms(ratios(currents, self.normalisation)) @ self.coefficients.T
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseFit:
+    """A response with what the scan says of it."""
+
+    response: Response
+    sigma: Array  # (2, 10) standard deviations of the coefficients
+    residuals_m: Array  # (N, 2) corrected reading less beam
+    linear_residuals_m: Array  # (N, 2) the same with the best affine map in place of the cubic
+    electrode_sigma: float | None  # r.m.s. noise of one current of one scan; None: one scan only
+
+    @property
+    def rms_m(self) -> float:
+        """What is left, r.m.s. over both axes, counting the degrees of freedom."""
+        free = self.residuals_m.size - 2 * TERMS
+        return float(np.sqrt((self.residuals_m**2).sum() / free))
+
+    @property
+    def linear_rms_m(self) -> float:
+        """What the best affine map leaves."""
+        free = self.linear_residuals_m.size - 6
+        return float(np.sqrt((self.linear_residuals_m**2).sum() / free))
+
+
+def fit_response(
+    beam_m: npt.ArrayLike,
+    currents: npt.ArrayLike,
+    normalisation: Normalisation = Normalisation.TOTAL,
+) -> ResponseFit:
+    """Least-squares coefficients of eq. 5 from a scan of the detector.
+
+    Args:
+        beam_m: (N, 2) where the beam struck, metres; the paper's 30 × 30 places.
+        currents: (N, 4), or (S, N, 4) for S scans, which are averaged (the paper's 60).
+        normalisation: of eq. 1 and 2.
+
+    Raises:
+        ValueError: shapes that do not fit, fewer than 40 places, numbers not finite, or
+            places that do not determine a cubic (all on a line).
+    """
+    beam = np.asarray(beam_m, dtype=np.float64)
+    scans = np.asarray(currents, dtype=np.float64)
+    if beam.ndim != 2 or beam.shape[1] != 2 or scans.shape[-2:] != (len(beam), 4):
+        raise ValueError(
+            f"beam_m must be (N, 2) and currents ([S,] N, 4), not {beam.shape}, {scans.shape}"
+        )
+    if scans.ndim not in (2, 3) or len(beam) < _FEWEST_READINGS:
+        raise ValueError(f"a scan needs at least {_FEWEST_READINGS} places, not {len(beam)}")
+    if not (np.isfinite(beam).all() and np.isfinite(scans).all()):
+        raise ValueError("a scan must be finite: leave out what was not read")
+    electrode_sigma = None
+    if scans.ndim == 3:
+        if len(scans) > 1:
+            electrode_sigma = float(np.sqrt(scans.var(axis=0, ddof=1).mean()))
+        scans = scans.mean(axis=0)
+    reading = ratios(scans, normalisation)
+    if not np.isfinite(reading).all():
+        raise ValueError("a place of the scan has no light: its currents sum to nothing")
+    terms = cubic_terms(reading)
+    if np.linalg.matrix_rank(terms) < TERMS:
+        raise ValueError("the scan's places do not determine a cubic: spread them over the area")
+    solution, *_ = np.linalg.lstsq(terms, beam, rcond=None)
+    residuals = terms @ solution - beam
+    spread = np.linalg.inv(terms.T @ terms)
+    variance = (residuals**2).sum(axis=0) / (len(beam) - TERMS)
+    affine, *_ = np.linalg.lstsq(terms[:, :3], beam, rcond=None)
+    return ResponseFit(
+        Response(solution.T, normalisation),
+        np.sqrt(np.outer(variance, np.diag(spread))),
+        residuals,
+        terms[:, :3] @ affine - beam,
+        electrode_sigma,
+    )
+
+
+def ratios(currents: npt.ArrayLike, normalisation: Normalisation) -> Array:
+    """Eq. 1 and 2: (..., 4) currents x1 x2 y1 y2 → (..., 2); NaN where there is no light."""
+    given = np.asarray(currents, dtype=np.float64)
+    x1, x2, y1, y2 = np.moveaxis(given, -1, 0)
+    sum_x, sum_y = x1 + x2, y1 + y2
+    if normalisation is Normalisation.TOTAL:
+        sum_x = sum_y = 0.5 * (sum_x + sum_y)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        both = np.stack([(x1 - x2) / sum_x, (y1 - y2) / sum_y], axis=-1)
+    return np.where(np.stack([sum_x, sum_y], axis=-1) > 0.0, both, np.nan)
+
+
+def cubic_terms(reading: Array) -> Array:
+    """(..., 2) → (..., 10): the terms of eq. 5 in its order."""
+    x, y = reading[..., 0], reading[..., 1]
+    return np.stack(
+        [np.ones_like(x), x, y, x * y, x * x, y * y, x * x * y, x * y * y, x**3, y**3], axis=-1
+    )
+
+
+@njit(cache=True, nogil=True)
+def place_light(
+    x1: float, x2: float, y1: float, y2: float, noise: float, total: bool, a: Array
+) -> tuple[float, float, float, float]:
+    """One light's currents → place on the detector and its standard deviations, metres.
+
+    ``noise`` is the r.m.s. noise of one current; a is `Response.coefficients`. By eq. 1
+    ``var x = noise² 2 (1 + x²) / (x1 + x2)²``, with half the x² for the common divisor.
+    """
+    sum_x, sum_y, share = x1 + x2, y1 + y2, 1.0
+    if total:
+        sum_x = sum_y = 0.5 * (sum_x + sum_y)
+        share = 0.5
+    x, y = (x1 - x2) / sum_x, (y1 - y2) / sum_y
+    sx = noise * np.sqrt(2.0 * (1.0 + share * x * x)) / sum_x
+    sy = noise * np.sqrt(2.0 * (1.0 + share * y * y)) / sum_y
+    u = np.empty(2)
+    s = np.empty(2)
+    for k in range(2):
+        b = a[k]
+        u[k] = (
+            b[0] + x * (b[1] + x * (b[4] + x * b[8])) + y * (b[2] + y * (b[5] + y * b[9]))
+            + x * y * (b[3] + x * b[6] + y * b[7])
+        )  # fmt: skip
+        by_x = b[1] + x * (2.0 * b[4] + 3.0 * x * b[8]) + y * (b[3] + 2.0 * x * b[6] + y * b[7])
+        by_y = b[2] + y * (2.0 * b[5] + 3.0 * y * b[9]) + x * (b[3] + x * b[6] + 2.0 * y * b[7])
+        s[k] = np.sqrt((by_x * sx) ** 2 + (by_y * sy) ** 2)
+    return u[0], u[1], s[0], s[1]

@@ -1,0 +1,220 @@
+"""Poses from no knowledge at all: the linear start, and three-light poses beside it.
+
+The paper's tracker cannot find its target again once a sensor was lost; it names a linear
+method as the cure. Here the lights that two or more cameras see are intersected (linear
+least squares), and the rigid body is laid through the points (Kabsch). Beside that stand
+the poses of every three lights in every single camera (P3P), which a false light spoils
+only in part and which need no second camera. All are judged by the collinearity equations
+of all cameras, the best are refined, and every distinct answer is returned.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+
+from rendezview.pose import Array, Pose, rotation_angle
+from rendezview.stereo.collinearity import solve, squares
+from rendezview.stereo.rig import Rig, Sights
+
+_MOST_TRIPLES = 20  # of lights, for each camera: all of six lights'
+_REFINED = 12  # hypotheses that are worth an iteration
+_DISTINCT_RAD = np.deg2rad(3.0)
+_NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times worse than σ
+CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
+_CAMERA_MATRIX = np.eye(3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One answer of the equations: a minimum, with its sum of squares, each light up to CAP."""
+
+    rig_from_target: Pose
+    cost: float
+
+
+def candidates(
+    rig: Rig, leds: Array, normals: Array, sights: Sights, also: tuple[Pose, ...] = ()
+) -> list[Candidate]:
+    """All distinct poses that the sights allow, the likeliest first.
+
+    Empty where no camera sees three lights and no three are seen by two cameras.
+
+    Args:
+        rig: the cameras.
+        leds: (L, 3) lights in the target frame.
+        normals: (L, 3) directions of their beams, zeros where not known.
+        sights: identified lights.
+        also: further hypotheses to refine, such as the last pose.
+    """
+    hypotheses = list(also)
+    linear = linear_start(rig, leds, sights)
+    if linear is not None:
+        hypotheses.append(linear)
+    for k in range(len(rig)):
+        hypotheses += three_light_poses(rig, k, leds, sights)
+    refined = refine(rig, leds, normals, sights, hypotheses)
+    distinct: list[Candidate] = []
+    for one in sorted(refined, key=lambda candidate: candidate.cost):
+        turned = [
+            rotation_angle(one.rig_from_target.rotation @ other.rig_from_target.rotation.T)
+            for other in distinct
+        ]
+        if all(angle > _DISTINCT_RAD for angle in turned):
+            distinct.append(one)
+    return distinct
+
+
+def linear_start(rig: Rig, leds: Array, sights: Sights) -> Pose | None:
+    """Intersection of each light's rays, then the rigid body through the points.
+
+    ``None`` where fewer than three lights are seen by two cameras, or all on one line.
+    """
+    points, covered = intersect(rig, sights)
+    if covered.sum() < 3:
+        return None
+    return rigid_body(leds[covered], points[covered])
+
+
+def intersect(rig: Rig, sights: Sights) -> tuple[Array, np.ndarray]:
+    """(L, 3) points of least squared distance from their rays, rig frame, and (L,) which exist.
+
+    Photogrammetric triangulation (intersection), linear; a light needs two cameras.
+    """
+    seen = sights.seen
+    rays = np.concatenate([sights.xy, np.ones((*seen.shape, 1))], axis=2) @ rig.rotations
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    origins = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
+    across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
+    across *= seen[..., None, None]
+    matrix = across.sum(axis=0)
+    vector = np.einsum("kljm,km->lj", across, origins)
+    usable = (seen.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
+    matrix[~usable] = np.eye(3)
+    return np.linalg.solve(matrix, vector[..., None])[..., 0], usable
+
+
+def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
+    """Least-squares pose ``p_to = R p_from + t`` of (N, 3) points (Kabsch); planar ones too."""
+    a, b = points_from - points_from.mean(axis=0), points_to - points_to.mean(axis=0)
+    u, s, vt = np.linalg.svd(b.T @ a)
+    if not s[1] > 1e-9 * s[0]:
+        return None
+    rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return Pose(rotation, points_to.mean(axis=0) - rotation @ points_from.mean(axis=0))
+
+
+def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> list[Pose]:
+    """Every pose of every three lights (at most the 20 widest) that one camera sees."""
+    seen = np.flatnonzero(sights.seen[camera])
+    triples = list(itertools.combinations(seen.tolist(), 3))
+    xy = sights.xy[camera]
+    if len(triples) > _MOST_TRIPLES:
+        triples = widest(xy, triples)[:_MOST_TRIPLES]
+    rig_from_camera = rig.cameras[camera].camera_from_rig.inverse()
+    return [
+        rig_from_camera @ pose for three in map(list, triples) for pose in p3p(leds[three], xy[three])
+    ]
+
+
+def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """Triples of points by the area of their triangle, largest first."""
+    corners = xy[np.array(triples, dtype=np.intp)]
+    u, v = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    area = np.abs(u[0] * v[1] - u[1] * v[0])
+    return [triples[i] for i in np.argsort(-area, kind="stable")]
+
+
+def p3p(points: Array, xy: Array) -> list[Pose]:
+    """camera_from_points of three points (3, 3) at ideal places (3, 2): up to four."""
+    try:
+        count, turns, places = cv2.solveP3P(
+            np.ascontiguousarray(points), np.ascontiguousarray(xy), _CAMERA_MATRIX, None,
+            cv2.SOLVEPNP_P3P,
+        )  # fmt: skip
+    except cv2.error:  # three lights on one line
+        return []
+    found = []
+    for k in range(count):
+        rotation, place = cv2.Rodrigues(turns[k])[0], places[k].ravel()
+        if np.isfinite(rotation).all() and np.isfinite(place).all():
+            u, _, vt = np.linalg.svd(rotation)
+            found.append(Pose(u @ vt, place))
+    return found
+
+
+def refine(
+    rig: Rig, leds: Array, normals: Array, sights: Sights, hypotheses: list[Pose]
+) -> list[Candidate]:
+    """The hypotheses that fit best, each iterated to its minimum, false lights kept out."""
+    if not hypotheses:
+        return []
+    rotations = np.stack([pose.rotation for pose in hypotheses])
+    translations = np.stack([pose.translation_m for pose in hypotheses])
+    arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
+    rough = np.empty(len(hypotheses))
+    _capped(rotations, translations, *arguments, sights.weight / _NOISY_TIMES, CAP, rough)
+    best = np.argsort(rough, kind="stable")[:_REFINED]
+    rotations, translations = rotations[best], translations[best]
+    cost = np.empty(len(best))
+    _settle(rotations, translations, *arguments, sights.weight)
+    _capped(rotations, translations, *arguments, sights.weight, CAP, cost)
+    return [
+        Candidate(Pose(rotation, translation), float(value))
+        for rotation, translation, value in zip(rotations, translations, cost, strict=True)
+        if np.isfinite(rotation).all() and np.isfinite(translation).all()
+    ]
+
+
+@njit(cache=True, nogil=True)
+def _capped(
+    rotations: Array,
+    translations: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    cap: float,
+    out: Array,
+) -> None:
+    each = np.empty(weight.shape[:2])
+    for i in range(rotations.shape[0]):
+        squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
+        out[i] = np.minimum(each, cap).sum()
+
+
+@njit(cache=True, nogil=True)
+def _settle(
+    rotations: Array,
+    translations: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+) -> None:
+    """Iterate each pose with Geman's and McClure's weights, from loose to tight."""
+    each = np.empty(weight.shape[:2])
+    nothing, identity, origin = np.zeros((6, 6)), np.eye(3), np.zeros(3)
+    information = np.empty((6, 6))
+    softened = np.empty_like(weight)
+    for i in range(rotations.shape[0]):
+        for scale2 in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
+            squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
+            for k in range(weight.shape[0]):
+                for j in range(weight.shape[1]):
+                    g = scale2 / (scale2 + each[k, j])  # 0 where the light cannot be seen
+                    softened[k, j] = weight[k, j] * g
+                    if not g > 1e-6:
+                        softened[k, j] = 0.0
+            solve(
+                rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, identity,
+                origin, 4, 1e-3, information,
+            )  # fmt: skip
