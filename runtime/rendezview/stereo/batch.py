@@ -1,0 +1,187 @@
+"""A whole log of photodiode readings at once, for the time after the experiment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.pose import Array
+from rendezview.stereo.agreement import LIMITS, Disagreement, agree
+from rendezview.stereo.collinearity import solve
+from rendezview.stereo.detectors import read_currents
+from rendezview.stereo.rig import Sights, ideal_spot
+from rendezview.stereo.tracker import StereoTracker
+
+_ITERATIONS = 15
+_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Poses of N readings, rig frame; NaN in all fields where ``ok`` is False."""
+
+    rotation: Array  # (N, 3, 3) rig from target
+    translation_m: Array  # (N, 3)
+    covariance: Array  # (N, 6, 6)
+    ok: npt.NDArray[np.bool_]  # (N,)
+
+
+def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
+    """Every reading's own pose, each started from the one before.
+
+    What does not agree at the first attempt (the first reading, false lights, jumps) is done
+    again one by one as the tracker does it. The tracker's own state is left alone.
+
+    Args:
+        tracker: of a rig of photodiodes.
+        currents: (N, C, L, 4) x1 x2 y1 y2 of each light in each camera; NaN where not read.
+
+    Raises:
+        ValueError: a wrong shape, or a camera that is no photodiode.
+    """
+    given = np.ascontiguousarray(currents, dtype=np.float64)
+    rig, leds = tracker.rig, tracker.leds
+    wanted = (len(rig), len(leds), 4)
+    if given.ndim != 4 or given.shape[1:] != wanted:
+        raise ValueError(f"currents must be (readings, {wanted}), not {given.shape}")
+    diodes = [camera.photodiode for camera in rig.cameras]
+    if any(diode is None for diode in diodes):
+        raise ValueError("a log of currents needs a rig of photodiodes")
+    count = len(given)
+    xy, weight = np.zeros((count, *wanted[:2], 2)), np.zeros((count, *wanted[:2], 2))
+    for k, (camera, diode) in enumerate(zip(rig.cameras, diodes, strict=True)):
+        assert diode is not None
+        _sights(given, k, *diode.kernel_arguments, *camera.kernel_arguments, xy, weight)
+    out = Poses(
+        np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan),
+        np.full((count, 6, 6), np.nan), np.zeros(count, np.bool_),
+    )  # fmt: skip
+    done = 0
+    while done < count:  # up to the next one that needs more than iterations
+        if done > 0 and out.ok[done - 1]:
+            done = _run(
+                done, leds, rig.rotations, rig.translations, xy, weight, LIMITS,
+                out.rotation, out.translation_m, out.covariance, out.ok,
+            )  # fmt: skip
+        if done < count:
+            _one(tracker, xy[done], weight[done], done, out)
+            done += 1
+    return out
+
+
+def _one(tracker: StereoTracker, xy: Array, weight: Array, index: int, out: Poses) -> None:
+    sights = Sights(xy, weight)
+    fit = None
+    if index > 0 and out.ok[index - 1]:
+        start = out.rotation[index - 1], out.translation_m[index - 1]
+        fit = agree(tracker.rig, tracker.leds, sights, *start)
+    if fit is None or isinstance(fit, Disagreement):
+        fit = tracker.locate(sights)
+    if isinstance(fit, Disagreement):
+        return
+    out.rotation[index], out.translation_m[index] = fit.rotation, fit.translation
+    out.covariance[index] = np.linalg.inv(fit.information)
+    out.ok[index] = True
+
+
+@njit(cache=True, nogil=True)
+def _sights(
+    currents: Array,
+    camera: int,
+    noise: float,
+    total: bool,
+    response: Array,
+    half_width: float,
+    intrinsics: Array,
+    lens: Array,
+    corrects: bool,
+    xy: Array,
+    weight: Array,
+) -> None:
+    lights = currents.shape[2]
+    places, sigma = np.empty((lights, 2)), np.empty((lights, 2))
+    seen = np.empty(lights, np.bool_)
+    for n in range(currents.shape[0]):
+        read_currents(
+            currents[n, camera], noise, total, response, half_width, places, sigma, seen
+        )
+        for j in range(lights):
+            if not seen[j]:
+                continue
+            x, y, sx, sy = ideal_spot(
+                places[j, 0], places[j, 1], sigma[j, 0], sigma[j, 1], intrinsics, lens, corrects
+            )
+            if np.isfinite(x) and np.isfinite(y):
+                xy[n, camera, j, 0], xy[n, camera, j, 1] = x, y
+                weight[n, camera, j, 0], weight[n, camera, j, 1] = 1.0 / sx, 1.0 / sy
+
+
+@njit(cache=True, nogil=True)
+def _invert(information: Array, lower: Array, out: Array) -> bool:
+    """Inverse of a (6, 6) positive definite matrix through its Cholesky factor."""
+    for i in range(6):
+        for j in range(i + 1):
+            s = information[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                lower[i, i] = np.sqrt(s)
+            else:
+                lower[i, j] = s / lower[j, j]
+    for i in range(6):  # the factor's own inverse, in its place
+        lower[i, i] = 1.0 / lower[i, i]
+        for j in range(i):
+            s = 0.0
+            for k in range(j, i):
+                s -= lower[i, k] * lower[k, j]
+            lower[i, j] = s * lower[i, i]
+    for i in range(6):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, 6):
+                s += lower[k, i] * lower[k, j]
+            out[i, j] = out[j, i] = s
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _run(
+    first: int,
+    leds: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    limits: Array,
+    rotations: Array,
+    translations: Array,
+    covariances: Array,
+    ok: npt.NDArray[np.bool_],
+) -> int:
+    """Iterate reading after reading; returns the first that fails, or their number."""
+    nothing, identity, origin = np.zeros((6, 6)), np.eye(3), np.zeros(3)
+    information, lower = np.empty((6, 6)), np.zeros((6, 6))
+    rotation, translation = rotations[first - 1].copy(), translations[first - 1].copy()
+    for n in range(first, xy.shape[0]):
+        spare = -6
+        for k in range(weight.shape[1]):
+            for j in range(weight.shape[2]):
+                if weight[n, k, j, 0] > 0.0:
+                    spare += 2
+        if spare < 0:
+            return n
+        cost, _, done = solve(
+            rotation, translation, leds, cr, ct, xy[n], weight[n], nothing, identity, origin,
+            _ITERATIONS, _TOLERANCE, information,
+        )  # fmt: skip
+        if not done or not cost <= limits[min(spare, limits.shape[0] - 1)]:
+            return n
+        if not _invert(information, lower, covariances[n]):
+            return n
+        rotations[n], translations[n], ok[n] = rotation, translation, True
+    return xy.shape[0]
