@@ -22,8 +22,8 @@ from rendezview.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
 LIMITS = np.concatenate([[np.inf], chi2.isf(_FALSE_ALARM, np.arange(1, 2001))])
-_TOLERANCE = 0.01  # of a standard deviation, where iteration ends
-_ITERATIONS = 15
+TOLERANCE = 0.1  # of a standard deviation; steps shrink quadratically, so what follows is nothing
+ITERATIONS = 15
 _LIKE = 9.0  # sums of squares closer than this do not tell two explanations apart
 _APART = 30.0  # squared distance of two poses, in standard deviations, that matters
 _FEWEST_SPARE = 2  # equations left over: with none, anything agrees
@@ -57,7 +57,7 @@ def iterate(
     rotation: Array,
     translation: Array,
     weight: Array | None = None,
-    iterations: int = _ITERATIONS,
+    iterations: int = ITERATIONS,
 ) -> Fit | None:
     """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
     weight = sights.weight if weight is None else weight
@@ -69,7 +69,7 @@ def iterate(
         return None
     fit.cost, fit.steps, done = solve(
         fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy, weight,
-        _NOTHING, _IDENTITY, _ORIGIN, iterations, _TOLERANCE, fit.information,
+        _NOTHING, _IDENTITY, _ORIGIN, iterations, TOLERANCE, fit.information,
     )  # fmt: skip
     if not (done or iterations == 1) or not fit.cost < np.inf:
         return None

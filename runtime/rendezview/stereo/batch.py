@@ -9,14 +9,19 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.pose import Array
-from rendezview.stereo.agreement import LIMITS, Disagreement, agree
+from rendezview.stereo.agreement import (
+    ITERATIONS,
+    LIMITS,
+    TOLERANCE,
+    Disagreement,
+    agree,
+)
 from rendezview.stereo.collinearity import solve
 from rendezview.stereo.detectors import read_currents
 from rendezview.stereo.rig import Sights, ideal_spot
 from rendezview.stereo.tracker import StereoTracker
 
-_ITERATIONS = 15
-_TOLERANCE = 0.01
+_PIECE = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,29 +56,32 @@ def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
     if any(diode is None for diode in diodes):
         raise ValueError("a log of currents needs a rig of photodiodes")
     count = len(given)
-    xy, weight = np.zeros((count, *wanted[:2], 2)), np.zeros((count, *wanted[:2], 2))
-    for k, (camera, diode) in enumerate(zip(rig.cameras, diodes, strict=True)):
-        assert diode is not None
-        _sights(given, k, *diode.kernel_arguments, *camera.kernel_arguments, xy, weight)
     out = Poses(
         np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan),
         np.full((count, 6, 6), np.nan), np.zeros(count, np.bool_),
     )  # fmt: skip
-    done = 0
-    while done < count:  # up to the next one that needs more than iterations
-        if done > 0 and out.ok[done - 1]:
-            done = _run(
-                done, leds, rig.rotations, rig.translations, xy, weight, LIMITS,
-                out.rotation, out.translation_m, out.covariance, out.ok,
-            )  # fmt: skip
-        if done < count:
-            _one(tracker, xy[done], weight[done], done, out)
-            done += 1
+    # In pieces that stay in the processor's cache.
+    size = (min(count, _PIECE), *wanted[:2], 2)
+    xy, weight = np.empty(size), np.empty(size)
+    for first in range(0, count, _PIECE):
+        piece = given[first : first + _PIECE]
+        for k, (camera, diode) in enumerate(zip(rig.cameras, diodes, strict=True)):
+            assert diode is not None
+            _sights(piece, k, *diode.kernel_arguments, *camera.kernel_arguments, xy, weight)
+        done, end = first, first + len(piece)
+        while done < end:  # up to the next one that needs more than iterations
+            if done > 0 and out.ok[done - 1]:
+                done = _run(
+                    first, done, end, leds, rig.rotations, rig.translations, xy, weight, LIMITS,
+                    out.rotation, out.translation_m, out.covariance, out.ok,
+                )  # fmt: skip
+            if done < end:
+                _one(tracker, Sights(xy[done - first], weight[done - first]), done, out)
+                done += 1
     return out
 
 
-def _one(tracker: StereoTracker, xy: Array, weight: Array, index: int, out: Poses) -> None:
-    sights = Sights(xy, weight)
+def _one(tracker: StereoTracker, sights: Sights, index: int, out: Poses) -> None:
     fit = None
     if index > 0 and out.ok[index - 1]:
         start = out.rotation[index - 1], out.translation_m[index - 1]
@@ -109,6 +117,7 @@ def _sights(
             currents[n, camera], noise, total, response, half_width, places, sigma, seen
         )
         for j in range(lights):
+            xy[n, camera, j], weight[n, camera, j] = 0.0, 0.0
             if not seen[j]:
                 continue
             x, y, sx, sy = ideal_spot(
@@ -151,7 +160,9 @@ def _invert(information: Array, lower: Array, out: Array) -> bool:
 
 @njit(cache=True, nogil=True)
 def _run(
+    origin: int,
     first: int,
+    end: int,
     leds: Array,
     cr: Array,
     ct: Array,
@@ -163,25 +174,26 @@ def _run(
     covariances: Array,
     ok: npt.NDArray[np.bool_],
 ) -> int:
-    """Iterate reading after reading; returns the first that fails, or their number."""
-    nothing, identity, origin = np.zeros((6, 6)), np.eye(3), np.zeros(3)
+    """Iterate readings first … end, whose sights begin at origin; returns the first that fails."""
+    nothing, identity, zero = np.zeros((6, 6)), np.eye(3), np.zeros(3)
     information, lower = np.empty((6, 6)), np.zeros((6, 6))
     rotation, translation = rotations[first - 1].copy(), translations[first - 1].copy()
-    for n in range(first, xy.shape[0]):
+    for n in range(first, end):
+        i = n - origin
         spare = -6
         for k in range(weight.shape[1]):
             for j in range(weight.shape[2]):
-                if weight[n, k, j, 0] > 0.0:
+                if weight[i, k, j, 0] > 0.0:
                     spare += 2
         if spare < 0:
             return n
         cost, _, done = solve(
-            rotation, translation, leds, cr, ct, xy[n], weight[n], nothing, identity, origin,
-            _ITERATIONS, _TOLERANCE, information,
+            rotation, translation, leds, cr, ct, xy[i], weight[i], nothing, identity, zero,
+            ITERATIONS, TOLERANCE, information,
         )  # fmt: skip
         if not done or not cost <= limits[min(spare, limits.shape[0] - 1)]:
             return n
         if not _invert(information, lower, covariances[n]):
             return n
         rotations[n], translations[n], ok[n] = rotation, translation, True
-    return xy.shape[0]
+    return end

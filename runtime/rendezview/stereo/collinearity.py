@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 _NEAREST = 1e-9  # metres in front of a camera
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "arcp"})
 def normal_equations(
     rotation: Array,
     translation: Array,
@@ -37,9 +37,11 @@ def normal_equations(
 
     Residual: seen less predicted, over σ. Infinite where a light is behind a camera.
     """
-    information[:] = 0.0
-    gradient[:] = 0.0
+    # The sums are kept in scalars: in arrays they cost more than the equations.
     cost = 0.0
+    b0 = b1 = b2 = b3 = b4 = b5 = 0.0
+    n00 = n10 = n11 = n20 = n21 = n22 = n30 = n31 = n32 = n33 = 0.0
+    n40 = n41 = n42 = n43 = n44 = n50 = n51 = n52 = n53 = n54 = n55 = 0.0
     for j in range(leds.shape[0]):
         a, b, c = leds[j, 0], leds[j, 1], leds[j, 2]
         ax = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
@@ -49,48 +51,39 @@ def normal_equations(
         for k in range(cr.shape[0]):
             if weight[k, j, 0] == 0.0:
                 continue
-            m = cr[k]
-            z = m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz + ct[k, 2]
+            m20, m21, m22 = cr[k, 2, 0], cr[k, 2, 1], cr[k, 2, 2]
+            z = m20 * px + m21 * py + m22 * pz + ct[k, 2]
             if not z > _NEAREST:
                 return np.inf
+            inverse = 1.0 / z
             for i in range(2):
-                w = weight[k, j, i] / z
-                u = m[i, 0] * px + m[i, 1] * py + m[i, 2] * pz + ct[k, i]
-                x = u / z  # eq. 4 without the intrinsics
+                m0, m1, m2 = cr[k, i, 0], cr[k, i, 1], cr[k, i, 2]
+                x = (m0 * px + m1 * py + m2 * pz + ct[k, i]) * inverse  # eq. 4
                 r = weight[k, j, i] * (xy[k, j, i] - x)
-                gx = w * (m[i, 0] - x * m[2, 0])
-                gy = w * (m[i, 1] - x * m[2, 1])
-                gz = w * (m[i, 2] - x * m[2, 2])
+                w = weight[k, j, i] * inverse
+                gx, gy, gz = w * (m0 - x * m20), w * (m1 - x * m21), w * (m2 - x * m22)
                 # d p / d(rotation vector) = −[R p]×, so the row is (R p) × g
                 h0, h1, h2 = ay * gz - az * gy, az * gx - ax * gz, ax * gy - ay * gx
                 cost += r * r
-                gradient[0] += h0 * r
-                gradient[1] += h1 * r
-                gradient[2] += h2 * r
-                gradient[3] += gx * r
-                gradient[4] += gy * r
-                gradient[5] += gz * r
-                information[0, 0] += h0 * h0
-                information[1, 0] += h1 * h0
-                information[1, 1] += h1 * h1
-                information[2, 0] += h2 * h0
-                information[2, 1] += h2 * h1
-                information[2, 2] += h2 * h2
-                information[3, 0] += gx * h0
-                information[3, 1] += gx * h1
-                information[3, 2] += gx * h2
-                information[3, 3] += gx * gx
-                information[4, 0] += gy * h0
-                information[4, 1] += gy * h1
-                information[4, 2] += gy * h2
-                information[4, 3] += gy * gx
-                information[4, 4] += gy * gy
-                information[5, 0] += gz * h0
-                information[5, 1] += gz * h1
-                information[5, 2] += gz * h2
-                information[5, 3] += gz * gx
-                information[5, 4] += gz * gy
-                information[5, 5] += gz * gz
+                b0, b1, b2 = b0 + h0 * r, b1 + h1 * r, b2 + h2 * r
+                b3, b4, b5 = b3 + gx * r, b4 + gy * r, b5 + gz * r
+                n00, n10, n20 = n00 + h0 * h0, n10 + h1 * h0, n20 + h2 * h0
+                n30, n40, n50 = n30 + gx * h0, n40 + gy * h0, n50 + gz * h0
+                n11, n21, n31 = n11 + h1 * h1, n21 + h2 * h1, n31 + gx * h1
+                n41, n51, n22 = n41 + gy * h1, n51 + gz * h1, n22 + h2 * h2
+                n32, n42, n52 = n32 + gx * h2, n42 + gy * h2, n52 + gz * h2
+                n33, n43, n53 = n33 + gx * gx, n43 + gy * gx, n53 + gz * gx
+                n44, n54, n55 = n44 + gy * gy, n54 + gz * gy, n55 + gz * gz
+    gradient[0], gradient[1], gradient[2] = b0, b1, b2
+    gradient[3], gradient[4], gradient[5] = b3, b4, b5
+    information[0, 0] = n00
+    information[1, 0], information[1, 1] = n10, n11
+    information[2, 0], information[2, 1], information[2, 2] = n20, n21, n22
+    information[3, 0], information[3, 1], information[3, 2], information[3, 3] = n30, n31, n32, n33
+    information[4, 0], information[4, 1], information[4, 2] = n40, n41, n42
+    information[4, 3], information[4, 4] = n43, n44
+    information[5, 0], information[5, 1], information[5, 2] = n50, n51, n52
+    information[5, 3], information[5, 4], information[5, 5] = n53, n54, n55
     for i in range(6):
         for j in range(i):
             information[j, i] = information[i, j]
@@ -228,8 +221,7 @@ def solve(
             around (prior_rotation, prior_translation).
         iterations: at most so many steps are taken; 1 is the paper's single iteration.
         tolerance: of the step's length in standard deviations, where it ends.
-        information: (6, 6) becomes that at the answer (at the last but one step where
-            iterations end it), prior included.
+        information: (6, 6) becomes that at the answer, prior included.
 
     Returns:
         sum of squares, steps taken, and whether it ended within the tolerance.
@@ -269,6 +261,10 @@ def solve(
             if not length < 1e30:
                 return cost, taken, False
             turn(step, rotation, trial_r)
+            if length < tolerance * tolerance and damping < 1e-2:
+                rotation[:] = trial_r
+                translation[:] = trial_t
+                return cost - length, taken, True  # so short a step is as good as linear
             trial = normal_equations(
                 trial_r, trial_t, leds, cr, ct, xy, weight, trial_information, trial_gradient
             )
@@ -279,8 +275,6 @@ def solve(
                 )  # fmt: skip
             if trial <= cost * (1.0 + 1e-12) + 1e-12 or iterations == 1 and trial < np.inf:
                 break
-            if length < tolerance * tolerance:
-                return cost, taken, True
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e9:
                 return cost, taken, False
@@ -289,8 +283,6 @@ def solve(
         information[:] = trial_information
         gradient[:] = trial_gradient
         cost = trial
-        if length < tolerance * tolerance and damping < 1e-2:
-            return cost, taken, True
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     return cost, iterations, False
 

@@ -36,10 +36,11 @@ class Spots:
                 f"spots need positions (N, 2), sigma (N, 2) and led (N,), not "
                 f"{positions.shape}, {sigma.shape}, {led.shape}"
             )
-        if not np.isfinite(positions).all() or not (sigma > 0.0).all():
-            raise ValueError("spots must have finite positions and a positive sigma")
-        for name, value in (("positions", positions), ("sigma", sigma), ("led", led)):
-            object.__setattr__(self, name, value)
+        if not _sound(positions, sigma):
+            raise ValueError("spots must have finite positions and a positive, finite sigma")
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "sigma", sigma)
+        object.__setattr__(self, "led", led)
 
     def __len__(self) -> int:
         return len(self.led)
@@ -52,7 +53,7 @@ class Spots:
     @property
     def identified(self) -> bool:
         """Whether every light is known by its number."""
-        return bool((self.led >= 0).all())
+        return _all_named(self.led)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,12 +67,19 @@ class Photodiode:
     response: Response
     noise: float  # r.m.s. noise of one of its currents, in the currents' unit
     half_width_m: float = 0.005  # of the sensitive area; the paper's is 1 cm × 1 cm
+    # What `read_currents` asks for between the currents and its outputs.
+    kernel_arguments: tuple[Any, ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("noise", "half_width_m"):
             value = float(getattr(self, name))
             if not 0.0 < value < np.inf:
                 raise ValueError(f"{name} must be positive, not {value}")
+        total = self.response.normalisation is Normalisation.TOTAL
+        coefficients = np.array(self.response.coefficients)
+        object.__setattr__(
+            self, "kernel_arguments", (self.noise, total, coefficients, self.half_width_m)
+        )
 
     def read(self, currents: npt.ArrayLike) -> Spots:
         """The lights of one sequence: (L, 4) currents x1 x2 y1 y2, row k for light k.
@@ -87,17 +95,10 @@ class Photodiode:
             raise ValueError(f"currents must be (lights, 4), not {given.shape}")
         positions, sigma = np.empty((len(given), 2)), np.empty((len(given), 2))
         seen = np.empty(len(given), np.bool_)
-        read_currents(given, *self.kernel_arguments, positions, sigma, seen)
-        if seen.all():
-            return Spots(positions, sigma, np.arange(len(given)), given.sum(axis=1))
+        if read_currents(given, *self.kernel_arguments, positions, sigma, seen) == len(given):
+            return Spots(positions, sigma, np.arange(len(given)))
         led = np.flatnonzero(seen)
-        return Spots(positions[led], sigma[led], led, given[led].sum(axis=1))
-
-    @property
-    def kernel_arguments(self) -> tuple[Any, ...]:
-        """What `read_currents` asks for between the currents and its outputs."""
-        total = self.response.normalisation is Normalisation.TOTAL
-        return self.noise, total, np.array(self.response.coefficients), self.half_width_m
+        return Spots(positions[led], sigma[led], led)
 
 
 @njit(cache=True, nogil=True)
@@ -110,8 +111,9 @@ def read_currents(
     positions: Array,
     sigma: Array,
     seen: npt.NDArray[np.bool_],
-) -> None:
-    """Fill places and standard deviations of the lights of (L, 4) currents, metres."""
+) -> int:
+    """Fill places and standard deviations, metres, of (L, 4) currents; how many are seen."""
+    count = 0
     for i in range(currents.shape[0]):
         x1, x2, y1, y2 = currents[i, 0], currents[i, 1], currents[i, 2], currents[i, 3]
         # NaN fails both comparisons
@@ -121,3 +123,22 @@ def read_currents(
         x, y, sx, sy = place_light(x1, x2, y1, y2, noise, total, coefficients)
         seen[i] = abs(x) <= 1.05 * half_width and abs(y) <= 1.05 * half_width
         positions[i, 0], positions[i, 1], sigma[i, 0], sigma[i, 1] = x, y, sx, sy
+        count += seen[i]
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _sound(positions: Array, sigma: Array) -> bool:
+    for i in range(positions.shape[0]):
+        for k in range(2):
+            if not (abs(positions[i, k]) < np.inf and 0.0 < sigma[i, k] < np.inf):
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _all_named(led: Ints) -> bool:
+    for number in led:
+        if number < 0:
+            return False
+    return True

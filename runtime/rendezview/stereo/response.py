@@ -162,15 +162,18 @@ def place_light(
     x, y = (x1 - x2) / sum_x, (y1 - y2) / sum_y
     sx = noise * np.sqrt(2.0 * (1.0 + share * x * x)) / sum_x
     sy = noise * np.sqrt(2.0 * (1.0 + share * y * y)) / sum_y
-    u = np.empty(2)
-    s = np.empty(2)
-    for k in range(2):
-        b = a[k]
-        u[k] = (
-            b[0] + x * (b[1] + x * (b[4] + x * b[8])) + y * (b[2] + y * (b[5] + y * b[9]))
-            + x * y * (b[3] + x * b[6] + y * b[7])
-        )  # fmt: skip
-        by_x = b[1] + x * (2.0 * b[4] + 3.0 * x * b[8]) + y * (b[3] + 2.0 * x * b[6] + y * b[7])
-        by_y = b[2] + y * (2.0 * b[5] + 3.0 * y * b[9]) + x * (b[3] + x * b[6] + 2.0 * y * b[7])
-        s[k] = np.sqrt((by_x * sx) ** 2 + (by_y * sy) ** 2)
-    return u[0], u[1], s[0], s[1]
+    u, su = _cubic(x, y, sx, sy, a[0])
+    v, sv = _cubic(x, y, sx, sy, a[1])
+    return u, v, su, sv
+
+
+@njit(cache=True, nogil=True)
+def _cubic(x: float, y: float, sx: float, sy: float, b: Array) -> tuple[float, float]:
+    """One line of eq. 5 and its standard deviation."""
+    value = (
+        b[0] + x * (b[1] + x * (b[4] + x * b[8])) + y * (b[2] + y * (b[5] + y * b[9]))
+        + x * y * (b[3] + x * b[6] + y * b[7])
+    )  # fmt: skip
+    by_x = b[1] + x * (2.0 * b[4] + 3.0 * x * b[8]) + y * (b[3] + 2.0 * x * b[6] + y * b[7])
+    by_y = b[2] + y * (2.0 * b[5] + 3.0 * y * b[9]) + x * (b[3] + x * b[6] + 2.0 * y * b[7])
+    return value, np.sqrt((by_x * sx) ** 2 + (by_y * sy) ** 2)
