@@ -19,7 +19,7 @@ from rendezview.stereo.agreement import Disagreement, Fit, agree
 from rendezview.stereo.collinearity import squares
 from rendezview.stereo.detectors import UNKNOWN, Spots
 from rendezview.stereo.rig import Rig, Sights
-from rendezview.stereo.start import CAP, p3p, widest
+from rendezview.stereo.start import CAP, Hypotheses, p3p, widest
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target
 _MOST_HYPOTHESES = 12_000
@@ -86,16 +86,13 @@ def identify(
     for k in np.argsort([-count for count in counts], kind="stable"):
         if counts[k] < 3:
             continue
-        rig_from_camera = rig.cameras[k].camera_from_rig.inverse()
         places = xy[k, : counts[k]]
         good = np.flatnonzero(np.isfinite(places).all(axis=1)).tolist()
         for three in widest(places, list(itertools.combinations(good, 3)))[:_TRIPLES]:
-            poses = []
-            for lights in itertools.permutations(range(len(leds)), 3):
-                tried += 1
-                poses += p3p(leds[list(lights)], places[list(three)])
-            if poses:
-                poses = [rig_from_camera @ pose for pose in poses]
+            orders = list(itertools.permutations(range(len(leds)), 3))
+            tried += len(orders)
+            poses = p3p(rig, int(k), ((leds[list(o)], places[list(three)]) for o in orders))
+            if len(poses[0]):
                 _explain(rig, leds, normals, spots, xy, weight, poses, answers)
             # Nothing can explain more than all lights in all cameras.
             if answers and max(a[0] for a in answers) >= min(sum(counts), len(rig) * len(leds)):
@@ -125,20 +122,19 @@ def _explain(
     spots: Sequence[Spots],
     xy: Array,
     weight: Array,
-    poses: list[Pose],
+    poses: Hypotheses,
     answers: list[tuple[int, float, tuple[Spots, ...], Fit]],
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""
-    misfit = np.empty(len(poses))
-    rotations = np.stack([pose.rotation for pose in poses])
-    translations = np.stack([pose.translation_m for pose in poses])
+    rotations, translations = poses
+    misfit = np.empty(len(rotations))
     _misfits(
         rotations, translations, leds, normals, rig.rotations, rig.translations, xy,
         weight / _ROUGH_TIMES, misfit,
     )  # fmt: skip
     coarse = 2.0 * np.sqrt(CAP) * _ROUGH_TIMES / np.median(weight[weight > 0.0])
     for i in np.argsort(misfit, kind="stable")[:_KEPT]:
-        pose, gate = poses[i], coarse
+        pose, gate = Pose(rotations[i], translations[i]), coarse
         fit: Fit | Disagreement | None = None
         numbered: tuple[Spots, ...] = ()
         for _ in range(3):

@@ -124,6 +124,41 @@ class Lens:
         """(N, 2) ideal → measured, normalised; NaN where the model has no answer."""
         return self._mapped(ideal, not self.corrects)
 
+    def derivatives(self, ideal: npt.ArrayLike) -> tuple[Array, Array, Array]:
+        """Measured places of ideal ones (N, 2) → (N, 2), with their derivatives.
+
+        Returns also (N, 2, 2) by the ideal place and (N, 2, 8) by the coefficients.
+        """
+        given = np.asarray(ideal, dtype=np.float64)
+        measured = self.distort(given)
+        at = measured if self.corrects else given
+        c = self.coefficients
+        by_place, by_coefficients = np.empty((len(at), 2, 2)), np.empty((len(at), 2, 8))
+        for i in range(len(at)):
+            by_place[i] = np.reshape(shift(at[i, 0], at[i, 1], c)[2:], (2, 2))
+        x, y = (at - c[6:]).T
+        r2 = x * x + y * y
+        p1, p2, p3 = c[3:6]
+        tx = p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y
+        ty = p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y
+        g = 1.0 + p3 * r2
+        for k, (by_x, by_y) in enumerate(
+            [
+                (x * r2, y * r2), (x * r2**2, y * r2**2), (x * r2**3, y * r2**3),
+                (g * (r2 + 2.0 * x * x), g * 2.0 * x * y),
+                (g * 2.0 * x * y, g * (r2 + 2.0 * y * y)), (r2 * tx, r2 * ty),
+            ]
+        ):  # fmt: skip
+            by_coefficients[:, 0, k], by_coefficients[:, 1, k] = by_x, by_y
+        by_coefficients[:, :, 6:] = -by_place
+        whole = np.eye(2) + by_place
+        if not self.corrects:
+            return measured, whole, by_coefficients
+        ok = np.isfinite(measured).all(axis=1)
+        whole[~ok] = np.eye(2)
+        inverse = np.linalg.inv(whole)
+        return measured, inverse, -inverse @ by_coefficients
+
     def _mapped(self, points: npt.ArrayLike, forwards: bool) -> Array:
         given = np.ascontiguousarray(points, dtype=np.float64)
         if given.ndim != 2 or given.shape[1] != 2:

@@ -11,13 +11,15 @@ of all cameras, the best are refined, and every distinct answer is returned.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numba import njit
+from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose, rotation_angle
+from rendezview.pose import Array, Pose
 from rendezview.stereo.collinearity import solve, squares
 from rendezview.stereo.rig import Rig, Sights
 
@@ -28,6 +30,9 @@ _NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times wor
 CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
 _CAMERA_MATRIX = np.eye(3)
 
+Hypotheses = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
+_NO: Hypotheses = (np.empty((0, 3, 3)), np.empty((0, 3)))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
@@ -37,9 +42,7 @@ class Candidate:
     cost: float
 
 
-def candidates(
-    rig: Rig, leds: Array, normals: Array, sights: Sights, also: tuple[Pose, ...] = ()
-) -> list[Candidate]:
+def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Candidate]:
     """All distinct poses that the sights allow, the likeliest first.
 
     Empty where no camera sees three lights and no three are seen by two cameras.
@@ -49,22 +52,22 @@ def candidates(
         leds: (L, 3) lights in the target frame.
         normals: (L, 3) directions of their beams, zeros where not known.
         sights: identified lights.
-        also: further hypotheses to refine, such as the last pose.
     """
-    hypotheses = list(also)
     linear = linear_start(rig, leds, sights)
-    if linear is not None:
-        hypotheses.append(linear)
-    for k in range(len(rig)):
-        hypotheses += three_light_poses(rig, k, leds, sights)
-    refined = refine(rig, leds, normals, sights, hypotheses)
+    whole = [] if linear is None else [linear]
+    parts = [three_light_poses(rig, k, leds, sights) for k in range(len(rig))]
+    rotations = np.concatenate([[pose.rotation for pose in whole] or _NO[0], *(p[0] for p in parts)])
+    translations = np.concatenate(
+        [[pose.translation_m for pose in whole] or _NO[1], *(p[1] for p in parts)]
+    )
+    refined = refine(rig, leds, normals, sights, (rotations, translations))
     distinct: list[Candidate] = []
     for one in sorted(refined, key=lambda candidate: candidate.cost):
-        turned = [
-            rotation_angle(one.rig_from_target.rotation @ other.rig_from_target.rotation.T)
+        traces = [
+            np.vdot(one.rig_from_target.rotation, other.rig_from_target.rotation)
             for other in distinct
         ]
-        if all(angle > _DISTINCT_RAD for angle in turned):
+        if all(trace < 1.0 + 2.0 * np.cos(_DISTINCT_RAD) for trace in traces):
             distinct.append(one)
     return distinct
 
@@ -108,17 +111,14 @@ def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
     return Pose(rotation, points_to.mean(axis=0) - rotation @ points_from.mean(axis=0))
 
 
-def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> list[Pose]:
+def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Hypotheses:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
     seen = np.flatnonzero(sights.seen[camera])
     triples = list(itertools.combinations(seen.tolist(), 3))
     xy = sights.xy[camera]
     if len(triples) > _MOST_TRIPLES:
         triples = widest(xy, triples)[:_MOST_TRIPLES]
-    rig_from_camera = rig.cameras[camera].camera_from_rig.inverse()
-    return [
-        rig_from_camera @ pose for three in map(list, triples) for pose in p3p(leds[three], xy[three])
-    ]
+    return p3p(rig, camera, [(leds[three], xy[three]) for three in map(list, triples)])
 
 
 def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
@@ -129,37 +129,42 @@ def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
     return [triples[i] for i in np.argsort(-area, kind="stable")]
 
 
-def p3p(points: Array, xy: Array) -> list[Pose]:
-    """camera_from_points of three points (3, 3) at ideal places (3, 2): up to four."""
-    try:
-        count, turns, places = cv2.solveP3P(
-            np.ascontiguousarray(points), np.ascontiguousarray(xy), _CAMERA_MATRIX, None,
-            cv2.SOLVEPNP_P3P,
-        )  # fmt: skip
-    except cv2.error:  # three lights on one line
-        return []
-    found = []
-    for k in range(count):
-        rotation, place = cv2.Rodrigues(turns[k])[0], places[k].ravel()
-        if np.isfinite(rotation).all() and np.isfinite(place).all():
-            u, _, vt = np.linalg.svd(rotation)
-            found.append(Pose(u @ vt, place))
-    return found
+def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Hypotheses:
+    """rig_from_points of many three points (3, 3) at ideal places (3, 2): up to four each."""
+    turns, places = [], []
+    for points, xy in problems:
+        try:
+            _, turned, placed = cv2.solveP3P(
+                np.ascontiguousarray(points), np.ascontiguousarray(xy), _CAMERA_MATRIX, None,
+                cv2.SOLVEPNP_P3P,
+            )  # fmt: skip
+        except cv2.error:  # three lights on one line
+            continue
+        turns += [vector.ravel() for vector in turned]
+        places += [vector.ravel() for vector in placed]
+    if not turns:
+        return _NO
+    both = np.column_stack([turns, places])
+    both = both[np.isfinite(both).all(axis=1)]
+    # The camera's own axes to the rig's
+    rotation, translation = rig.rotations[camera].T, rig.translations[camera]
+    matrices = Rotation.from_rotvec(both[:, :3]).as_matrix()
+    return rotation @ matrices, (both[:, 3:] - translation) @ rotation.T
 
 
 def refine(
-    rig: Rig, leds: Array, normals: Array, sights: Sights, hypotheses: list[Pose]
+    rig: Rig, leds: Array, normals: Array, sights: Sights, hypotheses: Hypotheses
 ) -> list[Candidate]:
     """The hypotheses that fit best, each iterated to its minimum, false lights kept out."""
-    if not hypotheses:
+    rotations, translations = hypotheses
+    if not len(rotations):
         return []
-    rotations = np.stack([pose.rotation for pose in hypotheses])
-    translations = np.stack([pose.translation_m for pose in hypotheses])
     arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
-    rough = np.empty(len(hypotheses))
+    rough = np.empty(len(rotations))
     _capped(rotations, translations, *arguments, sights.weight / _NOISY_TIMES, CAP, rough)
     best = np.argsort(rough, kind="stable")[:_REFINED]
-    rotations, translations = rotations[best], translations[best]
+    rotations = np.ascontiguousarray(rotations[best])
+    translations = np.ascontiguousarray(translations[best])
     cost = np.empty(len(best))
     _settle(rotations, translations, *arguments, sights.weight)
     _capped(rotations, translations, *arguments, sights.weight, CAP, cost)
