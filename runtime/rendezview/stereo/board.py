@@ -20,6 +20,7 @@ from rendezview.stereo.rig import Rig, RigCamera
 
 OPENCV_FIVE = ("fx", "fy", "cx", "cy", "l1", "l2", "l3", "p1", "p2")  # as cv2.calibrateCamera
 _FEWEST_VIEWS = 3
+_WINDOW_PX = 5  # half-width; a wider one takes in the neighbouring corners of small squares
 _CORNER_PX = 1.0  # σ to begin with; the residuals tell the true one
 
 
@@ -90,7 +91,7 @@ def find_corners(grey: npt.NDArray[np.uint8], board: Chessboard) -> Array | None
     if not ok:
         return None
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
-    refined = cv2.cornerSubPix(grey, corners, (11, 11), (-1, -1), criteria)
+    refined = cv2.cornerSubPix(grey, corners, (_WINDOW_PX, _WINDOW_PX), (-1, -1), criteria)
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 

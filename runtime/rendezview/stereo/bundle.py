@@ -36,14 +36,7 @@ class Observations:
     point: Ints  # (M,) which point of the board
     positions: Array  # (M, 2) detector units
     sigma: Array  # (M, 2)
-
-    def of_camera(self, camera: int) -> Observations:
-        """Those of one camera, which becomes camera 0."""
-        chosen = self.camera == camera
-        return Observations(
-            np.zeros(int(chosen.sum()), np.int64), self.view[chosen], self.point[chosen],
-            self.positions[chosen], self.sigma[chosen],
-        )  # fmt: skip
+    terms: Array | None = None  # (M, T) of the detector's response, where that is adjusted too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +52,9 @@ class Bundle:
     points_sigma_m: float | None = None  # of the points' given places; None: exact
     # (camera, name, value, σ): what is known of an intrinsic besides
     priors: tuple[tuple[int, str, float, float], ...] = ()
+    # Covariance (2, T, T) of each camera's response, which then moves within it
+    responses: tuple[Array, ...] = ()
+    offsets: tuple[Array, ...] = ()  # (2, T) by which each response has moved
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +87,8 @@ def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
     Raises:
         RendezviewError: the observations do not determine them, or it does not converge.
     """
+    if bundle.responses and not bundle.offsets:
+        bundle = replace(bundle, offsets=tuple(np.zeros(c.shape[:2]) for c in bundle.responses))
     columns = _Columns(bundle)
     damping, current = 1e-4, bundle
     residual, jacobian = _linearised(current, seen, columns, bundle)
@@ -176,6 +174,14 @@ class _Columns:
         self.points = len(names) if bundle.points_sigma_m is not None else None
         if self.points is not None:
             names += [f"point{k}.{axis}" for k in range(len(bundle.points)) for axis in "xyz"]
+        self.responses: list[int] = []
+        self.whitening: list[Array] = []  # (2, T, T)
+        for camera, covariance in zip(bundle.cameras, bundle.responses, strict=False):
+            self.responses.append(len(names))
+            names += [f"{camera.name}.{axis}{i + 1}" for axis in "ab" for i in range(covariance.shape[1])]
+            self.whitening.append(
+                np.stack([np.linalg.cholesky(np.linalg.inv(axis)).T for axis in covariance])
+            )
         self.names = tuple(names)
 
     def moved(self, bundle: Bundle, step: Array) -> Bundle:
@@ -197,8 +203,14 @@ class _Columns:
         ]
         points = bundle.points
         if self.points is not None:
-            points = points + step[self.points :].reshape(-1, 3)
-        return replace(bundle, cameras=tuple(cameras), views=tuple(views), points=points)
+            points = points + step[self.points : self.points + points.size].reshape(-1, 3)
+        offsets = tuple(
+            offset + step[at : at + offset.size].reshape(offset.shape)
+            for offset, at in zip(bundle.offsets, self.responses, strict=True)
+        )
+        return replace(
+            bundle, cameras=tuple(cameras), views=tuple(views), points=points, offsets=offsets
+        )
 
 
 def intrinsics_of(camera: RigCamera) -> Array:
@@ -271,6 +283,12 @@ def _linearised(
             for i, point in enumerate(points):
                 at = columns.points + 3 * int(point)
                 block[i, :, at : at + 3] = by_board[i]
+        if columns.responses:
+            assert seen.terms is not None
+            at, width = columns.responses[k], seen.terms.shape[1]
+            residual[rows] += (seen.terms[rows] @ bundle.offsets[k].T) / seen.sigma[rows]
+            block[:, 0, at : at + width] = -seen.terms[rows]
+            block[:, 1, at + width : at + 2 * width] = -seen.terms[rows]
         block /= seen.sigma[rows][:, :, None]
         jacobian.reshape(count, 2, -1)[rows] = block
     extra_r, extra_j = _priors(bundle, columns, given)
@@ -295,9 +313,18 @@ def _priors(
         assert bundle.points_sigma_m is not None
         size = 3 * len(bundle.points)
         block = np.zeros((size, len(columns.names)))
-        block[:, columns.points :] = np.eye(size) / bundle.points_sigma_m
+        block[:, columns.points : columns.points + size] = np.eye(size) / bundle.points_sigma_m
         residuals.append((given.points - bundle.points).ravel() / bundle.points_sigma_m)
         rows.append(block)
+    for at, whitening, offset in zip(
+        columns.responses, columns.whitening, bundle.offsets, strict=True
+    ):
+        width = offset.shape[1]
+        for axis in range(2):
+            block = np.zeros((width, len(columns.names)))
+            block[:, at + axis * width : at + (axis + 1) * width] = whitening[axis]
+            residuals.append(-whitening[axis] @ offset[axis])
+            rows.append(block)
     return residuals, rows
 
 

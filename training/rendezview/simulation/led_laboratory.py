@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.pose import Array, Pose
 from rendezview.stereo import Lens, Photodiode, Response, Rig, RigCamera
+from rendezview.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
 
 _STEP = 1e-6  # rad, m, for the derivatives of the bound
 
@@ -31,6 +32,7 @@ class LaboratoryOptions:
     half_width_m: float = 0.005
     pin_cushion: float = 0.06  # excess of the reading at the middle of an edge
     plane_tilt_rad: float = float(np.deg2rad(2.0))  # of the lights' plane against the stage
+    plate_sigma_m: float = 0.0005  # of the calibration plate's lights; the paper's: below 0.05 in
     distorted: bool = True  # a lens with all of eq. 6, misaligned; False: a perfect one
 
 
@@ -129,6 +131,51 @@ class Laboratory:
             ]
         )
         return exact if rng is None else exact + rng.normal(0.0, self.noise, exact.shape)
+
+    def calibration(self, rng: np.random.Generator, scans: int = 60) -> LaboratoryRecord:
+        """What a calibration of this laboratory measures, with the noise of its readings.
+
+        A scan of 30 × 30 places, aligned beams, a plate of 6 × 7 lights before each lens
+        and at twelve surveyed places, everything averaged over ``scans`` frames.
+        """
+        o = self.options
+        side = np.linspace(-0.92, 0.92, 30) * o.half_width_m
+        beam = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        plate = np.column_stack(
+            [np.mgrid[:6, :7].reshape(2, -1).T * 0.36 - (0.9, 1.08), np.zeros(42)]
+        )
+        real_plate = plate + rng.normal(0.0, o.plate_sigma_m, plate.shape)
+        cameras, views = [], []
+        for k, camera in enumerate(self.rig.cameras):
+            exact = self.light(k, beam)
+            scan = exact + rng.normal(0.0, self.noise, (scans, *exact.shape))
+            principal = np.array([camera.cx, camera.cy])
+            centre = principal + np.multiply(camera.lens.centre, camera.fx)
+            beams = [
+                self.light(k, place) + rng.normal(0.0, self.noise, (scans, 4))
+                for place in (principal, centre)
+            ]
+            cameras.append(CameraRecord(camera.name, o.focal_m, o.half_width_m, beam, scan, *beams))
+            before_lens = Pose(np.eye(3), np.array([0.02, -0.03, 6.4]))
+            seen = self._averaged(k, camera.camera_from_rig.inverse() @ before_lens, real_plate,
+                                  rng, scans)  # fmt: skip
+            only = tuple(seen if i == k else None for i in range(len(self.rig)))
+            views.append(PlateView(None, only, scans))
+        for number in range(12):
+            height = (-0.5, 0.0, 0.5)[number % 3]
+            turned = Rotation.from_euler("zyx", [0.5 * number, *rng.uniform(-0.35, 0.35, 2)])
+            place = Pose(turned.as_matrix(), np.array([*rng.uniform(-0.1, 0.1, 2), height]))
+            both = tuple(
+                self._averaged(k, place, real_plate, rng, scans) for k in range(len(self.rig))
+            )
+            views.append(PlateView(place, both, scans))
+        return LaboratoryRecord(tuple(cameras), plate, o.plate_sigma_m, tuple(views))
+
+    def _averaged(
+        self, k: int, rig_from_plate: Pose, plate: Array, rng: np.random.Generator, scans: int
+    ) -> Array:
+        exact = self.noiseless(k, rig_from_plate.apply(plate))
+        return exact + rng.normal(0.0, self.noise / np.sqrt(scans), exact.shape)
 
     def bound(self, pose: Pose) -> Array:
         """(6, 6) Cramér–Rao bound of rig_from_target from one reading's currents.
