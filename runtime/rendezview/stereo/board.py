@@ -172,8 +172,11 @@ def rig_of(adjusted: Adjusted) -> Rig:
             for name, value in adjusted.sigma.items()
             if name.startswith(prefix)
         }
-        rms = float(np.sqrt((adjusted.residuals**2).mean())) if len(adjusted.residuals) else None
-        cameras.append(replace(adjusted.bundle.cameras[k], sigma=sigma, rms=rms))
+        rms = float(np.sqrt((adjusted.residuals[adjusted.camera == k] ** 2).mean()))
+        # Of a picture camera all that is left counts against each spot: corners cannot tell
+        # their own noise from what the model cannot follow.
+        floor = rms if camera.photodiode is None else camera.floor
+        cameras.append(replace(camera, sigma=sigma, rms=rms, floor=floor))
     kept = [
         i for i, name in enumerate(adjusted.names) if not name.startswith(("view", "point"))
     ]

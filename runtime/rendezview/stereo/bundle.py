@@ -63,6 +63,7 @@ class Adjusted:
 
     bundle: Bundle
     residuals: Array  # (M, 2) seen less predicted, detector units
+    camera: Ints  # (M,) whose they are
     names: tuple[str, ...]  # of the free parameters
     covariance: Array  # (n, n), of the given σ
     chi2: float
@@ -146,7 +147,7 @@ def _finished(
     raw = residual[: 2 * count].reshape(-1, 2) * seen.sigma
     sigma = dict(zip(columns.names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return Adjusted(
-        bundle, raw, columns.names, covariance, float(residual @ residual),
+        bundle, raw, seen.camera, columns.names, covariance, float(residual @ residual),
         len(residual) - len(columns.names), sigma,
     )  # fmt: skip
 
