@@ -182,6 +182,7 @@ def _record(
             {"camera": rig.cameras[camera].name, "led": names[light]}
             for camera, light in sighting.left_out
         ],
+        "exchanged": [[names[a], names[b]] for a, b in sighting.exchanged],
         "leds": [
             [names[number] if number >= 0 else None for number in found.led]
             for found in sighting.spots

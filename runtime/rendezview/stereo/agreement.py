@@ -1,8 +1,8 @@
 """Whether the lights agree on one rigid body, and which of them to leave out where they do not.
 
 A light that is seen by reflection, or under another light's number, makes the sum of squares
-too large for its degrees of freedom. The fewest lights are then left out whose absence makes
-the rest agree: one in one camera, one in all cameras, two, a whole camera. With so few
+too large for its degrees of freedom. Every fault is then tried: two lights exchanged, in one
+camera or in all; one spot, one light, two of either, or a whole camera left out. With so few
 lights all the possibilities can be tried, so the answer does not depend on chance.
 """
 
@@ -27,6 +27,7 @@ ITERATIONS = 15
 _LIKE = 9.0  # sums of squares closer than this do not tell two explanations apart
 _APART = 30.0  # squared distance of two poses, in standard deviations, that matters
 _FEWEST_SPARE = 2  # equations left over: with none, anything agrees
+_ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
 _MOST_TRIED = 1500
 UNKNOWNS = 6
 _NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
@@ -42,7 +43,9 @@ class Fit:
     cost: float  # sum of squares, in variances
     spare: int  # equations more than unknowns
     steps: int
+    sights: Sights  # what it was solved from, faults mended
     left_out: tuple[tuple[int, int], ...] = ()  # (camera, light)
+    exchanged: tuple[tuple[int, int], ...] = ()  # (light, light)
 
     @property
     def agrees(self) -> bool:
@@ -56,20 +59,18 @@ def iterate(
     sights: Sights,
     rotation: Array,
     translation: Array,
-    weight: Array | None = None,
     iterations: int = ITERATIONS,
 ) -> Fit | None:
     """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
-    weight = sights.weight if weight is None else weight
     fit = Fit(
         np.array(rotation), np.array(translation), np.empty((6, 6)), 0.0,
-        int(np.count_nonzero(weight)) - UNKNOWNS, 0,
+        int(np.count_nonzero(sights.weight)) - UNKNOWNS, 0, sights,
     )  # fmt: skip
     if fit.spare < 0:
         return None
     fit.cost, fit.steps, done = solve(
-        fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy, weight,
-        _NOTHING, _IDENTITY, _ORIGIN, iterations, TOLERANCE, fit.information,
+        fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy,
+        sights.weight, _NOTHING, _IDENTITY, _ORIGIN, iterations, TOLERANCE, fit.information,
     )  # fmt: skip
     if not (done or iterations == 1) or not fit.cost < np.inf:
         return None
@@ -87,45 +88,41 @@ class Disagreement:
 def agree(
     rig: Rig, leds: Array, sights: Sights, rotation: Array, translation: Array
 ) -> Fit | Disagreement:
-    """The fit of the largest set of lights that agrees, from a start close by."""
+    """The fit of all lights, or of what is left when the likeliest fault is mended.
+
+    A fault is likelier the fewer equations it takes away: each light left out in a camera
+    could have been anywhere, which costs as much as `_ANYWHERE` of the sum of squares.
+    """
     whole = iterate(rig, leds, sights, rotation, translation)
     if whole is not None and whole.agrees:
         return whole
     if whole is not None:
         rotation, translation = whole.rotation, whole.translation
-    tried = 0
-    for ways in _ways_to_leave_out(sights.seen):
-        passing: list[Fit] = []
-        for left_out in ways:
-            tried += 1
-            if tried > _MOST_TRIED:
-                break
-            weight = sights.weight.copy()
-            for camera, light in left_out:
-                weight[camera, light] = 0.0
-            if np.count_nonzero(weight) - UNKNOWNS < _FEWEST_SPARE:
-                continue
-            fit = iterate(rig, leds, sights, rotation, translation, weight)
-            if fit is not None and fit.agrees:
-                fit.left_out = left_out
-                passing.append(fit)
-        if passing:
-            passing.sort(key=lambda fit: fit.cost - LIMITS[fit.spare])
-            best = passing[0]
-            for other in passing[1:]:
-                if other.cost - best.cost < _LIKE and distance(best, other) > _APART:
-                    return Disagreement(
-                        "the lights contradict each other, and which of them is false "
-                        f"cannot be told ({_told(best)} or {_told(other)})",
-                        ambiguous=True,
-                    )
-            return best
-    if whole is None:
-        return Disagreement("the lights do not determine a pose")
-    return Disagreement(
-        f"the lights do not fit the target: sum of squares {whole.cost:.0f} for "
-        f"{whole.spare} degrees of freedom, with any two lights left out too"
-    )
+    passing: list[tuple[float, Fit]] = []
+    for mended, left_out, exchanged in itertools.islice(_mended(sights), _MOST_TRIED):
+        if np.count_nonzero(mended.weight) - UNKNOWNS < _FEWEST_SPARE:
+            continue
+        fit = iterate(rig, leds, mended, rotation, translation)
+        if fit is not None and fit.agrees:
+            fit.left_out, fit.exchanged = left_out, exchanged
+            passing.append((fit.cost + _ANYWHERE * len(left_out), fit))
+    if not passing:
+        if whole is None:
+            return Disagreement("the lights do not determine a pose")
+        return Disagreement(
+            f"the lights do not fit the target: sum of squares {whole.cost:.0f} for "
+            f"{whole.spare} degrees of freedom, with any two lights left out too"
+        )
+    passing.sort(key=lambda pair: pair[0])
+    score, best = passing[0]
+    for other_score, other in passing[1:]:
+        if other_score - score < _LIKE and distance(best, other) > _APART:
+            return Disagreement(
+                "the lights contradict each other, and which of them is false cannot be told "
+                f"({_told(best)}, or {_told(other)})",
+                ambiguous=True,
+            )
+    return best
 
 
 def distance(one: Fit, other: Fit) -> float:
@@ -137,23 +134,44 @@ def distance(one: Fit, other: Fit) -> float:
 
 
 def _told(fit: Fit) -> str:
-    return ", ".join(f"light {light + 1} in camera {camera + 1}" for camera, light in fit.left_out)
+    left = [f"light {light + 1} in camera {camera + 1}" for camera, light in fit.left_out]
+    swapped = [f"lights {a + 1} and {b + 1} exchanged" for a, b in fit.exchanged]
+    return ", ".join(left + swapped)
 
 
-def _ways_to_leave_out(
-    seen: npt.NDArray[np.bool_],
-) -> Iterator[list[tuple[tuple[int, int], ...]]]:
-    """Sets of (camera, light) to leave out, the likelier faults first."""
+def _mended(
+    sights: Sights,
+) -> Iterator[tuple[Sights, tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]]:
+    """Sights without a fault, for every fault: what is left out, which lights exchanged."""
+    cameras = range(len(sights.weight))
+    seen = sights.seen
+    lights = np.flatnonzero(seen.any(axis=0)).tolist()
+    for a, b in itertools.combinations(lights, 2):
+        everywhere: list[list[int]] = [list(cameras)]
+        for which in everywhere + [[k] for k in cameras if len(seen) > 1]:
+            if any(seen[k, a] or seen[k, b] for k in which):
+                xy, weight = sights.xy.copy(), sights.weight.copy()
+                for k in which:
+                    xy[k, [a, b]], weight[k, [a, b]] = xy[k, [b, a]], weight[k, [b, a]]
+                yield Sights(xy, weight), (), ((a, b),)
+    for left_out in _ways_to_leave_out(seen):
+        weight = sights.weight.copy()
+        for camera, light in left_out:
+            weight[camera, light] = 0.0
+        yield Sights(sights.xy, weight), left_out, ()
+
+
+def _ways_to_leave_out(seen: npt.NDArray[np.bool_]) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Sets of (camera, light) to leave out: a spot, a light, two of either, a camera."""
     spots = [(int(k), int(j)) for k, j in zip(*np.nonzero(seen), strict=True)]
-    lights = sorted({j for _, j in spots})
-    yield [(spot,) for spot in spots]
-    by_light = {j: tuple(spot for spot in spots if spot[1] == j) for j in lights}
-    yield [spots_of for spots_of in by_light.values() if len(spots_of) > 1]
-    yield [
-        (a, b) for a, b in itertools.combinations(spots, 2) if a[0] == b[0]
-    ]  # two exchanged in one camera
-    yield [
-        (*by_light[a], *by_light[b]) for a, b in itertools.combinations(lights, 2)
-    ]  # … in all
-    yield [(a, b) for a, b in itertools.combinations(spots, 2) if a[0] != b[0]]
-    yield [tuple(spot for spot in spots if spot[0] == k) for k in range(len(seen))]
+    by_light = [
+        tuple(spot for spot in spots if spot[1] == j) for j in sorted({j for _, j in spots})
+    ]
+    yield from ((spot,) for spot in spots)
+    yield from (light for light in by_light if len(light) > 1)
+    yield from itertools.combinations(spots, 2)
+    yield from (a + b for a, b in itertools.combinations(by_light, 2) if len(a + b) > 2)
+    if len(seen) > 1:
+        yield from (
+            tuple(spot for spot in spots if spot[0] == k) for k in range(len(seen)) if seen[k].any()
+        )

@@ -92,6 +92,11 @@ class Sighting:
         """(camera, light) that were seen and not believed."""
         return () if self.fit is None else self.fit.left_out
 
+    @property
+    def exchanged(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of lights that were seen under each other's number."""
+        return () if self.fit is None else self.fit.exchanged
+
 
 class StereoTracker:
     """Follows the lights of one target with the cameras of one rig.
@@ -175,7 +180,7 @@ class StereoTracker:
             self._lose(time_s)
             status = Status.AMBIGUOUS if fit.ambiguous else Status.DISAGREE
             return Sighting(status, fit.reason, spots=named)
-        return self._accept(time_s, fit, sights, forecast, found_anew, named)
+        return self._accept(time_s, fit, forecast, found_anew, named)
 
     def locate(self, sights: Sights, forecast: Motion | None = None) -> Fit | Disagreement:
         """The pose from identified lights without knowing where the target is.
@@ -257,7 +262,6 @@ class StereoTracker:
         self,
         time_s: float,
         fit: Fit,
-        sights: Sights,
         forecast: Motion | None,
         found_anew: bool,
         named: tuple[Spots, ...],
@@ -268,13 +272,10 @@ class StereoTracker:
             return Sighting(Status.OK, None, fit, None, found_anew, named, self._first)
         after = None
         if forecast is not None and not self._breaks(forecast, fit):
-            weight = sights.weight
-            if fit.left_out:
-                weight = weight.copy()
-                for camera, light in fit.left_out:
-                    weight[camera, light] = 0.0
             begin_at = np.column_stack([fit.rotation, fit.translation])
-            after = motion.update(forecast, self.rig, self.leds, sights.xy, weight, begin_at)
+            after = motion.update(
+                forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, begin_at
+            )
         if after is None:  # the first, or the target did what the filter holds impossible
             covariance = np.linalg.inv(fit.information)
             after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)

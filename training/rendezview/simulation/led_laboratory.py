@@ -26,8 +26,8 @@ class LaboratoryOptions:
     """What the laboratory is like."""
 
     signal_to_noise: float = 200.0  # largest signal of an electrode over r.m.s. noise of one
-    height_m: float = 7.5  # of the cameras above the stage
-    baseline_m: float = 3.0
+    height_m: float = 7.0  # of the cameras above the stage
+    baseline_m: float = 6.0
     focal_m: float = 0.025
     half_width_m: float = 0.005
     pin_cushion: float = 0.04  # excess of the reading at the middle of an edge; 7 % at a corner
