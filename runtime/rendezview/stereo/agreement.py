@@ -22,7 +22,7 @@ from rendezview.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
 LIMITS = np.concatenate([[np.inf], chi2.isf(_FALSE_ALARM, np.arange(1, 2001))])
-TOLERANCE = 0.1  # of a standard deviation; steps shrink quadratically, so what follows is nothing
+TOLERANCE = 0.3  # of a standard deviation: the step after one so short is a twentieth of it
 ITERATIONS = 15
 _LIKE = 9.0  # sums of squares closer than this do not tell two explanations apart
 _APART = 30.0  # squared distance of two poses, in standard deviations, that matters

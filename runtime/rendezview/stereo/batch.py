@@ -16,7 +16,7 @@ from rendezview.stereo.agreement import (
     Disagreement,
     agree,
 )
-from rendezview.stereo.collinearity import solve
+from rendezview.stereo.collinearity import invert, solve
 from rendezview.stereo.detectors import read_currents
 from rendezview.stereo.rig import Sights, ideal_spot
 from rendezview.stereo.tracker import StereoTracker
@@ -95,7 +95,7 @@ def _one(tracker: StereoTracker, sights: Sights, index: int, out: Poses) -> None
     out.ok[index] = True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sights(
     currents: Array,
     camera: int,
@@ -128,37 +128,7 @@ def _sights(
                 weight[n, camera, j, 0], weight[n, camera, j, 1] = 1.0 / sx, 1.0 / sy
 
 
-@njit(cache=True, nogil=True)
-def _invert(information: Array, lower: Array, out: Array) -> bool:
-    """Inverse of a (6, 6) positive definite matrix through its Cholesky factor."""
-    for i in range(6):
-        for j in range(i + 1):
-            s = information[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not s > 0.0:
-                    return False
-                lower[i, i] = np.sqrt(s)
-            else:
-                lower[i, j] = s / lower[j, j]
-    for i in range(6):  # the factor's own inverse, in its place
-        lower[i, i] = 1.0 / lower[i, i]
-        for j in range(i):
-            s = 0.0
-            for k in range(j, i):
-                s -= lower[i, k] * lower[k, j]
-            lower[i, j] = s * lower[i, i]
-    for i in range(6):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(i, 6):
-                s += lower[k, i] * lower[k, j]
-            out[i, j] = out[j, i] = s
-    return True
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _run(
     origin: int,
     first: int,
@@ -193,7 +163,7 @@ def _run(
         )  # fmt: skip
         if not done or not cost <= limits[min(spare, limits.shape[0] - 1)]:
             return n
-        if not _invert(information, lower, covariances[n]):
+        if not invert(information, lower, covariances[n]):
             return n
         rotations[n], translations[n], ok[n] = rotation, translation, True
     return end

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 _NEAREST = 1e-9  # metres in front of a camera
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "arcp"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
 def normal_equations(
     rotation: Array,
     translation: Array,
@@ -90,7 +90,7 @@ def normal_equations(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def squares(
     rotation: Array,
     translation: Array,
@@ -124,7 +124,7 @@ def squares(
             out[k, j] = rx * rx + ry * ry
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def cholesky_solve(matrix: Array, vector: Array, lower: Array, solution: Array) -> bool:
     """Solve a small positive definite system in place of LAPACK's overhead; False if it is not."""
     n = vector.shape[0]
@@ -152,7 +152,37 @@ def cholesky_solve(matrix: Array, vector: Array, lower: Array, solution: Array) 
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def invert(information: Array, lower: Array, out: Array) -> bool:
+    """Inverse of a (6, 6) positive definite matrix by its Cholesky factor; False if it is not."""
+    for i in range(6):
+        for j in range(i + 1):
+            s = information[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                lower[i, i] = np.sqrt(s)
+            else:
+                lower[i, j] = s / lower[j, j]
+    for i in range(6):  # the factor's own inverse, in its place
+        lower[i, i] = 1.0 / lower[i, i]
+        for j in range(i):
+            s = 0.0
+            for k in range(j, i):
+                s -= lower[i, k] * lower[k, j]
+            lower[i, j] = s * lower[i, i]
+    for i in range(6):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, 6):
+                s += lower[k, i] * lower[k, j]
+            out[i, j] = out[j, i] = s
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def turn(step: Array, rotation: Array, turned: Array) -> None:
     """``exp([step[:3]]×) @ rotation`` (Rodrigues, by the half-angle quaternion)."""
     x, y, z = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]
@@ -173,7 +203,7 @@ def turn(step: Array, rotation: Array, turned: Array) -> None:
         turned[2, j] = m20 * a + m21 * b + m22 * d
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rotation_vector(m: Array, out: Array) -> None:
     """Rotation vector (3,) of a rotation matrix, angle in [0, π]."""
     x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
@@ -195,7 +225,7 @@ def rotation_vector(m: Array, out: Array) -> None:
             out[i] = angle * (m[i, k] + (1.0 if i == k else 0.0)) * 0.5 / size
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve(
     rotation: Array,
     translation: Array,
@@ -287,7 +317,7 @@ def solve(
     return cost, iterations, False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_prior(
     rotation: Array,
     translation: Array,

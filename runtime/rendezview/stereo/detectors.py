@@ -101,7 +101,7 @@ class Photodiode:
         return Spots(positions[led], sigma[led], led)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def read_currents(
     currents: Array,
     noise: float,
@@ -127,7 +127,7 @@ def read_currents(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sound(positions: Array, sigma: Array) -> bool:
     for i in range(positions.shape[0]):
         for k in range(2):
@@ -136,7 +136,7 @@ def _sound(positions: Array, sigma: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _all_named(led: Ints) -> bool:
     for number in led:
         if number < 0:

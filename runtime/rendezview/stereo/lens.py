@@ -134,8 +134,7 @@ class Lens:
         at = measured if self.corrects else given
         c = self.coefficients
         by_place, by_coefficients = np.empty((len(at), 2, 2)), np.empty((len(at), 2, 8))
-        for i in range(len(at)):
-            by_place[i] = np.reshape(shift(at[i, 0], at[i, 1], c)[2:], (2, 2))
+        _slopes(at, c, by_place)
         x, y = (at - c[6:]).T
         r2 = x * x + y * y
         p1, p2, p3 = c[3:6]
@@ -164,13 +163,11 @@ class Lens:
         if given.ndim != 2 or given.shape[1] != 2:
             raise ValueError(f"points must be (N, 2), not {given.shape}")
         out = np.empty_like(given)
-        c = self.coefficients
-        for i in range(len(given)):
-            out[i] = _pointwise(given[i, 0], given[i, 1], c, forwards)
+        _map(given, self.coefficients, forwards, out)
         return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
 def shift(x: float, y: float, c: Array) -> tuple[float, float, float, float, float, float]:
     """Δx, Δy of eq. 6 and its derivatives ∂Δx/∂x, ∂Δx/∂y, ∂Δy/∂x, ∂Δy/∂y."""
     x, y = x - c[6], y - c[7]
@@ -193,7 +190,7 @@ def shift(x: float, y: float, c: Array) -> tuple[float, float, float, float, flo
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def unshift(u: float, v: float, c: Array) -> tuple[float, float, float, float, float, float]:
     """(x, y) with ``(x, y) + Δ(x, y) = (u, v)`` by Newton, and the derivatives of Δ there."""
     x, y = u, v
@@ -213,16 +210,25 @@ def unshift(u: float, v: float, c: Array) -> tuple[float, float, float, float, f
     return np.nan, np.nan, 0.0, 0.0, 0.0, 0.0
 
 
-@njit(cache=True, nogil=True)
-def _pointwise(x: float, y: float, c: Array, forwards: bool) -> tuple[float, float]:
-    if forwards:
-        dx, dy, _, _, _, _ = shift(x, y, c)
-        return x + dx, y + dy
-    x, y, _, _, _, _ = unshift(x, y, c)
-    return x, y
+@njit(cache=True, nogil=True, error_model="numpy")
+def _map(points: Array, c: Array, forwards: bool, out: Array) -> None:
+    for i in range(points.shape[0]):
+        if forwards:
+            dx, dy, _, _, _, _ = shift(points[i, 0], points[i, 1], c)
+            out[i, 0], out[i, 1] = points[i, 0] + dx, points[i, 1] + dy
+        else:
+            out[i, 0], out[i, 1], _, _, _, _ = unshift(points[i, 0], points[i, 1], c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _slopes(points: Array, c: Array, out: Array) -> None:
+    for i in range(points.shape[0]):
+        _, _, out[i, 0, 0], out[i, 0, 1], out[i, 1, 0], out[i, 1, 1] = shift(
+            points[i, 0], points[i, 1], c
+        )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
 def ideal_with_sigma(
     x: float, y: float, sx: float, sy: float, c: Array, corrects: bool
 ) -> tuple[float, float, float, float]:
@@ -236,4 +242,5 @@ def ideal_with_sigma(
         determinant = (1.0 + xx) * (1.0 + yy) - xy * yx
         a, b = (1.0 + yy) / determinant, -xy / determinant
         e, d = -yx / determinant, (1.0 + xx) / determinant
-    return x, y, np.hypot(a * sx, b * sy), np.hypot(e * sx, d * sy)
+    a, b, e, d = a * sx, b * sy, e * sx, d * sy
+    return x, y, np.sqrt(a * a + b * b), np.sqrt(e * e + d * d)

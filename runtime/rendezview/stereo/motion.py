@@ -7,16 +7,24 @@ reading enters as its equations, not as a pose, so that even one light helps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from rendezview.pose import Array
-from rendezview.stereo.collinearity import rotation_vector, solve, turn
+from rendezview.stereo.collinearity import (
+    cholesky_solve,
+    invert,
+    rotation_vector,
+    solve,
+    turn,
+)
 from rendezview.stereo.rig import Rig
 
 _ITERATIONS = 15
+_TOLERANCE = 0.1
+_BREAK = 80.0  # squared distance of reading and forecast, in σ, at which the forecast is wrong
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +84,12 @@ def predict(state: Motion, time_s: float, options: MotionOptions) -> Motion:
 
 
 def update(
-    state: Motion, rig: Rig, leds: Array, xy: Array, weight: Array, start: Array | None = None
+    state: Motion,
+    rig: Rig,
+    leds: Array,
+    xy: Array,
+    weight: Array,
+    start: tuple[Array, Array] | None = None,
 ) -> Motion | None:
     """The state after a reading at its time; ``None`` where the equations do not converge.
 
@@ -86,10 +99,10 @@ def update(
         leds: (L, 3) target frame.
         xy: (C, L, 2) ideal places.
         weight: (C, L, 2) 1/σ, 0 for what is not seen or not believed.
-        start: (3, 4) rotation and translation to begin at, such as the reading's own pose.
+        start: rotation and translation to begin at, such as the reading's own pose.
     """
-    rotation = state.rotation.copy() if start is None else start[:, :3].copy()
-    translation = state.translation.copy() if start is None else start[:, 3].copy()
+    given = (state.rotation, state.translation) if start is None else start
+    rotation, translation = given[0].copy(), given[1].copy()
     rates = state.rates.copy()
     covariance = np.empty((12, 12))
     if not _update(
@@ -97,12 +110,19 @@ def update(
         rig.translations, xy, weight, rotation, translation, rates, covariance,
     ):  # fmt: skip
         return None
-    return replace(
-        state, rotation=rotation, translation=translation, rates=rates, covariance=covariance
+    return Motion(state.time_s, rotation, translation, rates, covariance)
+
+
+def breaks(state: Motion, rotation: Array, translation: Array, information: Array) -> bool:
+    """Whether a reading's own pose is so far from the forecast that the forecast is wrong."""
+    return bool(
+        _breaks(
+            state.rotation, state.translation, state.covariance, rotation, translation, information
+        )
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _predict(
     rotation: Array,
     rates: Array,
@@ -130,7 +150,7 @@ def _predict(
         out[6 + i, 6 + i] += q * dt
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def difference(
     rotation: Array, translation: Array, other_rotation: Array, other_translation: Array
 ) -> Array:
@@ -142,7 +162,7 @@ def difference(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _update(
     prior_rotation: Array,
     prior_translation: Array,
@@ -157,16 +177,18 @@ def _update(
     rates: Array,
     covariance: Array,
 ) -> bool:
-    inverse = np.linalg.inv(prior[:6, :6].copy())
-    inverse = 0.5 * (inverse + inverse.T)
-    information = np.empty((6, 6))
+    lower, inverse, information = np.zeros((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    if not invert(prior, lower, inverse):  # its pose part, the first six
+        return False
     _, _, done = solve(
         rotation, translation, leds, cr, ct, xy, weight, inverse, prior_rotation,
-        prior_translation, _ITERATIONS, 0.01, information,
+        prior_translation, _ITERATIONS, _TOLERANCE, information,
     )  # fmt: skip
     if not done:
         return False
-    posterior = np.linalg.inv(information)
+    posterior = np.empty((6, 6))
+    if not invert(information, lower, posterior):
+        return False
     moved = difference(rotation, translation, prior_rotation, prior_translation)
     gain = np.ascontiguousarray(prior[6:, :6]) @ inverse  # what a pose's correction says of the rates
     rates += gain @ moved
@@ -176,3 +198,22 @@ def _update(
     lost = np.ascontiguousarray(prior[:6, :6]) - posterior
     covariance[6:, 6:] = prior[6:, 6:] - gain @ lost @ gain.T
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _breaks(
+    rotation: Array,
+    translation: Array,
+    covariance: Array,
+    seen_rotation: Array,
+    seen_translation: Array,
+    information: Array,
+) -> bool:
+    lower, both, solution = np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
+    if not invert(information, lower, both):
+        return False
+    both += covariance[:6, :6]
+    away = difference(seen_rotation, seen_translation, rotation, translation)
+    if not cholesky_solve(both, away, lower, solution):
+        return False
+    return away @ solution > _BREAK

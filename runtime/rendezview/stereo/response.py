@@ -168,7 +168,7 @@ def terms(reading: Array, order: int) -> Array:
     return np.stack(columns, axis=-1)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def place_light(
     x1: float, x2: float, y1: float, y2: float, noise: float, total: bool, a: Array
 ) -> tuple[float, float, float, float]:
@@ -189,7 +189,7 @@ def place_light(
     return u, v, su, sv
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
 def _curve(x: float, y: float, sx: float, sy: float, b: Array) -> tuple[float, float]:
     """One line of eq. 5, or of its continuation, and its standard deviation."""
     value = (
@@ -210,4 +210,5 @@ def _curve(x: float, y: float, sx: float, sy: float, b: Array) -> tuple[float, f
         by_y += x3 * b[11] + 2.0 * x2 * y * b[12] + 3.0 * x * y2 * b[13] + 4.0 * y3 * b[14]
         by_y += x3 * (x * b[16] + 2.0 * y * b[17])
         by_y += y2 * (3.0 * x2 * b[18] + 4.0 * x * y * b[19] + 5.0 * y2 * b[20])
-    return value, np.sqrt((by_x * sx) ** 2 + (by_y * sy) ** 2)
+    by_x, by_y = by_x * sx, by_y * sy
+    return value, np.sqrt(by_x * by_x + by_y * by_y)

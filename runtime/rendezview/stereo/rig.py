@@ -176,7 +176,7 @@ class Rig:
         return Sights(xy, weight)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ideal_spot(
     u: float, v: float, su: float, sv: float, k: Array, lens: Array, corrects: bool
 ) -> tuple[float, float, float, float]:
@@ -187,7 +187,7 @@ def ideal_spot(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ideal(
     spots: Array, sigma: Array, k: Array, lens: Array, corrects: bool, xy: Array, out: Array
 ) -> None:
@@ -197,7 +197,7 @@ def _ideal(
         )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fill_sights(
     spots: Array,
     sigma: Array,

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rendezview.pose import Array, Pose
 from rendezview.stereo import motion
@@ -22,7 +23,6 @@ from rendezview.target import Target
 
 _FEWEST_LIGHTS = 3
 _ALIKE = 15.0  # sums of squares closer than this do not tell two minima apart
-_BREAK = 80.0  # squared distance of reading and forecast, in σ, at which the forecast is wrong
 
 
 class Status(StrEnum):
@@ -166,8 +166,7 @@ class StereoTracker:
         if not all(found.identified for found in spots):
             fit, named, found_anew = self._identify(spots, forecast)
         sights = self.rig.sights(named, len(self.leds))
-        seen = sights.weight[:, :, 0] > 0.0
-        if fit is None and seen.any(axis=0).sum() < _FEWEST_LIGHTS:
+        if fit is None and _lights(sights.weight) < _FEWEST_LIGHTS:
             return self._partial(time_s, forecast, sights, named)
         if fit is None and forecast is not None:
             fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
@@ -271,10 +270,10 @@ class StereoTracker:
             self._last = Motion(time_s, fit.rotation, fit.translation, _NO_RATES, _NO_COVARIANCE)
             return Sighting(Status.OK, None, fit, None, found_anew, named, self._first)
         after = None
-        if forecast is not None and not self._breaks(forecast, fit):
-            begin_at = np.column_stack([fit.rotation, fit.translation])
+        own = fit.rotation, fit.translation
+        if forecast is not None and not motion.breaks(forecast, *own, fit.information):
             after = motion.update(
-                forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, begin_at
+                forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, own
             )
         if after is None:  # the first, or the target did what the filter holds impossible
             covariance = np.linalg.inv(fit.information)
@@ -282,17 +281,21 @@ class StereoTracker:
         self._last = after
         return Sighting(Status.OK, None, fit, after, found_anew, named, self._first)
 
-    def _breaks(self, forecast: Motion, fit: Fit) -> bool:
-        from_reading = np.linalg.inv(fit.information)
-        away = motion.difference(
-            fit.rotation, fit.translation, forecast.rotation, forecast.translation
-        )
-        both = from_reading + forecast.covariance[:6, :6]
-        return bool(away @ np.linalg.solve(both, away) > _BREAK)
-
     def _lose(self, time_s: float) -> None:
         if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:
             self._last = None
+
+
+@njit(cache=True, nogil=True)
+def _lights(weight: Array) -> int:
+    """How many lights any camera sees."""
+    count = 0
+    for j in range(weight.shape[1]):
+        for k in range(weight.shape[0]):
+            if weight[k, j, 0] > 0.0:
+                count += 1
+                break
+    return count
 
 
 _NO_RATES = np.zeros(6)
