@@ -22,8 +22,8 @@ from rendezview.stereo.laboratory import calibrate_laboratory
 from rendezview.target import Target
 
 READINGS = 4100
-REPEATS = 9
-LOG_TIMES = 10
+REPEATS = 25
+LOG_TIMES = 4
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.stats import chi2
 
 from rendezview.pose import Array
-from rendezview.stereo.collinearity import rotation_vector, solve
+from rendezview.stereo.collinearity import lights_seen, rotation_vector, solve
 from rendezview.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
@@ -30,6 +30,7 @@ _FEWEST_SPARE = 2  # equations left over: with none, anything agrees
 _ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
 _MOST_TRIED = 1500
 UNKNOWNS = 6
+FEWEST_LIGHTS = 3  # two leave a turn about the line between them
 _NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
 
 
@@ -66,7 +67,7 @@ def iterate(
         np.array(rotation), np.array(translation), np.empty((6, 6)), 0.0,
         int(np.count_nonzero(sights.weight)) - UNKNOWNS, 0, sights,
     )  # fmt: skip
-    if fit.spare < 0:
+    if fit.spare < 0 or lights_seen(sights.weight) < FEWEST_LIGHTS:
         return None
     fit.cost, fit.steps, done = solve(
         fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy,

@@ -10,13 +10,14 @@ from numba import njit
 
 from rendezview.pose import Array
 from rendezview.stereo.agreement import (
+    FEWEST_LIGHTS,
     ITERATIONS,
     LIMITS,
     TOLERANCE,
     Disagreement,
     agree,
 )
-from rendezview.stereo.collinearity import invert, solve
+from rendezview.stereo.collinearity import invert, lights_seen, solve
 from rendezview.stereo.detectors import read_currents
 from rendezview.stereo.rig import Sights, ideal_spot
 from rendezview.stereo.tracker import StereoTracker
@@ -57,8 +58,8 @@ def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
         raise ValueError("a log of currents needs a rig of photodiodes")
     count = len(given)
     out = Poses(
-        np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan),
-        np.full((count, 6, 6), np.nan), np.zeros(count, np.bool_),
+        np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 6, 6)),
+        np.zeros(count, np.bool_),
     )  # fmt: skip
     # In pieces that stay in the processor's cache.
     size = (min(count, _PIECE), *wanted[:2], 2)
@@ -78,6 +79,8 @@ def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
             if done < end:
                 _one(tracker, Sights(xy[done - first], weight[done - first]), done, out)
                 done += 1
+    for field in (out.rotation, out.translation_m, out.covariance):
+        field[~out.ok] = np.nan
     return out
 
 
@@ -155,7 +158,7 @@ def _run(
             for j in range(weight.shape[2]):
                 if weight[i, k, j, 0] > 0.0:
                     spare += 2
-        if spare < 0:
+        if spare < 0 or lights_seen(weight[i]) < FEWEST_LIGHTS:
             return n
         cost, _, done = solve(
             rotation, translation, leds, cr, ct, xy[i], weight[i], nothing, identity, zero,

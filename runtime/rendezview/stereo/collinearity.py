@@ -183,6 +183,18 @@ def invert(information: Array, lower: Array, out: Array) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def lights_seen(weight: Array) -> int:
+    """How many lights any camera sees."""
+    count = 0
+    for j in range(weight.shape[1]):
+        for k in range(weight.shape[0]):
+            if weight[k, j, 0] > 0.0:
+                count += 1
+                break
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def turn(step: Array, rotation: Array, turned: Array) -> None:
     """``exp([step[:3]]×) @ rotation`` (Rodrigues, by the half-angle quaternion)."""
     x, y, z = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]

@@ -8,11 +8,18 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.pose import Array, Pose
 from rendezview.stereo import motion
-from rendezview.stereo.agreement import Disagreement, Fit, agree, distance, iterate
+from rendezview.stereo.agreement import (
+    FEWEST_LIGHTS,
+    Disagreement,
+    Fit,
+    agree,
+    distance,
+    iterate,
+)
+from rendezview.stereo.collinearity import lights_seen
 from rendezview.stereo.detectors import Spots
 from rendezview.stereo.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.stereo.identity import identify, nearest_lights
@@ -21,7 +28,6 @@ from rendezview.stereo.rig import Rig, Sights, required_leds
 from rendezview.stereo.start import candidates
 from rendezview.target import Target
 
-_FEWEST_LIGHTS = 3
 _ALIKE = 15.0  # sums of squares closer than this do not tell two minima apart
 
 
@@ -166,7 +172,7 @@ class StereoTracker:
         if not all(found.identified for found in spots):
             fit, named, found_anew = self._identify(spots, forecast)
         sights = self.rig.sights(named, len(self.leds))
-        if fit is None and _lights(sights.weight) < _FEWEST_LIGHTS:
+        if fit is None and lights_seen(sights.weight) < FEWEST_LIGHTS:
             return self._partial(time_s, forecast, sights, named)
         if fit is None and forecast is not None:
             fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
@@ -246,7 +252,7 @@ class StereoTracker:
         self, time_s: float, forecast: Motion | None, sights: Sights, named: tuple[Spots, ...]
     ) -> Sighting:
         lights = int(sights.seen.any(axis=0).sum())
-        reason = f"{lights} lights seen, a pose needs {_FEWEST_LIGHTS}"
+        reason = f"{lights} lights seen, a pose needs {FEWEST_LIGHTS}"
         if self.options.motion is not None and forecast is not None:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
             if after is not None:
@@ -284,18 +290,6 @@ class StereoTracker:
     def _lose(self, time_s: float) -> None:
         if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:
             self._last = None
-
-
-@njit(cache=True, nogil=True)
-def _lights(weight: Array) -> int:
-    """How many lights any camera sees."""
-    count = 0
-    for j in range(weight.shape[1]):
-        for k in range(weight.shape[0]):
-            if weight[k, j, 0] > 0.0:
-                count += 1
-                break
-    return count
 
 
 _NO_RATES = np.zeros(6)
