@@ -89,15 +89,13 @@ def turned_deg(rotations: np.ndarray) -> np.ndarray:
     Unlike the yaw of eq. 3 it does not care how the lights' plane stands on the stage.
     """
     u, _, vt = np.linalg.svd(rotations.mean(axis=0))
-    x, y, z, w = Rotation.from_matrix(rotations @ (u @ vt).T).as_quat().T
+    _x, _y, z, w = Rotation.from_matrix(rotations @ (u @ vt).T).as_quat().T
     return np.rad2deg(2.0 * np.arctan2(z, w))
 
 
 def figure8(arguments: argparse.Namespace, target: Target) -> None:
     runs, seed = arguments.cases or 100, arguments.seed
-    laboratory = Laboratory(
-        leds_of(target), LaboratoryOptions(signal_to_noise=arguments.snr), seed
-    )
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=arguments.snr), seed)
     rng = np.random.default_rng(seed)
     record = laboratory.calibration(rng)
     rig = calibrate_laboratory(record).rig
@@ -114,7 +112,9 @@ def figure8(arguments: argparse.Namespace, target: Target) -> None:
                 0.0, laboratory.noise / np.sqrt(AVERAGED), currents.shape
             )
             for name, given in (("paper, one scan", currents), (f"paper, {AVERAGED} scans", mean)):
-                rows.setdefault(name, []).append(line(angles, _paper(plain, target, given, poses[0])))
+                rows.setdefault(name, []).append(
+                    line(angles, _paper(plain, target, given, poses[0]))
+                )
             for name, motion in (("ours, one scan", None), ("ours, filter", MotionOptions())):
                 rotations = _ours(rig, target, currents, motion)
                 rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
@@ -188,7 +188,8 @@ def _pictured(
     rotations = []
     for k, pose in enumerate(poses):
         spots = [
-            find_spots(draw(rig, c, pose.apply(tracker.leds), options, rng)) for c in range(len(rig))
+            find_spots(draw(rig, c, pose.apply(tracker.leds), options, rng))
+            for c in range(len(rig))
         ]
         rotations.append(tracker.update(k / RATE_HZ, spots).fit.rotation)
     return np.stack(rotations)
@@ -263,9 +264,7 @@ def recovery(arguments: argparse.Namespace, target: Target) -> None:
     print(f"turn about the boresight against the truth: worst {np.rad2deg(max(yaws)):.2f}°")
 
 
-def judge(
-    tracker: StereoTracker, sights: Sights, found: Fit | Disagreement, pose: Pose
-) -> str:
+def judge(tracker: StereoTracker, sights: Sights, found: Fit | Disagreement, pose: Pose) -> str:
     """right: the minimum next to the truth, and the truth within its covariance."""
     if isinstance(found, Disagreement):
         return "refused"

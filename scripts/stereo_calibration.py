@@ -116,8 +116,10 @@ def laboratory(arguments: argparse.Namespace) -> None:
     table.add_row("all", f"{np.sqrt(np.mean(every**2)):.2f}", f"{every.max():.2f}",
                   f"{(every > 3.0).sum()} of {len(every)}")  # fmt: skip
     Console(width=100).print(table)
-    print(f"whole error in its covariance, χ²/n: mean {np.mean(whole):.2f}, worst {max(whole):.2f}; "
-          f"residual χ²/dof {np.mean(chi2):.3f}")  # fmt: skip
+    print(
+        f"whole error in its covariance, χ²/n: mean {np.mean(whole):.2f}, "
+        f"worst {max(whole):.2f}; residual χ²/dof {np.mean(chi2):.3f}"
+    )
 
 
 def pictures(_: argparse.Namespace) -> None:
@@ -145,7 +147,9 @@ def pictures(_: argparse.Namespace) -> None:
     table.add_row("together", f"{best:.6f}", f"{made.together.rms:.6f}",
                   f"{made.together.rms - best:+.1e}")  # fmt: skip
     Console(width=100).print(table)
-    table = Table("corners triangulated by", "off their plane, mm", "pitch − 25 mm, mm", "mean pitch")
+    table = Table(
+        "corners triangulated by", "off their plane, mm", "pitch − 25 mm, mm", "mean pitch"
+    )
     for name, one in stereo.items():
         _, m1, d1, m2, d2, rotation, translation, *_rest = one
         points = [_opencv_points(m1, d1, m2, d2, rotation, translation, a, b)
@@ -214,8 +218,10 @@ def minerva(_: argparse.Namespace) -> None:
         angles.append(np.rad2deg(pose.angle_to(truth)))
         places.append(np.linalg.norm(pose.translation_m - truth.translation_m))
     each = np.sqrt(np.mean(np.square(residuals), axis=1))
-    print(f"{len(frames)} poses, 16 points of one picture, nothing known: {len(residuals)} "
-          f"recovered, {refused} refused; {(each <= 0.02).sum()} at or below 0.02 px r.m.s.")  # fmt: skip
+    print(
+        f"{len(frames)} poses, 16 points of one picture, nothing known: {len(residuals)} "
+        f"recovered, {refused} refused; {(each <= 0.02).sum()} at or below 0.02 px r.m.s."
+    )
     print(f"reprojection r.m.s. {np.sqrt(np.mean(np.square(residuals))):.5f} px, worst frame "
           f"{each.max():.5f} px")  # fmt: skip
     print(f"attitude to the given pose: median {np.median(angles):.5f}°, worst {max(angles):.5f}°; "

@@ -57,8 +57,10 @@ def main() -> None:
     _row(table, "log at once", lambda: reprocess(tracker, log), len(log))
     few = currents[:410]
     _row(table, "plain numpy, one iteration", lambda: _plain(rig, leds, few), len(few))
-    print(f"seed {arguments.seed}; {READINGS} readings of {len(leds)} lights in {len(rig)} cameras; "
-          f"log of {len(log)}; {reprocess(tracker, log).ok.sum()} of them with a pose")  # fmt: skip
+    print(
+        f"seed {arguments.seed}; {READINGS} readings of {len(leds)} lights in {len(rig)} cameras; "
+        f"log of {len(log)}; {reprocess(tracker, log).ok.sum()} of them with a pose"
+    )
     Console(width=100).print(table)
 
 
@@ -70,7 +72,9 @@ def _row(table: Table, name: str, call: Callable[[], object], count: int) -> Non
         call()
         spent.append(1e6 * (time.perf_counter() - start) / count)
     best, median = min(spent), float(np.median(spent))
-    table.add_row(name, f"{best:.2f}", f"{median:.2f}", f"{1e6 / best:,.0f}", f"{1e6 / median:,.0f}")
+    table.add_row(
+        name, f"{best:.2f}", f"{median:.2f}", f"{1e6 / best:,.0f}", f"{1e6 / median:,.0f}"
+    )
 
 
 def _plain(rig: object, leds: np.ndarray, currents: np.ndarray) -> None:

@@ -123,7 +123,7 @@ def test_folders_of_pictures_give_poses(laboratory, tmp_path: Path):
         ("calibrate FOLDER -o OUT --board 9", "--board"),
         ("calibrate FOLDER -o OUT --pitch-mm nan", "--pitch-mm"),
         ("calibrate FOLDER -o OUT --lens fisheye", "--lens"),
-        ("calibrate RIG -o OUT", "unknown key"),
+        ("calibrate RIG -o OUT", "missing, add it"),
         ("calibrate READINGS -o OUT", "JSON"),
         ("calibrate RIG -o NO/rig.json", "existing folder"),
     ],

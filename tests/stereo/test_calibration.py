@@ -158,7 +158,7 @@ def test_two_picture_cameras_are_recovered_within_the_reported_uncertainty():
 
 def test_a_view_that_one_camera_misses_still_counts():
     views, _ = simulated_views(0.1, 62)
-    fewer = (views.corners[0][:-1] + (None,), (None, *views.corners[1][1:]))
+    fewer = ((*views.corners[0][:-1], None), (None, *views.corners[1][1:]))
     made = calibrate_board(replace(views, corners=fewer))
     assert len(made.together.bundle.views) == 14
     never = (views.corners[0][:7] + (None,) * 7, (None,) * 7 + views.corners[1][7:])

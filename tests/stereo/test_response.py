@@ -21,9 +21,7 @@ def currents_of(x: float, y: float, light: float = 2.0) -> np.ndarray:
 def test_equations_1_and_2_give_the_place(normalisation: Normalisation):
     diode = Photodiode(Response.linear(0.005, normalisation), noise=1e-4)
     spots = diode.read([currents_of(0.3, -0.6), currents_of(0.0, 0.1, light=0.5)])
-    assert spots.positions == pytest.approx(
-        0.005 * np.array([[0.3, -0.6], [0.0, 0.1]]), abs=1e-15
-    )
+    assert spots.positions == pytest.approx(0.005 * np.array([[0.3, -0.6], [0.0, 0.1]]), abs=1e-15)
     assert spots.led.tolist() == [0, 1]
 
 
@@ -94,5 +92,5 @@ def test_weak_dark_and_broken_lights_are_not_seen():
     ],
 )
 def test_scans_that_determine_nothing_are_refused(beam: np.ndarray, scan: np.ndarray):
-    with pytest.raises(ValueError, match="scan|currents"):
+    with pytest.raises(ValueError, match=r"scan|currents"):
         fit_response(beam, scan)

@@ -1,8 +1,8 @@
 """The ``rendezview`` command: finds its sub-commands, and says errors in one line.
 
 Sub-commands are entry points of the group ``rendezview.commands``, each a function that
-typer understands, or a typer application with commands of its own; those of the ground side need ``rendezview[training]``. Only the one
-that is called is imported, so that each starts fast.
+typer understands, or a typer application with commands of its own; those of the ground side
+need ``rendezview[training]``. Only the one that is called is imported, so that each starts fast.
 """
 
 from __future__ import annotations

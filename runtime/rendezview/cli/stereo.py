@@ -85,7 +85,9 @@ def track(
         Path, typer.Argument(help="JSON lines of currents or spots, or a folder of pictures.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Results, BOP CSV.")],
-    log: Annotated[Path | None, typer.Option(help="Everything of each reading, JSON lines.")] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Everything of each reading, JSON lines.")
+    ] = None,
     filtered: Annotated[
         bool, typer.Option("--filter", help="Weigh each reading against the motion before it.")
     ] = False,
@@ -195,7 +197,9 @@ def _record(
 def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:
     parted = re.fullmatch(r"(\d+)x(\d+)", board)
     if parted is None or min(int(parted[1]), int(parted[2])) < 3:
-        raise RendezviewError(f"--board must be inner corners like 9x6, at least 3x3, not {board!r}")
+        raise RendezviewError(
+            f"--board must be inner corners like 9x6, at least 3x3, not {board!r}"
+        )
     if not (np.isfinite(pitch_mm) and pitch_mm > 0.0):
         raise RendezviewError(f"--pitch-mm must be positive, not {pitch_mm}")
     if lens not in ("opencv", "welch"):

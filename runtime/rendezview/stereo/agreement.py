@@ -64,7 +64,7 @@ def iterate(
 ) -> Fit | None:
     """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
     fit = Fit(
-        np.array(rotation), np.array(translation), np.empty((6, 6)), 0.0,
+        np.array(rotation, order="C"), np.array(translation), np.empty((6, 6)), 0.0,
         int(np.count_nonzero(sights.weight)) - UNKNOWNS, 0, sights,
     )  # fmt: skip
     if fit.spare < 0 or lights_seen(sights.weight) < FEWEST_LIGHTS:

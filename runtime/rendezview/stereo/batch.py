@@ -116,9 +116,7 @@ def _sights(
     places, sigma = np.empty((lights, 2)), np.empty((lights, 2))
     seen = np.empty(lights, np.bool_)
     for n in range(currents.shape[0]):
-        read_currents(
-            currents[n, camera], noise, total, response, half_width, places, sigma, seen
-        )
+        read_currents(currents[n, camera], noise, total, response, half_width, places, sigma, seen)
         for j in range(lights):
             xy[n, camera, j], weight[n, camera, j] = 0.0, 0.0
             if not seen[j]:

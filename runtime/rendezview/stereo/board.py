@@ -71,7 +71,7 @@ def read_board_views(
                     f"{name!r} are {size}: give pictures of one camera"
                 )
             size = (int(grey.shape[1]), int(grey.shape[0]))
-            found.append(find_corners(grey, board))
+            found.append(find_corners(np.asarray(grey, np.uint8), board))
         if size is None or sum(view is not None for view in found) < _FEWEST_VIEWS:
             raise RendezviewError(
                 f"camera {name!r}: the board with {board.columns} × {board.rows} inner corners is "
@@ -177,18 +177,14 @@ def rig_of(adjusted: Adjusted) -> Rig:
         # their own noise from what the model cannot follow.
         floor = rms if camera.photodiode is None else camera.floor
         cameras.append(replace(camera, sigma=sigma, rms=rms, floor=floor))
-    kept = [
-        i for i, name in enumerate(adjusted.names) if not name.startswith(("view", "point"))
-    ]
+    kept = [i for i, name in enumerate(adjusted.names) if not name.startswith(("view", "point"))]
     return Rig(
         tuple(cameras), adjusted.covariance[np.ix_(kept, kept)],
         tuple(adjusted.names[i] for i in kept),
     )  # fmt: skip
 
 
-def _observations(
-    views: BoardViews, cameras: Sequence[int], used: Sequence[int]
-) -> Observations:
+def _observations(views: BoardViews, cameras: Sequence[int], used: Sequence[int]) -> Observations:
     camera, view, point, places = [], [], [], []
     for i, k in enumerate(cameras):
         for j, v in enumerate(used):
@@ -236,7 +232,9 @@ def _board_pose(camera: RigCamera, points: Array, corners: Array) -> Pose:
     )
     if not ok:
         raise RendezviewError("a view of the board gives no pose: check --board and its pictures")
-    return Pose(cv2.Rodrigues(turn)[0], place.ravel())
+    return Pose(
+        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place.ravel(), np.float64)
+    )
 
 
 def _joined(

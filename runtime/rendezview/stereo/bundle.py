@@ -179,7 +179,9 @@ class _Columns:
         self.whitening: list[Array] = []  # (2, T, T)
         for camera, covariance in zip(bundle.cameras, bundle.responses, strict=False):
             self.responses.append(len(names))
-            names += [f"{camera.name}.{axis}{i + 1}" for axis in "ab" for i in range(covariance.shape[1])]
+            names += [
+                f"{camera.name}.{axis}{i + 1}" for axis in "ab" for i in range(covariance.shape[1])
+            ]
             self.whitening.append(
                 np.stack([np.linalg.cholesky(np.linalg.inv(axis)).T for axis in covariance])
             )
@@ -296,9 +298,7 @@ def _linearised(
     return np.concatenate([residual.ravel(), *extra_r]), np.concatenate([jacobian, *extra_j])
 
 
-def _priors(
-    bundle: Bundle, columns: _Columns, given: Bundle
-) -> tuple[list[Array], list[Array]]:
+def _priors(bundle: Bundle, columns: _Columns, given: Bundle) -> tuple[list[Array], list[Array]]:
     residuals: list[Array] = []
     rows: list[Array] = []
     for camera, name, value, sigma in bundle.priors:

@@ -315,7 +315,7 @@ def solve(
                     trial_r, trial_t, prior, prior_rotation, prior_translation,
                     trial_information, trial_gradient,
                 )  # fmt: skip
-            if trial <= cost * (1.0 + 1e-12) + 1e-12 or iterations == 1 and trial < np.inf:
+            if trial <= cost * (1.0 + 1e-12) + 1e-12 or (iterations == 1 and trial < np.inf):
                 break
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e9:

@@ -68,7 +68,7 @@ class Photodiode:
     noise: float  # r.m.s. noise of one of its currents, in the currents' unit
     half_width_m: float = 0.005  # of the sensitive area; the paper's is 1 cm × 1 cm
     # What `read_currents` asks for between the currents and its outputs.
-    kernel_arguments: tuple[Any, ...] = field(init=False, repr=False)
+    kernel_arguments: Any = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("noise", "half_width_m"):
@@ -138,7 +138,7 @@ def _sound(positions: Array, sigma: Array) -> bool:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _all_named(led: Ints) -> bool:
+    count = 0
     for number in led:
-        if number < 0:
-            return False
-    return True
+        count += number >= 0
+    return count == len(led)

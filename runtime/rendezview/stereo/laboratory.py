@@ -175,9 +175,7 @@ def _place_sigma(diode: Photodiode, currents: Array) -> Array:
     return diode.read(currents).sigma
 
 
-def _with_lens(
-    camera: RigCamera, k: int, record: LaboratoryRecord
-) -> tuple[RigCamera, Step]:
+def _with_lens(camera: RigCamera, k: int, record: LaboratoryRecord) -> tuple[RigCamera, Step]:
     """The lens from the views of the plate that this camera alone sees (eq. 6)."""
     mine = [
         v for v, view in enumerate(record.views)
@@ -185,21 +183,17 @@ def _with_lens(
     ]  # fmt: skip
     if not mine:
         raise RendezviewError(
-            f"camera {camera.name!r}: no view of the plate for its lens (one without rig_from_plate)"
+            f"camera {camera.name!r}: no view without rig_from_plate, for its lens"
         )
     poses = tuple(_start(camera, record, k, v) for v in mine)
     seen = _observations([camera], record, [k], mine)
-    plain = Bundle(
-        (camera,), poses, record.plate_m, ((),), (False,), (True,) * len(mine)
-    )
+    plain = Bundle((camera,), poses, record.plate_m, ((),), (False,), (True,) * len(mine))
     before = adjust(plain, seen).rms
     fitted = adjust(replace(plain, free_intrinsics=(_LENS,)), seen)
     return fitted.bundle.cameras[0], Step(f"{camera.name}: lens", before, fitted.rms)
 
 
-def _resected(
-    camera: RigCamera, k: int, record: LaboratoryRecord
-) -> tuple[RigCamera, Step]:
+def _resected(camera: RigCamera, k: int, record: LaboratoryRecord) -> tuple[RigCamera, Step]:
     """Place of the camera, and its focal length, from the surveyed plates it sees."""
     mine = [
         v for v, view in enumerate(record.views)
@@ -229,7 +223,8 @@ def _start(camera: RigCamera, record: LaboratoryRecord, k: int, view: int) -> Po
     spots = camera.photodiode.read(currents)
     if len(spots) < 6:
         raise RendezviewError(
-            f"view {view}: camera {camera.name!r} sees {len(spots)} lights of the plate, 6 are needed"
+            f"view {view}: camera {camera.name!r} sees {len(spots)} lights of the plate, "
+            "6 are needed"
         )
     ideal, _ = camera.ideal(spots)
     flag = cv2.SOLVEPNP_IPPE if np.ptp(record.plate_m[:, 2]) < 1e-9 else cv2.SOLVEPNP_SQPNP
@@ -237,7 +232,9 @@ def _start(camera: RigCamera, record: LaboratoryRecord, k: int, view: int) -> Po
     ok, turn, place = cv2.solvePnP(points, ideal, np.eye(3), None, flags=flag)
     if not ok:
         raise RendezviewError(f"view {view} of the plate gives no pose in camera {camera.name!r}")
-    return Pose(cv2.Rodrigues(turn)[0], place.ravel())
+    return Pose(
+        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place.ravel(), np.float64)
+    )
 
 
 def _unsurveyed(cameras: Sequence[RigCamera], view: int, record: LaboratoryRecord) -> Pose:
@@ -265,13 +262,21 @@ def _observations(
             for column, value in zip(
                 columns,
                 (
-                    np.full(len(spots), i), np.full(len(spots), j), spots.led, spots.positions,
-                    sigma, diode.response.terms(currents[spots.led]),
+                    np.full(len(spots), i),
+                    np.full(len(spots), j),
+                    spots.led,
+                    spots.positions,
+                    sigma,
+                    diode.response.terms(currents[spots.led]),
                 ),
                 strict=True,
             ):
                 column.append(value)
-    return Observations(*(np.concatenate(column) for column in columns))
+    camera, view, point, positions, sigma, terms = map(np.concatenate, columns)
+    return Observations(
+        camera.astype(np.int64), view.astype(np.int64), point.astype(np.int64), positions, sigma,
+        terms,
+    )  # fmt: skip
 
 
 def _apart(rig: Rig, record: LaboratoryRecord) -> float:

@@ -110,7 +110,9 @@ def load_record(path: StrPath) -> LaboratoryRecord:
             seen = tuple(
                 None
                 if rows is None
-                else _table([row or [np.nan] * 4 for row in rows], (len(plate), 4), f"views.{number}")
+                else _table(
+                    [row or [np.nan] * 4 for row in rows], (len(plate), 4), f"views.{number}"
+                )
                 for rows in view.currents
             )
             place = None if view.rig_from_plate is None else view.rig_from_plate.pose()

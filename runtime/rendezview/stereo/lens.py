@@ -155,7 +155,7 @@ class Lens:
             return measured, whole, by_coefficients
         ok = np.isfinite(measured).all(axis=1)
         whole[~ok] = np.eye(2)
-        inverse = np.linalg.inv(whole)
+        inverse = np.asarray(np.linalg.inv(whole), np.float64)
         return measured, inverse, -inverse @ by_coefficients
 
     def _mapped(self, points: npt.ArrayLike, forwards: bool) -> Array:

@@ -190,7 +190,9 @@ def _update(
     if not invert(information, lower, posterior):
         return False
     moved = difference(rotation, translation, prior_rotation, prior_translation)
-    gain = np.ascontiguousarray(prior[6:, :6]) @ inverse  # what a pose's correction says of the rates
+    gain = (
+        np.ascontiguousarray(prior[6:, :6]) @ inverse
+    )  # what a pose's correction says of the rates
     rates += gain @ moved
     covariance[:6, :6] = posterior
     covariance[6:, :6] = gain @ posterior
@@ -216,4 +218,4 @@ def _breaks(
     away = difference(seen_rotation, seen_translation, rotation, translation)
     if not cholesky_solve(both, away, lower, solution):
         return False
-    return away @ solution > _BREAK
+    return bool(away @ solution > _BREAK)

@@ -105,8 +105,8 @@ def fit_response(
         order: 3 as in the paper, or 5.
 
     Raises:
-        ValueError: shapes that do not fit, fewer than 4 places for each term, numbers not finite, or
-            places that do not determine a cubic (all on a line).
+        ValueError: shapes that do not fit, fewer than 4 places for each term, numbers not
+            finite, or places that do not determine the curve (all on a line).
     """
     beam = np.asarray(beam_m, dtype=np.float64)
     scans = np.asarray(currents, dtype=np.float64)
@@ -139,7 +139,7 @@ def fit_response(
     variance = (residuals**2).sum(axis=0) / (len(beam) - TERMS[order])
     affine, *_ = np.linalg.lstsq(matrix[:, :3], beam, rcond=None)
     return ResponseFit(
-        Response(solution.T, normalisation),
+        Response(np.asarray(solution.T, np.float64), normalisation),
         variance[:, None, None] * spread,
         residuals,
         matrix[:, :3] @ affine - beam,

@@ -91,7 +91,8 @@ class RigCamera:
             return (half + max(abs(self.cx), abs(self.cy))) / min(self.fx, self.fy)
         width, height = self.size
         return max(
-            max(self.cx, width - 1 - self.cx) / self.fx, max(self.cy, height - 1 - self.cy) / self.fy
+            max(self.cx, width - 1 - self.cx) / self.fx,
+            max(self.cy, height - 1 - self.cy) / self.fy,
         )
 
     def project(self, points_rig_m: npt.ArrayLike) -> Array:
@@ -108,7 +109,7 @@ class RigCamera:
         return xy, sigma
 
     @property
-    def kernel_arguments(self) -> tuple[Any, ...]:
+    def kernel_arguments(self) -> Any:
         """What the compiled correction needs of this camera."""
         intrinsics = np.array([self.fx, self.fy, self.cx, self.cy, self.floor])
         return intrinsics, self.lens.coefficients, self.lens.corrects
@@ -136,7 +137,7 @@ class Rig:
     covariance_names: tuple[str, ...] = ()
     rotations: Array = field(init=False)  # (C, 3, 3) camera from rig
     translations: Array = field(init=False)  # (C, 3)
-    _kernel_arguments: tuple[tuple[Any, ...], ...] = field(init=False)
+    _kernel_arguments: Any = field(init=False)
 
     def __post_init__(self) -> None:
         if not self.cameras:
@@ -168,7 +169,12 @@ class Rig:
         xy, weight = np.zeros((len(spots), leds, 2)), np.zeros((len(spots), leds, 2))
         for k, found in enumerate(spots):
             if not _fill_sights(
-                found.positions, found.sigma, found.led, *self._kernel_arguments[k], xy[k], weight[k]
+                found.positions,
+                found.sigma,
+                found.led,
+                *self._kernel_arguments[k],
+                xy[k],
+                weight[k],
             ):
                 raise ValueError(
                     f"camera {self.cameras[k].name!r} names a light beyond the target's {leds}"

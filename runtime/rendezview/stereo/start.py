@@ -56,7 +56,9 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Ca
     linear = linear_start(rig, leds, sights)
     whole = [] if linear is None else [linear]
     parts = [three_light_poses(rig, k, leds, sights) for k in range(len(rig))]
-    rotations = np.concatenate([[pose.rotation for pose in whole] or _NO[0], *(p[0] for p in parts)])
+    rotations = np.concatenate(
+        [[pose.rotation for pose in whole] or _NO[0], *(p[0] for p in parts)]
+    )
     translations = np.concatenate(
         [[pose.translation_m for pose in whole] or _NO[1], *(p[1] for p in parts)]
     )
@@ -114,7 +116,7 @@ def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
 def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Hypotheses:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
     seen = np.flatnonzero(sights.seen[camera])
-    triples = list(itertools.combinations(seen.tolist(), 3))
+    triples: list[tuple[int, ...]] = list(itertools.combinations(seen.tolist(), 3))
     xy = sights.xy[camera]
     if len(triples) > _MOST_TRIPLES:
         triples = widest(xy, triples)[:_MOST_TRIPLES]

@@ -72,7 +72,9 @@ class Sighting:
     def pose(self) -> Pose | None:
         """``camera_from_target`` of the first camera."""
         found = self.rig_from_target
-        return None if found is None or self.camera_from_rig is None else self.camera_from_rig @ found
+        return (
+            None if found is None or self.camera_from_rig is None else self.camera_from_rig @ found
+        )
 
     @property
     def covariance(self) -> Array | None:
@@ -80,7 +82,7 @@ class Sighting:
         if self.estimate is not None:
             in_rig = self.estimate.covariance[:6, :6]
         elif self.fit is not None:
-            in_rig = np.linalg.inv(self.fit.information)
+            in_rig = np.asarray(np.linalg.inv(self.fit.information), np.float64)
         else:
             return None
         assert self.camera_from_rig is not None
@@ -126,8 +128,9 @@ class StereoTracker:
     ) -> None:
         self.rig = rig
         self.leds = required_leds(list(np.asarray(leds, dtype=np.float64)), "the target")
-        given = np.zeros_like(self.leds) if normals is None else normals
-        self.normals = np.ascontiguousarray(given, dtype=np.float64)
+        self.normals = np.zeros_like(self.leds)
+        if normals is not None:
+            self.normals = np.ascontiguousarray(normals, dtype=np.float64)
         if self.normals.shape != self.leds.shape:
             raise ValueError(f"normals must be {self.leds.shape}, not {self.normals.shape}")
         self.options = options or TrackerOptions()
@@ -216,7 +219,7 @@ class StereoTracker:
             turned = [np.trace(fit.rotation @ forecast.rotation.T) for fit in (best, *others)]
             order = np.argsort(turned)
             if turned[order[-1]] > 1.0 + 2.0 * np.cos(np.deg2rad(20.0)):
-                return (best, *others)[order[-1]]
+                return [best, *others][int(order[-1])]
         return Disagreement(
             f"{1 + len(others)} poses fit the lights equally well: show more lights, or a prior",
             ambiguous=True,
@@ -282,7 +285,7 @@ class StereoTracker:
                 forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, own
             )
         if after is None:  # the first, or the target did what the filter holds impossible
-            covariance = np.linalg.inv(fit.information)
+            covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
             after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
         self._last = after
         return Sighting(Status.OK, None, fit, after, found_anew, named, self._first)

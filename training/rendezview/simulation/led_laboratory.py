@@ -52,9 +52,7 @@ class Laboratory:
         self.options = options or LaboratoryOptions()
         rng = np.random.default_rng([seed, 1991])
         self.rig = Rig(
-            tuple(
-                self._camera(name, side, rng) for name, side in (("left", -0.5), ("right", 0.5))
-            )
+            tuple(self._camera(name, side, rng) for name, side in (("left", -0.5), ("right", 0.5)))
         )
         self._skew = [rng.normal(0.0, 0.004, (2, 3)) for _ in self.rig.cameras]
         across = rng.uniform(0.0, 2.0 * np.pi)

@@ -70,7 +70,7 @@ def draw(
         x = np.exp(-0.5 * ((np.arange(left, right) - u) / s) ** 2)
         y = np.exp(-0.5 * ((np.arange(top, bottom) - v) / s) ** 2)
         grey[top:bottom, left:right] += options.peak_grey * np.outer(y, x)
-    return np.clip(np.rint(grey), 0.0, 255.0).astype(np.uint8)
+    return np.asarray(np.clip(np.rint(grey), 0.0, 255.0), dtype=np.uint8)
 
 
 def picture_bound(rig: Rig, leds: Array, pose: Pose, options: PictureOptions) -> Array:
