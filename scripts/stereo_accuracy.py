@@ -147,8 +147,8 @@ def _row(
     scatter = float(np.sqrt((scatters**2).mean()))
     table.add_row(
         f"{step}°", name, f"{len(lines)} × {POSITIONS} of {scans} scan{'s' * (scans > 1)}",
-        f"{slopes.mean():.4f}", f"{scatter:.4f}°",
-        "" if bound is None else f"{bound:.4f}°", "" if bound is None else f"{scatter / bound:.3f}",
+        f"{slopes.mean():.4f}", f"{scatter:.5f}°",
+        "" if bound is None else f"{bound:.5f}°", "" if bound is None else f"{scatter / bound:.3f}",
     )  # fmt: skip
 
 

@@ -68,7 +68,11 @@ def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
         piece = given[first : first + _PIECE]
         for k, (camera, diode) in enumerate(zip(rig.cameras, diodes, strict=True)):
             assert diode is not None
-            _sights(piece, k, *diode.kernel_arguments, *camera.kernel_arguments, xy, weight)
+            noise, total, curve, half_width = diode.kernel_arguments
+            given_camera, lens, corrects = camera.kernel_arguments
+            _sights(
+                piece, k, noise, total, curve, half_width, given_camera, lens, corrects, xy, weight
+            )
         done, end = first, first + len(piece)
         while done < end:  # up to the next one that needs more than iterations
             if done > 0 and out.ok[done - 1]:

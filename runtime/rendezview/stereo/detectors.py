@@ -95,7 +95,9 @@ class Photodiode:
             raise ValueError(f"currents must be (lights, 4), not {given.shape}")
         positions, sigma = np.empty((len(given), 2)), np.empty((len(given), 2))
         seen = np.empty(len(given), np.bool_)
-        if read_currents(given, *self.kernel_arguments, positions, sigma, seen) == len(given):
+        noise, total, curve, half_width = self.kernel_arguments
+        count = read_currents(given, noise, total, curve, half_width, positions, sigma, seen)
+        if count == len(given):
             return Spots(positions, sigma, np.arange(len(given)))
         led = np.flatnonzero(seen)
         return Spots(positions[led], sigma[led], led)

@@ -105,7 +105,8 @@ class RigCamera:
     def ideal(self, spots: Spots) -> tuple[Array, Array]:
         """(N, 2) ideal places of spots, normalised, and their standard deviations."""
         xy, sigma = np.empty((len(spots), 2)), np.empty((len(spots), 2))
-        _ideal(spots.positions, spots.sigma, *self.kernel_arguments, xy, sigma)
+        k, lens, corrects = self.kernel_arguments
+        _ideal(spots.positions, spots.sigma, k, lens, corrects, xy, sigma)
         return xy, sigma
 
     @property
@@ -168,13 +169,9 @@ class Rig:
             raise ValueError(f"{len(spots)} cameras' spots for a rig of {len(self.cameras)}")
         xy, weight = np.zeros((len(spots), leds, 2)), np.zeros((len(spots), leds, 2))
         for k, found in enumerate(spots):
+            given, lens, corrects = self._kernel_arguments[k]
             if not _fill_sights(
-                found.positions,
-                found.sigma,
-                found.led,
-                *self._kernel_arguments[k],
-                xy[k],
-                weight[k],
+                found.positions, found.sigma, found.led, given, lens, corrects, xy[k], weight[k]
             ):
                 raise ValueError(
                     f"camera {self.cameras[k].name!r} names a light beyond the target's {leds}"
