@@ -46,12 +46,12 @@ class RigCamera:
     rms: float | None = None  # calibration residual, detector units
 
     def __post_init__(self) -> None:
-        for name in ("fx", "fy", "cx", "cy", "floor"):
+        for name, least in (("fx", 0.0), ("fy", 0.0), ("cx", -math.inf), ("cy", -math.inf)):
             value = float(getattr(self, name))
-            if not math.isfinite(value) or (name in ("fx", "fy") and value <= 0.0) or value < 0.0:
-                if name in ("cx", "cy") and math.isfinite(value):
-                    continue
+            if not (math.isfinite(value) and value > least):
                 raise ValueError(f"{name} of camera {self.name!r} must not be {value}")
+        if not 0.0 <= self.floor < math.inf:
+            raise ValueError(f"floor of camera {self.name!r} must not be {self.floor}")
         if (self.size is None) == (self.photodiode is None):
             raise ValueError(f"camera {self.name!r} needs a size in pixels or a photodiode")
         if self.size is not None and not all(isinstance(n, int) and n > 0 for n in self.size):
