@@ -1,8 +1,8 @@
 """The ``rendezview`` command: finds its sub-commands, and says errors in one line.
 
 Sub-commands are entry points of the group ``rendezview.commands``, each a function that
-typer understands; those of the ground side need ``rendezview[training]``. Only the one
-that is called is imported, so that each starts fast.
+typer understands, or a typer application with commands of its own; those of the ground side
+need ``rendezview[training]``. Only the one that is called is imported, so that each starts fast.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _SUMMARIES = {
     "train": "Train a view model of a target.",
     "simulate": "Render camera frames of a target with the truth of every one.",
     "track": "Recognise and track a target through a sequence of frames.",
+    "stereo": "Track a target's lights with two or more cameras.",
     "evaluate": "Compare results with the truth of their scene.",
     "show": "Draw a model, a scene or a log.",
     "export": "Print a model's decision trees.",
@@ -49,7 +50,10 @@ def make_app(called: str | None) -> typer.Typer:
     points = {point.name: point for point in metadata.entry_points(group=GROUP)}
     for name in sorted(points, key=_place):
         command = _load(points[name]) if name == called else _nothing
-        app.command(name, help=_SUMMARIES.get(name) if command is _nothing else None)(command)
+        if isinstance(command, typer.Typer):  # a command with commands of its own
+            app.add_typer(command, name=name)
+        else:
+            app.command(name, help=_SUMMARIES.get(name) if command is _nothing else None)(command)
     return app
 
 
@@ -58,9 +62,9 @@ def _place(name: str) -> tuple[int, str]:
     return (names.index(name) if name in names else len(names), name)
 
 
-def _load(point: metadata.EntryPoint) -> Callable[..., Any]:
+def _load(point: metadata.EntryPoint) -> Callable[..., Any] | typer.Typer:
     try:
-        command: Callable[..., Any] = point.load()
+        command: Callable[..., Any] | typer.Typer = point.load()
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "rendezview":
             raise

@@ -1,0 +1,239 @@
+"""``rendezview stereo calibrate`` and ``rendezview stereo track``."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.results import JsonLinesWriter, ResultRow, write_results
+from rendezview.stereo import MotionOptions, Rig, Sighting, Status, StereoTracker, TrackerOptions
+from rendezview.stereo.board import (
+    OPENCV_FIVE,
+    Chessboard,
+    calibrate_board,
+    picture_pairs,
+    read_board_views,
+)
+from rendezview.stereo.bundle import INTRINSICS
+from rendezview.stereo.laboratory import calibrate_laboratory
+from rendezview.stereo.laboratory_files import load_record
+from rendezview.stereo.readings import Reading, open_readings
+from rendezview.stereo.rig_files import load_rig, save_opencv, save_rig
+from rendezview.stereo.spots import SpotOptions
+from rendezview.target import Target
+
+stereo = typer.Typer(
+    help="Track a target's lights with two or more cameras.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@stereo.command()
+def calibrate(
+    source: Annotated[
+        Path,
+        typer.Argument(help="Folder of board pictures, or a laboratory's record (*.json)."),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Rig file to write (JSON).")],
+    board: Annotated[str, typer.Option(help="Inner corners of the chessboard.")] = "9x6",
+    pitch_mm: Annotated[float, typer.Option(help="Distance of two corners.")] = 25.0,
+    lens: Annotated[
+        str, typer.Option(help="opencv, or welch: eq. 6 from measured to ideal, p3 and centre too.")
+    ] = "opencv",
+    opencv: Annotated[
+        Path | None, typer.Option(help="Write OpenCV's M1 D1 M2 D2 R T besides (YAML).")
+    ] = None,
+    order: Annotated[
+        int, typer.Option(help="Of a photodiode's response: 3 as in the paper, or 5.")
+    ] = 5,
+) -> None:
+    """Calibrate cameras, lenses and their places.
+
+    \b
+    Pictures are left01.png right01.png ... or left/01.png right/01.png ...
+    Example: rendezview stereo calibrate pictures --board 9x6 --pitch-mm 25 -o rig.json
+    """
+    if output.is_dir() or not output.parent.is_dir():
+        raise RendezviewError(f"{output}: give a file name in an existing folder for the rig")
+    rig = (
+        _from_pictures(source, board, pitch_mm, lens)
+        if source.is_dir()
+        else _from_record(source, order)
+    )
+    save_rig(rig, output)
+    if opencv is not None:
+        save_opencv(rig, opencv)
+    _print_rig(rig)
+
+
+@stereo.command()
+def track(
+    rig: Annotated[Path, typer.Argument(help="Rig file (JSON), or OpenCV's stereo YAML.")],
+    target: Annotated[Path, typer.Argument(help="Target file with [[leds]], or its folder.")],
+    readings: Annotated[
+        Path, typer.Argument(help="JSON lines of currents or spots, or a folder of pictures.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Results, BOP CSV.")],
+    log: Annotated[
+        Path | None, typer.Option(help="Everything of each reading, JSON lines.")
+    ] = None,
+    filtered: Annotated[
+        bool, typer.Option("--filter", help="Weigh each reading against the motion before it.")
+    ] = False,
+    angular: Annotated[
+        float, typer.Option(help="With --filter: angular acceleration, deg/s² √s.")
+    ] = 1.0,
+    linear: Annotated[float, typer.Option(help="With --filter: acceleration, m/s² √s.")] = 0.02,
+    rate: Annotated[float, typer.Option(help="Pictures a second.")] = 1.0,
+    threshold: Annotated[
+        float | None, typer.Option(help="Grey levels above the sky that make a light.")
+    ] = None,
+) -> None:
+    """Track a target's lights through a log of readings or pictures.
+
+    \b
+    Example: rendezview stereo track rig.json scole readings.jsonl -o poses.csv --log log.jsonl
+    """
+    if output.is_dir() or not output.parent.is_dir():
+        raise RendezviewError(f"{output}: give a file name in an existing folder for the results")
+    places = [path.resolve() for path in (output, log, rig, readings) if path is not None]
+    if len(set(places)) < len(places):
+        raise RendezviewError(f"{output}: rig, readings, results and log must be different files")
+    loaded = load_rig(rig)
+    lights = Target.load(target)
+    names = tuple(led.name for led in lights.leds)
+    motion = None
+    if filtered:
+        if not (np.isfinite(angular) and np.isfinite(linear) and min(angular, linear) >= 0.0):
+            raise RendezviewError("--angular and --linear must not be negative")
+        motion = MotionOptions(
+            angular_acceleration=float(np.deg2rad(angular)), linear_acceleration=linear
+        )
+    tracker = StereoTracker.of_target(loaded, lights, TrackerOptions(motion=motion))
+    options = SpotOptions(threshold_grey=threshold)
+    series = open_readings(readings, loaded, names, rate_hz=rate, options=options)
+    if not series:
+        raise RendezviewError(f"{readings}: holds no readings")
+    rows: list[ResultRow] = []
+    outcomes: Counter[str] = Counter()
+    spent_ms: list[float] = []
+    writer = JsonLinesWriter(log) if log else None
+    try:
+        with ProgressBar() as progress:
+            for done, reading in enumerate(series, start=1):
+                start = time.perf_counter()
+                sighting = tracker.update(reading.time_s, reading.fetch())
+                spent_ms.append(1e3 * (time.perf_counter() - start))
+                outcomes[sighting.status] += 1
+                if sighting.pose is not None:
+                    believed = sum(int((found.led >= 0).sum()) for found in sighting.spots)
+                    score = float(believed - len(sighting.left_out))
+                    rows.append(
+                        ResultRow(1, reading.im_id, 1, score, sighting.pose, 1e-3 * spent_ms[-1])
+                    )
+                if writer:
+                    writer.write(_record(reading, sighting, loaded, names, spent_ms[-1]))
+                progress("readings", done, len(series))
+    finally:
+        try:
+            if writer and outcomes:
+                writer.close()
+            elif writer:
+                writer.partial_path.unlink(missing_ok=True)
+        finally:
+            if outcomes:
+                write_results(output, rows)
+    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != Status.OK)
+    Console(stderr=True).print(
+        f"{len(rows)} poses in {len(series)} readings"
+        + (f" ({told})" if told else "")
+        + f", median {np.median(spent_ms):.3f} ms a reading",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _record(
+    reading: Reading, sighting: Sighting, rig: Rig, names: tuple[str, ...], spent_ms: float
+) -> dict[str, Any]:
+    angles, fit = sighting.yaw_pitch_roll, sighting.fit
+    return {
+        "im_id": reading.im_id,
+        "time_s": reading.time_s,
+        "status": str(sighting.status),
+        "reason": sighting.reason,
+        "pose": sighting.pose,
+        "covariance": sighting.covariance,
+        "rig_from_target": sighting.rig_from_target,
+        "yaw_pitch_roll_rad": None if angles is None else list(angles),
+        "rates": None if sighting.estimate is None else sighting.estimate.rates,
+        "sum_of_squares": None if fit is None else fit.cost,
+        "degrees_of_freedom": None if fit is None else fit.spare,
+        "left_out": [
+            {"camera": rig.cameras[camera].name, "led": names[light]}
+            for camera, light in sighting.left_out
+        ],
+        "exchanged": [[names[a], names[b]] for a, b in sighting.exchanged],
+        "leds": [
+            [names[number] if number >= 0 else None for number in found.led]
+            for found in sighting.spots
+        ],
+        "found_anew": sighting.found_anew,
+        "stage_ms": {"track": spent_ms},
+    }
+
+
+def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:
+    parted = re.fullmatch(r"(\d+)x(\d+)", board)
+    if parted is None or min(int(parted[1]), int(parted[2])) < 3:
+        raise RendezviewError(
+            f"--board must be inner corners like 9x6, at least 3x3, not {board!r}"
+        )
+    if not (np.isfinite(pitch_mm) and pitch_mm > 0.0):
+        raise RendezviewError(f"--pitch-mm must be positive, not {pitch_mm}")
+    if lens not in ("opencv", "welch"):
+        raise RendezviewError(f"--lens must be opencv or welch, not {lens!r}")
+    pattern = Chessboard(int(parted[1]), int(parted[2]), 1e-3 * pitch_mm)
+    views = read_board_views(picture_pairs(folder), pattern)
+    free = OPENCV_FIVE if lens == "opencv" else INTRINSICS
+    made = calibrate_board(views, free=free, corrects=lens == "welch")
+    Console(stderr=True).print(
+        "r.m.s. "
+        + ", ".join(f"{n} {a.rms:.3f} px" for n, a in zip(views.names, made.alone, strict=True))
+        + f", together {made.together.rms:.3f} px",
+        highlight=False,
+    )
+    return made.rig
+
+
+def _from_record(path: Path, order: int) -> Rig:
+    if order not in (3, 5):
+        raise RendezviewError(f"--order must be 3 or 5, not {order}")
+    made = calibrate_laboratory(load_record(path), order=order)
+    table = Table("step", "before, µm", "after, µm")
+    for step in made.steps:
+        table.add_row(step.name, f"{1e6 * step.before_m:.2f}", f"{1e6 * step.after_m:.2f}")
+    Console(stderr=True).print(table)
+    return made.rig
+
+
+def _print_rig(rig: Rig) -> None:
+    table = Table("camera", "parameter", "value", "σ")
+    for camera in rig.cameras:
+        values = [camera.fx, camera.fy, camera.cx, camera.cy, *camera.lens.coefficients]
+        for name, value in zip(INTRINSICS, values, strict=True):
+            sigma = camera.sigma.get(name, camera.sigma.get("f") if name[0] == "f" else None)
+            if sigma is not None:
+                table.add_row(camera.name, name, f"{value:.6g}", f"{sigma:.2g}")
+    Console(stderr=True).print(table)
