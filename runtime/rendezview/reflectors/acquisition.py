@@ -15,7 +15,16 @@ from rendezview.pose import Array, Pose
 from rendezview.reflectors.p3p import MAX_ROOTS, p3p_roots
 from rendezview.reflectors.pattern import ReflectorPattern
 from rendezview.reflectors.refinement import Refined, camera_numbers, project_disc, refine
-from rendezview.reflectors.spots import BOTTOM, LEFT, PEAK, RIGHT, SHAPE, SIZE, TOP, Spots
+from rendezview.reflectors.spots import (
+    AMPLITUDE,
+    BOTTOM,
+    LEFT,
+    RIGHT,
+    SHAPE,
+    SIZE,
+    TOP,
+    Spots,
+)
 from rendezview.reflectors.status import Status
 from rendezview.reflectors.triplets import Hourglass, expected_size, hourglass_of, search
 
@@ -33,13 +42,13 @@ class AcquisitionOptions:
     nearest_m: float = 0.3
     farthest_m: float = 150.0
     blur_px: float = 0.75  # σ of the optics and of a pixel's width together
-    size_sigma: float = 0.06  # of ln(size): noise, focus, the disc's own tilt
-    peak_sigma: float = 0.10  # of ln(brightness) of the centre spot against the outer two
+    size_sigma: float = 0.035  # of ln(size): noise, focus, the disc's own tilt
+    peak_sigma: float = 0.08  # of ln(brightness) of the centre spot against the outer two
     beam_sigma: float = 0.45  # of ln(brightness) between the outer two: the beam has a middle
     size_limit: float = 0.25  # ln, of one spot before anything else is tried
     peak_limit: float = 1.2  # ln, between two spots
     least_shape: float = 0.55  # small over large axis: a disc at 40° has 0.77, an edge far less
-    score_limit: float = 14.0  # χ² of three sizes and brightnesses: one target in 10³ has more
+    score_limit: float = 25.0  # χ² of three sizes and brightnesses
     rival_margin: float = 6.0  # χ² by which the best must win over other spots
     match_px: float = 1.5  # a further reflector is its spot when this near
     reacquisition: float = 0.25  # of the last range: how far the new one may be
@@ -106,6 +115,11 @@ class Acquirer:
             p.name: p.positions_m[p.base[1]] - p.positions_m[p.base[0]] for p in patterns
         }
         self._groups = [p.name for p in patterns for _ in p.names]
+        # A triangle's own group first: of two reflectors in one place it has the better claim.
+        self._orders = {
+            p.name: np.argsort([g != p.name for g in self._groups], kind="stable")
+            for p in patterns
+        }
         self._lens = camera_numbers(camera)
 
     def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
@@ -181,7 +195,7 @@ class Acquirer:
             & (table[:, BOTTOM] < self.camera.height - 1)
         )
         round_ = table[:, SHAPE] >= self.options.least_shape
-        return np.flatnonzero(whole & round_ & (table[:, PEAK] > 0.0))
+        return np.flatnonzero(whole & round_ & (table[:, AMPLITUDE] > 0.0))
 
     def _candidates(
         self, spots: Spots, usable: npt.NDArray[np.int64], prior: Pose | None
@@ -196,7 +210,7 @@ class Acquirer:
         usable, rays = usable[seen], rays[seen]
         directions = rays / np.sqrt((rays * rays).sum(axis=1))[:, None]
         flat = np.ascontiguousarray(rays[:, :2] * camera.fx)
-        sizes, peaks = spots.table[usable, SIZE], spots.table[usable, PEAK]
+        sizes, peaks = spots.table[usable, SIZE], spots.table[usable, AMPLITUDE]
         order = np.argsort(flat[:, 0], kind="stable")
         window = _NO_RANGE
         if prior is not None:
@@ -288,7 +302,7 @@ class Acquirer:
             for item in judged[1:]
             if item[0] == most
             and set(item[4].tolist()) == mine
-            and item[5].angle_to(pose) > 0.2
+            and np.trace(item[5].rotation @ pose.rotation.T) < 2.96  # 0.2 rad apart
         ]
         ambiguous = prior is None and (
             bool(alike) or (len(groups) == 1 and len(self._turns[triangle.group]) > 1)
@@ -318,39 +332,16 @@ class Acquirer:
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Reflectors (K,) and their spots (K,): the three, as numbered by this pose, and others
         that stand where the pose shows them and are as large."""
-        predicted = np.empty((len(self.constellation), 3))
-        _expect(
+        which = np.empty(len(self.constellation), np.int64)
+        where = np.empty(len(self.constellation), np.int64)
+        count = _match(
             self._lens, self.constellation.positions_m, self.constellation.normals,
             self.constellation.diameters_m, np.ascontiguousarray(pose.rotation),
             np.ascontiguousarray(pose.translation_m), self.camera.fx, self.options.blur_px,
-            predicted,
+            self._orders[triangle.group], spots.table, usable, three,
+            (self.options.match_px, self.options.size_limit), which, where,
         )  # fmt: skip
-        places = spots.table[usable, :2]
-        which, where = [], []
-        taken: set[int] = set()
-        # Its own group first: of two reflectors in one place it has the better claim.
-        order = sorted(range(len(self._groups)), key=lambda k: self._groups[k] != triangle.group)
-        base_px = float(
-            np.linalg.norm(spots.table[three[2], :2] - spots.table[three[0], :2])
-        )
-        for k in order:
-            if not np.isfinite(predicted[k]).all():
-                continue
-            offset = np.hypot(*(places - predicted[k, :2]).T)
-            # Away from the three a pose's error grows: by so many base lengths.
-            reach = self.options.match_px * max(
-                1.0,
-                float(np.linalg.norm(predicted[k, :2] - spots.table[three[1], :2]))
-                / max(base_px, 1.0),
-            )
-            ratio = np.abs(np.log(spots.table[usable, SIZE] / predicted[k, 2]))
-            offset = np.where(ratio < self.options.size_limit, offset, np.inf)
-            nearest = int(np.argmin(offset))
-            if offset[nearest] < reach and int(usable[nearest]) not in taken:
-                taken.add(int(usable[nearest]))
-                which.append(k)
-                where.append(int(usable[nearest]))
-        return np.array(which, dtype=np.int64), np.array(where, dtype=np.int64)
+        return which[:count], where[:count]
 
 
 def _turns(pattern: ReflectorPattern) -> list[Pose]:
@@ -392,13 +383,9 @@ def _judge(  # type: ignore[no-untyped-def]
     rays = np.empty((3, 3))
     rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
     size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
+    shine = np.empty(3)
     for n in range(triplets.shape[0]):
         scores[n] = np.inf
-        first, middle, last = (
-            math.log(peaks[triplets[n, 0]]),
-            math.log(peaks[triplets[n, 1]]),
-            math.log(peaks[triplets[n, 2]]),
-        )
         for i in range(3):
             for j in range(3):
                 rays[i, j] = directions[triplets[n, i], j]
@@ -407,9 +394,7 @@ def _judge(  # type: ignore[no-untyped-def]
         if k < 0:
             continue
         rotation, translation = rotations[k], translations[k]
-        # Beam and return fall smoothly across the target: the middle shines like the mean.
-        uneven, bright = (first - last) / beam_sigma, (middle - 0.5 * (first + last)) / peak_sigma
-        chi = uneven * uneven + bright * bright
+        chi = 0.0
         for i in range(3):
             x, y, z = _place(rotation, translation, points, i)
             far = math.sqrt(x * x + y * y + z * z)
@@ -426,8 +411,15 @@ def _judge(  # type: ignore[no-untyped-def]
             # Mean of the ellipse's axes, one foreshortened.
             radius = 0.5 * diameters[i] * focal_px / far * math.sqrt(0.5 * (1.0 + facing * facing))
             s = triplets[n, i]
-            error = math.log(sizes[s] / expected_size(blur_px, radius)) / size_sigma
+            expected = expected_size(blur_px, radius)
+            error = math.log(sizes[s] / expected) / size_sigma
             chi += error * error
+            # Illumination falls with range², and blur thins a small disc.
+            shine[i] = math.log(peaks[s] * (far * expected / radius) ** 2)
+        # Beam and return fall smoothly across the target: the middle shines like the mean.
+        uneven = (shine[0] - shine[2]) / beam_sigma
+        bright = (shine[1] - 0.5 * (shine[0] + shine[2])) / peak_sigma
+        chi += uneven * uneven + bright * bright
         scores[n] = chi
         poses[n, :9] = rotation.reshape(-1)
         poses[n, 9:] = translation
@@ -488,3 +480,39 @@ def _expect(  # type: ignore[no-untyped-def]
         )
         if not facing > 0.0:
             out[i, 0] = np.nan
+
+
+@njit(cache=True, nogil=True)
+def _match(  # type: ignore[no-untyped-def]
+    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, order, table,
+    usable, three, limits, which, where,
+):  # fmt: skip
+    """Reflectors and the spots that stand where a pose shows them and are as large."""
+    match_px, size_limit = limits
+    expected = np.empty((points.shape[0], 3))
+    _expect(
+        lens, points, normals, diameters, rotation, translation, focal_px, blur_px, expected
+    )
+    bx, by = table[three[2], 0] - table[three[0], 0], table[three[2], 1] - table[three[0], 1]
+    base = max(math.sqrt(bx * bx + by * by), 1.0)
+    count = 0
+    for k in order:
+        x, y, size = expected[k]
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        away = math.hypot(x - table[three[1], 0], y - table[three[1], 1])
+        # Away from the three a pose's error grows: by so many base lengths.
+        nearest, chosen = match_px * max(1.0, away / base), -1
+        for s in usable:
+            offset = math.hypot(table[s, 0] - x, table[s, 1] - y)
+            if offset >= nearest or abs(math.log(table[s, SIZE] / size)) > size_limit:
+                continue
+            taken = False
+            for c in range(count):
+                taken = taken or where[c] == s
+            if not taken:
+                nearest, chosen = offset, s
+        if chosen >= 0:
+            which[count], where[count] = k, chosen
+            count += 1
+    return count

@@ -29,9 +29,9 @@ from rendezview.reflectors.difference import (
 SATURATED_GREY = 255
 MOST_SPOTS = 400  # more than that is no picture of a target
 # Columns of the spot table that the compiled loops fill.
-X, Y, AREA, FLUX, PEAK, SIZE, SATURATED, SIGMA = range(8)
-BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK = range(8, 18)
-COLUMNS = 18
+X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
+BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(8, 19)
+COLUMNS = 19
 
 _ROUNDS = 12
 _SETTLED_PX = 2e-4
@@ -49,7 +49,7 @@ class Centroid(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spots:
-    """Spots of one picture; ``table`` (N, 18) as the compiled loops use it."""
+    """Spots of one picture; ``table`` (N, 19) as the compiled loops use it."""
 
     table: Array
     overfull: bool = False  # more than MOST_SPOTS were found, and dropped
@@ -189,7 +189,8 @@ def gather(flat, width, height, start, lit, dark, level, stack, row):  # type: i
                     flat[n] = 0
                     stack[depth] = n
                     depth += 1
-    row[AREA], row[FLUX], row[PEAK], row[SATURATED] = area, flux, peak, saturated
+    row[AREA], row[AMPLITUDE], row[PEAK], row[SATURATED] = area, peak, peak, saturated
+    row[ABOVE] = flux
     row[BINARY_X], row[BINARY_Y] = x_first + bx / area, y_first + by / area
     if flux > 0.0:
         mx, my = wx / flux, wy / flux
@@ -220,7 +221,7 @@ def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
         if method == 0:  # each pixel of the rim is in or out: uniform, about √area of them
             row[SIGMA] = 0.29 / row[AREA] ** 0.25
         else:  # noise of every pixel times its lever, the thresholded rim included
-            row[SIGMA] = noise * row[SIZE] * math.sqrt(row[AREA]) / max(row[FLUX], 1e-6)
+            row[SIGMA] = noise * row[SIZE] * math.sqrt(row[AREA]) / max(row[ABOVE], 1e-6)
 
 
 @njit(cache=True, nogil=True)
@@ -268,6 +269,7 @@ def _window(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-de
             lever += rows[v] * rows[v] * 0.5 * (qxx + q * dy * dy)
         if not total > 0.0:
             break
+        row[AMPLITUDE] = total / (math.pi * sigma * sigma)  # a Gaussian's peak, whatever its phase
         # Newton on "no first moment": d(mx)/dx = mxx / σ² − total, −total/2 for a Gaussian.
         sx = min(mxx / (sigma * sigma) - total, -0.25 * total)
         sy = min(myy / (sigma * sigma) - total, -0.25 * total)

@@ -1,0 +1,141 @@
+"""Reading the spots inside small windows about where they are expected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rendezview.reflectors.spots import (
+    AREA,
+    BOTTOM,
+    COLUMNS,
+    LEFT,
+    PEAK,
+    RIGHT,
+    SHAPE,
+    SIZE,
+    TOP,
+    X,
+    Y,
+    _window,
+    gather,
+)
+
+_NO_WINDOW, _NOTHING, _STRANGER, _SEEN = 0, 1, 2, 3
+SEEN = _SEEN
+
+
+@njit(cache=True, nogil=True)
+def read_windows(  # type: ignore[no-untyped-def]
+    lit, dark, expected, half, level, noise, limits, table, outcome
+):
+    """Look for one spot in each window.
+
+    Args:
+        lit, dark: (H, W) pictures, the dark one (0, 0) where there is none.
+        expected: (N, 3) x, y, size in px; NaN where no spot is to be looked for.
+        half: (N,) half width of the windows, px.
+        level: (N,) threshold of the difference, grey.
+        noise: of one pixel of the difference, grey.
+        limits: largest |ln| of size over expected size, least shape (small over large axis).
+        table: (N, 19) rows of the spot table, filled where a spot is seen.
+        outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
+            reflector, 3 seen.
+    """
+    height, width = lit.shape
+    size_limit, least_shape = limits
+    columns, rows = np.empty(width), np.empty(height)
+    row = np.empty(COLUMNS)
+    for i in range(expected.shape[0]):
+        outcome[i] = _NO_WINDOW
+        x, y, size = expected[i, 0], expected[i, 1], expected[i, 2]
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        x0, x1 = int(math.ceil(x - half[i])), int(math.floor(x + half[i]))
+        y0, y1 = int(math.ceil(y - half[i])), int(math.floor(y + half[i]))
+        x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width - 1), min(y1, height - 1)
+        w, h = x1 - x0 + 1, y1 - y0 + 1
+        if w < 3 or h < 3:
+            continue
+        outcome[i] = _NOTHING
+        part = lit[y0 : y1 + 1, x0 : x1 + 1]
+        part_dark = dark[y0 : y1 + 1, x0 : x1 + 1] if dark.shape[0] > 0 else dark
+        flat = np.empty(w * h, np.uint8)
+        for v in range(h):
+            for u in range(w):
+                value = float(part[v, u])
+                if dark.shape[0] > 0:
+                    value -= part_dark[v, u]
+                flat[v * w + u] = 255 if value > level[i] else 0
+        stack = np.empty(w * h, np.int32)
+        best = np.inf
+        for start in range(w * h):
+            if flat[start] == 0:
+                continue
+            gather(flat, w, h, start, part, part_dark, level[i], stack, row)
+            if row[AREA] < 3:  # lone pixels: noise
+                continue
+            if outcome[i] == _NOTHING:
+                outcome[i] = _STRANGER
+            inside = row[LEFT] > 0 and row[TOP] > 0 and row[RIGHT] < w - 1 and row[BOTTOM] < h - 1
+            cut = (
+                x0 + row[LEFT] <= 0
+                or y0 + row[TOP] <= 0
+                or x0 + row[RIGHT] >= width - 1
+                or y0 + row[BOTTOM] >= height - 1
+            )
+            if cut or not inside or row[SHAPE] < least_shape:
+                continue
+            for k in (8, 10, 12, 14):  # from window to picture
+                row[k] += x0
+                row[k + 1] += y0
+            _window(lit, dark, row, noise, columns, rows)
+            ratio = math.log(row[SIZE] / size)
+            off = math.hypot(row[X] - x, row[Y] - y) / half[i]
+            if abs(ratio) > size_limit or off > 1.0:
+                continue
+            score = off * off + (ratio / size_limit) ** 2
+            if score < best:
+                best = score
+                table[i] = row
+                outcome[i] = _SEEN
+    return
+
+
+@njit(cache=True, nogil=True)
+def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
+    """Noise of one pixel of the difference from the windows' rims, grey levels.
+
+    From neighbours along the upper and lower rim, where no spot is; the mean absolute step
+    of a normal distribution is 2 σ/√π.
+    """
+    height, width = lit.shape
+    total, count = 0.0, 0
+    for i in range(expected.shape[0]):
+        x, y = expected[i, 0], expected[i, 1]
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        x0, x1 = max(int(x - half[i]), 0), min(int(x + half[i]), width - 2)
+        for edge in range(2):
+            v = int(y - half[i]) if edge == 0 else int(y + half[i])
+            if v < 0 or v >= height:
+                continue
+            for u in range(x0, x1):
+                step = float(lit[v, u + 1]) - float(lit[v, u])
+                if dark.shape[0] > 0:
+                    step -= float(dark[v, u + 1]) - float(dark[v, u])
+                total += abs(step)
+                count += 1
+    if count < 8:
+        return -1.0
+    return max(total / count * math.sqrt(math.pi) / 2.0, 0.3)
+
+
+def threshold_from_peak(peak_grey: float, least_grey: float) -> float:
+    """Threshold of a window, from the brightness expected there: a third of it."""
+    return max(peak_grey / 3.0, least_grey)
+
+
+__all__ = ["PEAK", "SEEN", "read_windows", "threshold_from_peak", "window_noise"]
