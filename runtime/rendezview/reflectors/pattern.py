@@ -190,29 +190,60 @@ class SixNumbers:
 _HEAD_ON = np.diag([1.0, -1.0, -1.0])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Face:
+    """The face frame of a pattern, computed once, for six numbers many times a second."""
+
+    rotation: Array  # (3, 3) target from head-on camera: face axes, y and z turned over
+    origin_m: Array  # (3,) target frame
+
+    @classmethod
+    def of(cls, pattern: ReflectorPattern) -> Face:
+        """The face frame of a pattern."""
+        target_from_face = pattern.target_from_face
+        return cls(target_from_face.rotation @ _HEAD_ON, target_from_face.translation_m)
+
+    def six_numbers(self, camera_from_target: Pose) -> SixNumbers:
+        """The six numbers of a pose."""
+        turn = camera_from_target.rotation @ self.rotation
+        place = camera_from_target.rotation @ self.origin_m + camera_from_target.translation_m
+        x, y, z = (float(value) for value in place)
+        return SixNumbers(
+            math.sqrt(x * x + y * y + z * z),
+            math.atan2(x, z),
+            math.atan2(-y, math.hypot(x, z)),
+            *attitude_angles(turn),
+        )
+
+
+def attitude(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
+    """(3, 3) ``Rz(roll) Ry(−yaw) Rx(pitch)``, the turn from head-on."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    roll = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
+    yaw = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+    pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
+    return np.asarray(roll @ yaw @ pitch)
+
+
+def attitude_angles(turn: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of an `attitude` matrix."""
+    return (
+        math.atan2(turn[1, 0], turn[0, 0]),
+        math.atan2(turn[2, 1], turn[2, 2]),
+        math.asin(min(max(float(turn[2, 0]), -1.0), 1.0)),
+    )
+
+
 def six_numbers(camera_from_target: Pose, pattern: ReflectorPattern) -> SixNumbers:
     """The six numbers of a pose."""
-    camera_from_face = camera_from_target @ pattern.target_from_face
-    x, y, z = camera_from_face.translation_m
-    turn = camera_from_face.rotation @ _HEAD_ON
-    return SixNumbers(
-        range_m=math.sqrt(x * x + y * y + z * z),
-        azimuth_rad=math.atan2(x, z),
-        elevation_rad=math.atan2(-y, math.hypot(x, z)),
-        roll_rad=math.atan2(turn[1, 0], turn[0, 0]),
-        pitch_rad=math.atan2(turn[2, 1], turn[2, 2]),
-        yaw_rad=math.asin(min(max(turn[2, 0], -1.0), 1.0)),
-    )
+    return Face.of(pattern).six_numbers(camera_from_target)
 
 
 def pose_of(six: SixNumbers, pattern: ReflectorPattern) -> Pose:
     """The pose ``camera_from_target`` that has these six numbers."""
-    cr, sr = math.cos(six.roll_rad), math.sin(six.roll_rad)
-    cp, sp = math.cos(six.pitch_rad), math.sin(six.pitch_rad)
-    cy, sy = math.cos(six.yaw_rad), math.sin(six.yaw_rad)
-    roll = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
-    yaw = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
-    pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
+    turn = attitude(six.roll_rad, six.pitch_rad, six.yaw_rad)
     level = math.cos(six.elevation_rad)
     sight = np.array(
         [
@@ -221,5 +252,5 @@ def pose_of(six: SixNumbers, pattern: ReflectorPattern) -> Pose:
             math.cos(six.azimuth_rad) * level,
         ]
     )
-    camera_from_face = Pose(roll @ yaw @ pitch @ _HEAD_ON, six.range_m * sight)
+    camera_from_face = Pose(turn @ _HEAD_ON, six.range_m * sight)
     return camera_from_face @ pattern.target_from_face.inverse()

@@ -243,6 +243,59 @@ def adjust(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def solve_spots(  # type: ignore[no-untyped-def]
+    lens, arms, normals, diameters, centre, table, seen, floor_px,
+    rotation, translation_before, translation, covariance, residuals,
+):  # fmt: skip
+    """`adjust` on the rows ``seen`` of a spot table; pose and covariance at the target's origin.
+
+    ``rotation`` is that of the start and becomes the result's. Returns the iterations, or −1
+    where the reflectors seen are on a line or the pose is not determined.
+    """
+    count = seen.shape[0]
+    some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))
+    some_diameters, spots, sigma = np.empty(count), np.empty((count, 2)), np.empty(count)
+    for i in range(count):
+        k = seen[i]
+        some_arms[i], some_normals[i], some_diameters[i] = arms[k], normals[k], diameters[k]
+        spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
+        sigma[i] = math.sqrt(table[k, 7] ** 2 + floor_px**2)
+    if not _spans(some_arms):
+        return -1
+    shift = np.empty(3)
+    for a in range(3):
+        shift[a] = translation_before[a] + rotation[a] @ centre
+    at_centre = np.empty((6, 6))
+    used = adjust(
+        lens, some_arms, some_normals, some_diameters, spots, sigma, np.zeros((6, 6)),
+        rotation, shift, at_centre, residuals,
+    )  # fmt: skip
+    if used < 0 or used >= _ITERATIONS:
+        return -1
+    x, y, z = rotation[0] @ centre, rotation[1] @ centre, rotation[2] @ centre
+    translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
+    turn = np.eye(6)
+    turn[3, 1], turn[3, 2], turn[4, 0] = -z, y, z
+    turn[4, 2], turn[5, 0], turn[5, 1] = -x, -y, x
+    covariance[:] = turn @ at_centre @ turn.T
+    return used
+
+
+@njit(cache=True, nogil=True)
+def _spans(arms):  # type: ignore[no-untyped-def]
+    """Whether reflectors are not all on one line."""
+    longest, widest = 0.0, 0.0
+    for i in range(1, arms.shape[0]):
+        ax, ay, az = arms[i, 0] - arms[0, 0], arms[i, 1] - arms[0, 1], arms[i, 2] - arms[0, 2]
+        longest = max(longest, ax * ax + ay * ay + az * az)
+        for j in range(1, i):
+            bx, by, bz = arms[j, 0] - arms[0, 0], arms[j, 1] - arms[0, 1], arms[j, 2] - arms[0, 2]
+            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            widest = max(widest, cx * cx + cy * cy + cz * cz)
+    return widest > 1e-6 * longest * longest
+
+
+@njit(cache=True, nogil=True)
 def _prior_cost(prior, offset, use):  # type: ignore[no-untyped-def]
     if not use:
         return 0.0

@@ -13,26 +13,21 @@ from rendezview.errors import RendezviewError
 from rendezview.pose import Array, Pose
 from rendezview.reflectors.acquisition import (
     Acquirer,
+    Acquisition,
     AcquisitionOptions,
     _expect,
     merged,
 )
 from rendezview.reflectors.difference import LitDark, ThresholdOptions
-from rendezview.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
+from rendezview.reflectors.pattern import Face, ReflectorPattern, SixNumbers
 from rendezview.reflectors.rates import RateEstimator, Rates
-from rendezview.reflectors.refinement import (
-    Refined,
-    adjust,
-    camera_numbers,
-    covariance_at_origin,
-
-)
+from rendezview.reflectors.refinement import Refined, adjust, camera_numbers, solve_spots
 from rendezview.reflectors.spots import AMPLITUDE, COLUMNS, SIGMA, Spots, find_spots
 from rendezview.reflectors.status import Status
 from rendezview.reflectors.windows import (
     SEEN,
+    place_windows,
     read_windows,
-    threshold_from_peak,
     window_noise,
 )
 
@@ -47,7 +42,7 @@ class TrackingOptions:
     window_share: float = 0.45  # of the distance to the next reflector, at most
     size_limit: float = 0.25  # ln of size over expected size
     least_shape: float = 0.45
-    apart_sizes: float = 5.0  # reflectors nearer than so many σ run together: not looked for
+    apart_sizes: float = 6.0  # reflectors nearer than so many σ run together: not looked for
     coast: int = 5  # readings without a pose before the whole picture is searched again
     memory: int = 50  # … and before the last range says nothing
     confirm: bool = True  # a first find counts when the next reading agrees
@@ -125,14 +120,17 @@ class ReflectorSensor:
         self.threshold = threshold or ThresholdOptions()
         self.tracking = tracking or TrackingOptions()
         self.acquirer = Acquirer(camera, patterns, acquisition)
+        self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
         self._rates = RateEstimator(self.tracking.rate_readings)
         self._lens = camera_numbers(camera)
         self._track: _Track | None = None
-        self._unconfirmed: tuple[float, Pose] | None = None
+        self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf
         n = len(self.constellation)
         self._expected, self._table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self._outcome = np.zeros(n, np.int64)
+        self._half, self._level = np.empty(n), np.empty(n)
+        self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
         self._arms = self.constellation.positions_m - self._centre
 
@@ -209,29 +207,39 @@ class ReflectorSensor:
             names[spot] = self.constellation.names[reflector]
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(time_s, pose):
-            self._unconfirmed = (time_s, pose)
+            self._unconfirmed = (time_s, pose, self._table_of(found, spots))
             return Reading(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
                 spots=spots, reflectors=tuple(names), group=found.group, stage_ms=stage_ms,
             )  # fmt: skip
+        ambiguous = found.roll_ambiguous
+        if prior is not None and self._track is not None:  # it stays as well known as it was
+            ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
+        table = self._table_of(found, spots)
+        self._remember(time_s, table, found.refined, 2.0, ambiguous)
+        if self._unconfirmed is not None and self._track is not None:
+            self._track.before_s, _, first = self._unconfirmed
+            self._track.before = first[:, :2]
         self._unconfirmed = None
-        known = self._track is not None and not self._track.roll_ambiguous
-        table = np.full((len(self.constellation), COLUMNS), np.nan)
-        table[found.reflectors] = spots.table[found.spot_indices]
-        self._remember(time_s, table, found.refined, 2.0, found.roll_ambiguous and not known)
         return self._reading(
             time_s, found.refined, spots, tuple(names), found.group, stage_ms,
-            found.roll_ambiguous and not known, tracked=False,
+            ambiguous, tracked=False,
         )  # fmt: skip
 
     def _agrees(self, time_s: float, pose: Pose) -> bool:
         """Whether a second find is near the first: a tenth of the range, half a radian."""
         if self._unconfirmed is None:
             return False
-        _, first = self._unconfirmed
+        _, first, _ = self._unconfirmed
         where, was = pose.apply(self._centre), first.apply(self._centre)
         near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
         return bool(near and np.trace(pose.rotation @ first.rotation.T) > 1.0 + 2.0 * np.cos(0.5))
+
+    def _table_of(self, found: Acquisition, spots: Spots) -> Array:
+        """(N, 19) the spot of every reflector, NaN where it has none."""
+        table = np.full((len(self.constellation), COLUMNS), np.nan)
+        table[found.reflectors] = spots.table[found.spot_indices]
+        return table
 
     # --- tracking
 
@@ -256,6 +264,8 @@ class ReflectorSensor:
         stage_ms = {"windows": 1e3 * (middle - begin), "pose": 1e3 * (ended - middle)}
         names = tuple(self.constellation.names[k] for k in seen)
         spots = Spots(self._table[seen])
+        if refined is None and not np.isfinite(track.before).any():
+            return self._acquire(time_s, frames)  # the motion is not known: windows say little
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
         table = np.full_like(self._table, np.nan)
@@ -270,86 +280,43 @@ class ReflectorSensor:
         self, time_s: float, track: _Track, push: Array | None
     ) -> tuple[Array, Array, Array]:
         """Where spots are expected (N, 3), half widths (N,) and thresholds (N,)."""
-        options, pattern = self.tracking, self.constellation
-        expected = self._expected
+        options, expected = self.tracking, self._expected
+        self._show(track.pose, expected)
+        step, span = time_s - track.time_s, track.time_s - track.before_s
+        if push is not None:
+            moved, still = np.empty_like(expected), expected.copy()
+            self._show(track.pose.perturbed(0.5 * step * (step + span) * push), moved)
+            expected[:, :2] += moved[:, :2] - still[:, :2]
+        least = max(self.threshold.noise_factor * 0.7 * track.noise, self.threshold.least_grey)
+        place_windows(
+            expected, track.places, track.before, track.brightness, track.unseen,
+            step / span if span > 0.0 else 0.0, track.misses,
+            (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
+             options.apart_sizes, least),
+            self._half, self._level,
+        )  # fmt: skip
+        return expected, self._half, self._level
+
+    def _show(self, pose: Pose, out: Array) -> None:
+        """(N, 3) place and size of every reflector at a pose; NaN where it cannot be seen."""
+        pattern = self.constellation
         _expect(
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-            track.pose.rotation, track.pose.translation_m,
-            self.camera.fx, self.acquirer.options.blur_px, expected,
+            pose.rotation, pose.translation_m, self.camera.fx, self.acquirer.options.blur_px, out,
         )  # fmt: skip
-        step = time_s - track.time_s
-        span = track.time_s - track.before_s
-        hidden = ~np.isfinite(expected[:, 0])
-        if span > 0.0:
-            # Book et al.: the last motion of each spot once more; of one that was not seen
-            # twice, the mean motion of the others.
-            motion = (track.places - track.before) * (step / span)
-            known = np.isfinite(motion[:, 0])
-            if known.any():
-                mean = motion[known].mean(axis=0)
-                expected[:, :2] += np.where(known[:, None], motion, mean)
-        if push is not None:
-            now = np.empty((len(pattern), 3))
-            lag = 0.5 * step * (step + max(span, 0.0))
-            moved = track.pose.perturbed(lag * push)
-            _expect(
-                self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-                moved.rotation, moved.translation_m,
-                self.camera.fx, self.acquirer.options.blur_px, now,
-            )  # fmt: skip
-            then = now.copy()
-            _expect(
-                self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-                track.pose.rotation, track.pose.translation_m,
-                self.camera.fx, self.acquirer.options.blur_px, then,
-            )  # fmt: skip
-            expected[:, :2] += now[:, :2] - then[:, :2]
-        expected[hidden] = np.nan
-        apart = np.hypot(
-            expected[:, None, 0] - expected[None, :, 0], expected[:, None, 1] - expected[None, :, 1]
-        )
-        np.fill_diagonal(apart, np.inf)
-        apart[~np.isfinite(apart)] = np.inf
-        nearest = apart.min(axis=1)
-        # Too near another: where the two run together neither is looked for.
-        expected[nearest < options.apart_sizes * expected[:, 2]] = np.nan
-        half = (
-            options.window_sizes * expected[:, 2]
-            + options.window_px
-            + options.coasting_px * (track.misses + track.unseen)
-        )
-        half = np.maximum(
-            np.minimum(half, options.window_share * nearest), 2.5 * self._expected[:, 2]
-        )
-        bright = track.brightness
-        usual = float(np.nanmean(bright)) if np.isfinite(bright).any() else 0.0
-        least = max(self.threshold.noise_factor * 0.7 * track.noise, self.threshold.least_grey)
-        level = np.array(
-            [threshold_from_peak(b if np.isfinite(b) else usual, least) for b in bright]
-        )
-        return expected, half, level
 
     def _solve(self, track: _Track, seen: npt.NDArray[np.int64]) -> Refined | None:
         """Least squares from the last pose."""
-        rotation = np.array(track.pose.rotation)
-        shift = track.pose.apply(self._centre)
-        arms = self._arms[seen]
-        if len(seen) == 3 and not _spans(arms):
-            return None
+        rotation, translation = np.array(track.pose.rotation), np.empty(3)
         covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
-        sigma = np.sqrt(self._table[seen, SIGMA] ** 2 + self.tracking.floor_px**2)
-        iterations = adjust(
-            self._lens, arms, self.constellation.normals[seen],
-            self.constellation.diameters_m[seen], np.ascontiguousarray(self._table[seen, :2]),
-            sigma, _NO_PRIOR, rotation, shift, covariance, residuals,
+        iterations = solve_spots(
+            self._lens, self._arms, self.constellation.normals, self.constellation.diameters_m,
+            self._centre, self._table, seen, self.tracking.floor_px,
+            rotation, track.pose.translation_m, translation, covariance, residuals,
         )  # fmt: skip
         if iterations < 0:
             return None
-        moved = rotation @ self._centre
-        return Refined(
-            Pose(rotation, shift - moved), covariance_at_origin(covariance, moved),
-            residuals, iterations, iterations < 30,
-        )  # fmt: skip
+        return Refined(Pose(rotation, translation), covariance, residuals, iterations, True)
 
     def _without_strangers(
         self, track: _Track, refined: Refined, seen: npt.NDArray[np.int64]
@@ -438,12 +405,7 @@ class ReflectorSensor:
 
     def _resolves(self, seen: npt.NDArray[np.int64]) -> bool:
         """Whether reflectors of two groups are seen: their offset tells the roll."""
-        first = 0
-        groups = 0
-        for pattern in self.patterns:
-            groups += bool(((seen >= first) & (seen < first + len(pattern))).any())
-            first += len(pattern)
-        return groups > 1
+        return len({self._group_of[k] for k in seen}) > 1
 
     def _remember(
         self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool
@@ -483,7 +445,7 @@ class ReflectorSensor:
             (p for p in self.patterns if all(name in names for name in p.names)),
             next((p for p in self.patterns if p.name == group), self.patterns[0]),
         )
-        six = six_numbers(pose, whole)
+        six = self._faces[whole.name].six_numbers(pose)
         rates = self._rates.add(time_s, pose, six, refined.covariance)
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
         return Reading(
@@ -493,16 +455,3 @@ class ReflectorSensor:
 
 
 _NO_PRIOR = np.zeros((6, 6))
-
-
-def _spans(arms: Array) -> bool:
-    """Whether three reflectors are the corners of a triangle."""
-    a, b = arms[1] - arms[0], arms[2] - arms[0]
-    across = np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
-    longest = max(a @ a, b @ b, (a - b) @ (a - b))
-    return bool(across @ across > 1e-6 * longest * longest)
-
-
-

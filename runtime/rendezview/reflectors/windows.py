@@ -12,7 +12,6 @@ from rendezview.reflectors.spots import (
     BOTTOM,
     COLUMNS,
     LEFT,
-    PEAK,
     RIGHT,
     SHAPE,
     SIZE,
@@ -23,8 +22,7 @@ from rendezview.reflectors.spots import (
     gather,
 )
 
-_NO_WINDOW, _NOTHING, _STRANGER, _SEEN = 0, 1, 2, 3
-SEEN = _SEEN
+_NO_WINDOW, _NOTHING, _STRANGER, SEEN = 0, 1, 2, 3
 
 
 @njit(cache=True, nogil=True)
@@ -53,8 +51,10 @@ def read_windows(  # type: ignore[no-untyped-def]
         x, y, size = expected[i, 0], expected[i, 1], expected[i, 2]
         if not (math.isfinite(x) and math.isfinite(y)):
             continue
-        x0, x1 = int(math.ceil(x - half[i])), int(math.floor(x + half[i]))
-        y0, y1 = int(math.ceil(y - half[i])), int(math.floor(y + half[i]))
+        # A spot whose middle is in the window may reach out of it.
+        reach = half[i] + 3.0 * size + 1.0
+        x0, x1 = int(math.ceil(x - reach)), int(math.floor(x + reach))
+        y0, y1 = int(math.ceil(y - reach)), int(math.floor(y + reach))
         x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width - 1), min(y1, height - 1)
         w, h = x1 - x0 + 1, y1 - y0 + 1
         if w < 3 or h < 3:
@@ -100,7 +100,7 @@ def read_windows(  # type: ignore[no-untyped-def]
             if score < best:
                 best = score
                 table[i] = row
-                outcome[i] = _SEEN
+                outcome[i] = SEEN
     return
 
 
@@ -117,9 +117,10 @@ def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
         x, y = expected[i, 0], expected[i, 1]
         if not (math.isfinite(x) and math.isfinite(y)):
             continue
-        x0, x1 = max(int(x - half[i]), 0), min(int(x + half[i]), width - 2)
+        reach = half[i] + 3.0 * expected[i, 2] + 1.0
+        x0, x1 = max(int(x - reach), 0), min(int(x + reach), width - 2)
         for edge in range(2):
-            v = int(y - half[i]) if edge == 0 else int(y + half[i])
+            v = int(y - reach) if edge == 0 else int(y + reach)
             if v < 0 or v >= height:
                 continue
             for u in range(x0, x1):
@@ -133,9 +134,64 @@ def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
     return max(total / count * math.sqrt(math.pi) / 2.0, 0.3)
 
 
-def threshold_from_peak(peak_grey: float, least_grey: float) -> float:
-    """Threshold of a window, from the brightness expected there: a third of it."""
-    return max(peak_grey / 3.0, least_grey)
+@njit(cache=True, nogil=True)
+def place_windows(  # type: ignore[no-untyped-def]
+    expected, places, before, brightness, unseen, ratio, misses, options, half, level
+):
+    """Move what a pose shows by the last motion; set half widths and thresholds.
 
+    Book et al.: the centroid plus its last step. A reflector that was not seen twice takes the
+    mean step of the others. Threshold: a third of the brightness expected.
 
-__all__ = ["PEAK", "SEEN", "read_windows", "threshold_from_peak", "window_noise"]
+    Args:
+        expected: (N, 3) x, y, size at the last pose; moved in place, NaN where not to be sought.
+        places, before: (N, 2) of the last reading and of the one before, NaN where not seen.
+        brightness: (N,) grey, when last seen; unseen: (N,) readings ago.
+        ratio: time to the next reading over time between the last two.
+        misses: readings in a row without a pose.
+        options: window_sizes, window_px, coasting_px, window_share, apart_sizes, least_grey.
+        half, level: (N,) results.
+    """
+    sizes, extra, coasting, share, apart, least = options
+    count = expected.shape[0]
+    mean_x = mean_y = usual = 0.0
+    moving = shining = 0
+    for i in range(count):
+        if math.isfinite(places[i, 0]) and math.isfinite(before[i, 0]):
+            mean_x += places[i, 0] - before[i, 0]
+            mean_y += places[i, 1] - before[i, 1]
+            moving += 1
+        if math.isfinite(brightness[i]):
+            usual += brightness[i]
+            shining += 1
+    if moving:
+        mean_x, mean_y = mean_x / moving, mean_y / moving
+    if shining:
+        usual /= shining
+    for i in range(count):
+        if not math.isfinite(expected[i, 0]):
+            continue
+        if math.isfinite(places[i, 0]) and math.isfinite(before[i, 0]):
+            expected[i, 0] += ratio * (places[i, 0] - before[i, 0])
+            expected[i, 1] += ratio * (places[i, 1] - before[i, 1])
+        else:
+            expected[i, 0] += ratio * mean_x
+            expected[i, 1] += ratio * mean_y
+    for i in range(count):
+        nearest = np.inf
+        for j in range(count):
+            if j != i and math.isfinite(expected[j, 0]):
+                nearest = min(
+                    nearest,
+                    math.hypot(expected[i, 0] - expected[j, 0], expected[i, 1] - expected[j, 1]),
+                )
+        wide = sizes * expected[i, 2] + extra + coasting * (misses + unseen[i])
+        half[i] = min(wide, share * nearest)
+        # Too near another the two run together, and neither is looked for.
+        if nearest < apart * expected[i, 2]:
+            half[i] = -1.0
+        bright = brightness[i] if math.isfinite(brightness[i]) else usual
+        level[i] = max(bright / 3.0, least)
+    for i in range(count):
+        if half[i] < 0.0:
+            expected[i, 0] = np.nan
