@@ -120,7 +120,7 @@ class Acquirer:
             p.name: np.argsort([g != p.name for g in self._groups], kind="stable")
             for p in patterns
         }
-        self._lens = camera_numbers(camera)
+        self._lens = camera_numbers(camera, self.options.blur_px)
 
     def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
         """Find the target.
@@ -290,7 +290,7 @@ class Acquirer:
             )
         refined = refine(
             self.camera, self.constellation, spots.table[where, :2], which, pose,
-            np.maximum(spots.sigma_px[where], 1e-3),
+            np.maximum(spots.sigma_px[where], 1e-3), self.options.blur_px,
         )  # fmt: skip
         if refined is None or not refined.converged:
             return Acquisition(

@@ -3,7 +3,9 @@
 A reflector is a disc. What a centroid measures is the middle of the ellipse it is seen as, not
 the picture of its centre: ``e = c c_z − a² (e_z − n n_z)`` over its third component, for a disc
 of radius a at c with normal n (the third column of the disc's dual conic ``c cᵀ − a²(I − n nᵀ)``).
-At 1 m and 30° of tilt a disc of 25 mm is off by 0.04 px.
+At 1 m and 30° of tilt a disc of 25 mm is off by 0.04 px. The laser's light falls with range²
+across the disc too, which moves the middle of the brightness towards its near edge by as much:
+by 2 k² a² / r² of the in-plane part of c, with k² a² the second moment under the spot's window.
 """
 
 from __future__ import annotations
@@ -37,19 +39,24 @@ class Refined:
     converged: bool
 
 
-def camera_numbers(camera: Camera) -> Array:
-    """(12,) fx fy cx cy and eight distortion coefficients, for the compiled loops."""
+def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
+    """(13,) fx fy cx cy, eight distortion coefficients and the blur, for the compiled loops."""
     distortion = (*camera.distortion, *([0.0] * 8))[:8]
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *distortion])
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *distortion, blur_px])
 
 
-def predict_spots(camera: Camera, pattern: ReflectorPattern, camera_from_target: Pose) -> Array:
+def predict_spots(
+    camera: Camera,
+    pattern: ReflectorPattern,
+    camera_from_target: Pose,
+    blur_px: float = 0.75,
+) -> Array:
     """(N, 2) where the centroids of all reflectors are seen, px; NaN behind the camera."""
     out = np.empty((len(pattern), 2))
     arm = pattern.positions_m - pattern.centre_m
     shift = camera_from_target.apply(pattern.centre_m)
     _project_all(
-        camera_numbers(camera), arm, pattern.normals, pattern.diameters_m,
+        camera_numbers(camera, blur_px), arm, pattern.normals, pattern.diameters_m,
         np.ascontiguousarray(camera_from_target.rotation), shift, out,
     )  # fmt: skip
     return out
@@ -62,6 +69,7 @@ def refine(
     reflectors: npt.ArrayLike,
     start: Pose,
     sigma_px: npt.ArrayLike = 0.02,
+    blur_px: float = 0.75,
 ) -> Refined | None:
     """The pose that fits spots (K, 2) of the reflectors numbered ``reflectors`` (K,), K ≥ 3.
 
@@ -72,6 +80,7 @@ def refine(
         reflectors: which reflector each spot is.
         start: a pose near the answer.
         sigma_px: error of the centroids, one or (K,), one standard deviation.
+        blur_px: σ of the optics and a pixel's width together.
 
     Returns:
         None where the spots do not determine a pose near ``start``.
@@ -92,7 +101,7 @@ def refine(
     shift = start.apply(centre)
     covariance, residuals = np.empty((6, 6)), np.empty((len(spots), 2))
     iterations = adjust(
-        camera_numbers(camera), (pattern.positions_m - centre)[which], pattern.normals[which],
+        camera_numbers(camera, blur_px), (pattern.positions_m - centre)[which], pattern.normals[which],
         pattern.diameters_m[which], spots, sigma, np.zeros((6, 6)),
         rotation, shift, covariance, residuals,
     )  # fmt: skip
@@ -120,8 +129,17 @@ def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def project_disc(lens, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    """Pixel of the middle of a disc's ellipse; disc at (x, y, z), unit normal n, camera frame."""
+    """Pixel of the middle of a disc's spot; disc at (x, y, z), unit normal n, camera frame."""
     a2 = radius * radius
+    r2 = x * x + y * y + z * z
+    square = a2 * lens[0] * lens[0] / r2  # of the radius in pixels
+    k = 0.5 + 0.131 * square / (square + 5.0 * lens[12] * lens[12])  # as in `expected_size`
+    across, near = nx * x + ny * y + nz * z, 2.0 * k * k * a2 / r2
+    x, y, z = (
+        x - near * (x - across * nx),
+        y - near * (y - across * ny),
+        z - near * (z - across * nz),
+    )
     w = z * z - a2 * (1.0 - nz * nz)
     if not (z > 0.0 and w > 0.0):
         return np.nan, np.nan

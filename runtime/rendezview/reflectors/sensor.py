@@ -122,7 +122,7 @@ class ReflectorSensor:
         self.acquirer = Acquirer(camera, patterns, acquisition)
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
         self._rates = RateEstimator(self.tracking.rate_readings)
-        self._lens = camera_numbers(camera)
+        self._lens = camera_numbers(camera, self.acquirer.options.blur_px)
         self._track: _Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf

@@ -252,10 +252,13 @@ def paint_reflector(
         return
     across = np.exp(-0.5 * ((np.arange(x0, x1 + 1)[None] - pixels[:, :1]) / sigma) ** 2)
     down = np.exp(-0.5 * ((np.arange(y0, y1 + 1)[None] - pixels[:, 1:]) / sigma) ** 2)
-    # The image of a wide disc has its radiance: its points share its area in the picture.
-    facing = -float(pose.rotation @ pattern.normals[k] @ place) / float(np.linalg.norm(place))
-    area = math.pi * radius_px**2 * facing
-    light = gain * radiance * area / (2.0 * math.pi * sigma**2)
+    # A picture has the radiance of what it shows: each point counts by its area in the picture
+    # (n·p / z³ for a plane), times the illumination there.
+    plane = -float(pose.rotation @ pattern.normals[k] @ place)
+    far2 = float(place @ place)
+    seen = camera.fx * camera.fy * plane / rays[:, 2] ** 3 * far2 / np.sum(rays * rays, axis=1)
+    weights = weights * seen * math.pi * (0.5 * pattern.diameters_m[k]) ** 2
+    light = gain * radiance / (2.0 * math.pi * sigma**2)
     grey[y0 : y1 + 1, x0 : x1 + 1] += (light * (down * weights[:, None]).T @ across).astype(
         np.float32
     )
