@@ -14,7 +14,13 @@ from rendezview.errors import RendezviewError
 from rendezview.pose import Array, Pose
 from rendezview.reflectors.p3p import MAX_ROOTS, p3p_roots
 from rendezview.reflectors.pattern import ReflectorPattern
-from rendezview.reflectors.refinement import Refined, camera_numbers, project_disc, refine
+from rendezview.reflectors.refinement import (
+    Refined,
+    camera_numbers,
+    disc_radius,
+    project_disc,
+    refine,
+)
 from rendezview.reflectors.spots import (
     AMPLITUDE,
     BOTTOM,
@@ -44,12 +50,12 @@ class AcquisitionOptions:
     blur_px: float = 0.75  # σ of the optics and of a pixel's width together
     size_sigma: float = 0.035  # of ln(size): noise, focus, the disc's own tilt
     peak_sigma: float = 0.08  # of ln(brightness) of the centre spot against the outer two
-    beam_sigma: float = 0.45  # of ln(brightness) between the outer two: the beam has a middle
+    beam_sigma: float = 0.5  # of ln(brightness) between the outer two: the beam has a middle
     size_limit: float = 0.25  # ln, of one spot before anything else is tried
-    peak_limit: float = 1.2  # ln, between two spots
+    peak_limit: float = 1.6  # ln, between two spots
     least_shape: float = 0.55  # small over large axis: a disc at 40° has 0.77, an edge far less
-    score_limit: float = 25.0  # χ² of three sizes and brightnesses
-    rival_margin: float = 6.0  # χ² by which the best must win over other spots
+    score_limit: float = 18.0  # χ² of three sizes and brightnesses
+    rival_margin: float = 4.0  # χ² by which the best must win over other spots
     match_px: float = 1.5  # a further reflector is its spot when this near
     reacquisition: float = 0.25  # of the last range: how far the new one may be
 
@@ -408,8 +414,7 @@ def _judge(  # type: ignore[no-untyped-def]
             if facing < least_facing:
                 chi = np.inf
                 break
-            # Mean of the ellipse's axes, one foreshortened.
-            radius = 0.5 * diameters[i] * focal_px / far * math.sqrt(0.5 * (1.0 + facing * facing))
+            radius = disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
             s = triplets[n, i]
             expected = expected_size(blur_px, radius)
             error = math.log(sizes[s] / expected) / size_sigma
@@ -474,12 +479,12 @@ def _expect(  # type: ignore[no-untyped-def]
         nz = rotation[2] @ normals[i]
         facing = -(nx * x + ny * y + nz * z) / far
         out[i, 0], out[i, 1] = project_disc(lens, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-        out[i, 2] = expected_size(
-            blur_px,
-            0.5 * diameters[i] * focal_px / far * math.sqrt(0.5 * (1.0 + facing * facing)),
-        )
-        if not facing > 0.0:
+        if not (facing > 0.0 and z > 0.0):
             out[i, 0] = np.nan
+            continue
+        out[i, 2] = expected_size(
+            blur_px, disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+        )
 
 
 @njit(cache=True, nogil=True)

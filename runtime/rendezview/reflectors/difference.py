@@ -155,11 +155,15 @@ def noise_grey(frames: LitDark) -> float:
     return max(float(median) / (0.6745 * np.sqrt(2.0)), 0.3)  # 0.3: rounding alone
 
 
-def threshold_of(options: ThresholdOptions, noise: float) -> float:
-    """The lower threshold in use, grey levels of the difference."""
+def threshold_of(options: ThresholdOptions, noise: float, frames: LitDark) -> float:
+    """The lower threshold in use, grey levels of the difference.
+
+    In a single picture the automatic one stands on the median of the background.
+    """
     if options.lower_grey is not None:
         return options.lower_grey
-    return min(max(options.noise_factor * noise, options.least_grey), 250.0)
+    behind = 0.0 if frames.dark is not None else float(np.median(frames.lit[::_NOISE_STEP]))
+    return min(behind + max(options.noise_factor * noise, options.least_grey), 254.0)
 
 
 def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:

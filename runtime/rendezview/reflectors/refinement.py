@@ -155,6 +155,18 @@ def project_disc(lens, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
     return fx * du + cx, fy * dv + cy
 
 
+@njit(cache=True, nogil=True, inline="always")
+def disc_radius(focal_px, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+    """Root mean square of the two half axes of a disc's ellipse, px: its extent in a round window.
+
+    Of the disc's plane (I − n nᵀ) under the projection's derivative; off the boresight the
+    picture is stretched.
+    """
+    u, v = x / z, y / z
+    a, b = nx - nz * u, ny - nz * v
+    return radius * focal_px / z * math.sqrt(max(0.5 * (2.0 + u * u + v * v - a * a - b * b), 0.0))
+
+
 @njit(cache=True, nogil=True)
 def _project_all(lens, arms, normals, diameters, rotation, shift, out):  # type: ignore[no-untyped-def]
     for i in range(arms.shape[0]):

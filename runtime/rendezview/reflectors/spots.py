@@ -111,7 +111,7 @@ def find_spots(
     """All spots of a picture, in the order in which a scan meets them."""
     chosen = options or ThresholdOptions()
     noise = noise_grey(frames)
-    level = threshold_of(chosen, noise)
+    level = threshold_of(chosen, noise, frames)
     mask = spot_mask(frames, level, chosen)
     table = np.zeros((MOST_SPOTS, COLUMNS))
     count = _label(mask, frames.lit, frames.dark_or_nothing, level, table)

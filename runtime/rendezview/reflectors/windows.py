@@ -62,19 +62,25 @@ def read_windows(  # type: ignore[no-untyped-def]
         outcome[i] = _NOTHING
         part = lit[y0 : y1 + 1, x0 : x1 + 1]
         part_dark = dark[y0 : y1 + 1, x0 : x1 + 1] if dark.shape[0] > 0 else dark
+        floor = level[i]
+        if dark.shape[0] == 0:  # a single picture: the threshold stands on the window's rim
+            rim = 0.0
+            for u in range(w):
+                rim += float(part[0, u]) + float(part[h - 1, u])
+            floor += rim / (2 * w)
         flat = np.empty(w * h, np.uint8)
         for v in range(h):
             for u in range(w):
                 value = float(part[v, u])
                 if dark.shape[0] > 0:
                     value -= part_dark[v, u]
-                flat[v * w + u] = 255 if value > level[i] else 0
+                flat[v * w + u] = 255 if value > floor else 0
         stack = np.empty(w * h, np.int32)
         best = np.inf
         for start in range(w * h):
             if flat[start] == 0:
                 continue
-            gather(flat, w, h, start, part, part_dark, level[i], stack, row)
+            gather(flat, w, h, start, part, part_dark, floor, stack, row)
             if row[AREA] < 3:  # lone pixels: noise
                 continue
             if outcome[i] == _NOTHING:
