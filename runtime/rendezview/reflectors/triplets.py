@@ -20,6 +20,7 @@ from rendezview.reflectors.pattern import ReflectorPattern
 
 Table = npt.NDArray[np.float64]
 
+_ALIKE = 0.3
 _TIE = 0.02  # sides nearer in length than this share tie
 
 
@@ -170,6 +171,8 @@ def search(  # type: ignore[no-untyped-def]
     )
     # Of each spot the bases it may belong to, as angles in pixels, from its size.
     low, high = np.empty(count), np.empty(count)
+    log_size, log_peak = np.log(sizes), np.log(peaks)
+    alike = _ALIKE  # sizes may differ so, by depth and tilt
     for i in range(count):
         low[i], high[i] = _bases(
             sizes[i], base_m, diameter_m, blur_px, size_tolerance, foreshortened
@@ -188,7 +191,9 @@ def search(  # type: ignore[no-untyped-def]
                 continue
             if base < low[i] or base < low[j] or base < shortest or base > 1.6 * longest:
                 continue
-            if abs(math.log(peaks[i] / peaks[j])) > peak_tolerance:
+            if abs(log_peak[i] - log_peak[j]) > peak_tolerance:
+                continue
+            if abs(log_size[i] - log_size[j]) > alike:
                 continue
             dx = directions[j, 0] - directions[i, 0]
             dy = directions[j, 1] - directions[i, 1]
@@ -226,7 +231,9 @@ def search(  # type: ignore[no-untyped-def]
                     break
                 if k == i or k == j or abs(flat[k, 1] - middle_y) > radius:
                     continue
-                if abs(math.log(peaks[k] / peaks[i])) > peak_tolerance:
+                if abs(log_peak[k] - 0.5 * (log_peak[i] + log_peak[j])) > 0.5 * peak_tolerance:
+                    continue
+                if abs(log_size[k] - 0.5 * (log_size[i] + log_size[j])) > alike:
                     continue
                 if true_px < 0.9 * low[k] or true_px > 1.1 * high[k]:
                     continue
@@ -262,11 +269,20 @@ def _within(glass, x, y):  # type: ignore[no-untyped-def]
 def _bases(size, base_m, diameter_m, blur_px, tolerance, foreshortened):  # type: ignore[no-untyped-def]
     """Shortest and longest base, pixels, at which the reflectors look as large as this spot."""
     ratio = 2.0 * base_m / diameter_m  # base over the disc's radius
-    small, large = size * math.exp(-tolerance), size * math.exp(tolerance)
-    least, most = 0.0, 0.0
-    if small > blur_px:  # the disc's radius lies between the two limits of `expected_size`
-        least = math.sqrt(small * small - blur_px * blur_px) / 0.631 * ratio
-    if large > blur_px:
-        most = math.sqrt(large * large - blur_px * blur_px) / 0.5 * ratio
+    least = _radius(size * math.exp(-tolerance), blur_px) * ratio
+    most = _radius(size * math.exp(tolerance), blur_px) * ratio
     # Tilted, the disc looks smaller and the base shorter.
     return least * foreshortened, most / math.sqrt(foreshortened)
+
+
+@njit(cache=True, nogil=True)
+def _radius(size, blur_px):  # type: ignore[no-untyped-def]
+    """Radius of the disc whose `expected_size` this is; 0 below the blur."""
+    if size <= blur_px:
+        return 0.0
+    rest = math.sqrt(size * size - blur_px * blur_px)
+    radius = rest / 0.55
+    for _ in range(3):
+        square = radius * radius
+        radius = rest / (0.5 + 0.131 * square / (square + 5.0 * blur_px * blur_px))
+    return radius

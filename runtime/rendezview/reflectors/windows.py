@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.reflectors.spots import (
+    AMPLITUDE,
     AREA,
     BOTTOM,
     COLUMNS,
@@ -201,3 +202,12 @@ def place_windows(  # type: ignore[no-untyped-def]
     for i in range(count):
         if half[i] < 0.0:
             expected[i, 0] = np.nan
+
+
+@njit(cache=True, nogil=True)
+def carry(table, brightness, since, bright, unseen):  # type: ignore[no-untyped-def]
+    """Brightness (N,) and readings without a spot (N,) after a reading; NaN rows were not seen."""
+    for i in range(table.shape[0]):
+        seen = math.isfinite(table[i, X])
+        bright[i] = table[i, AMPLITUDE] if seen else brightness[i]
+        unseen[i] = 0 if seen else since[i] + 1
