@@ -20,8 +20,8 @@ import math
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from reflector_run import CAMERA, CLIENT
 
+from reflector_run import CAMERA, CLIENT
 from rendezview.pose import Pose, minimal_rotation
 from rendezview.reflectors import (
     Acquirer,
@@ -107,7 +107,7 @@ def six_by_spots(pattern: ReflectorPattern, pose: Pose) -> np.ndarray:
 
 
 def pixel_bound(pattern: ReflectorPattern, pose: Pose) -> float:
-    """Least centroid error (px, mean of the reflectors and axes) under the pictures' noise."""
+    """Least centroid error (px, mean of reflectors and axes) under the pictures' noise."""
     gain = exposure(CAMERA, pattern, pose, OPTIONS)
     noise = math.sqrt(2.0 * (OPTIONS.noise_sigma_grey**2 + 1.0 / 12.0))  # of the difference
     bounds = []
@@ -181,9 +181,7 @@ def main() -> None:
                 closed.append(values(answer) - values(six))
         spot_error, spot_sigma = np.array(spot_errors), np.array(spot_sigmas)
         scale = math.sqrt(float(np.mean((spot_error / spot_sigma[..., None]) ** 2)))
-        bound = np.array(
-            [np.sqrt((j**2) @ np.repeat((scale * s) ** 2, 2)) for j, s in bounds]
-        )
+        bound = np.array([np.sqrt((j**2) @ np.repeat((scale * s) ** 2, 2)) for j, s in bounds])
         error = np.array(errors)
         ratio = np.sqrt(np.mean((error / bound) ** 2, axis=0))
         worst = max(worst, float(np.max(np.abs(ratio - 1.0))))

@@ -26,10 +26,10 @@ import time
 from collections import Counter
 
 import numpy as np
-from reflector_accuracy import random_pose
-from reflector_run import CAMERA, CLIENT
 from scipy.spatial.transform import Rotation
 
+from reflector_accuracy import random_pose
+from reflector_run import CAMERA, CLIENT
 from rendezview.pose import Pose
 from rendezview.reflectors import Acquirer, LitDark, Status, find_spots, patterns_of, predict_spots
 from rendezview.simulation.reflector_frames import (
@@ -59,10 +59,9 @@ def agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, first) 
     """Whether a second reading finds the same false target."""
     step = Pose(Rotation.from_rotvec(rng.normal(0.0, 0.01, 3)).as_matrix(), np.zeros(3))
     moved = step @ Pose(pose.rotation, 0.99 * pose.translation_m)
-    shift = (
-        predict_spots(CAMERA, pattern, moved).mean(axis=0)
-        - predict_spots(CAMERA, pattern, pose).mean(axis=0)
-    )
+    shift = predict_spots(CAMERA, pattern, moved).mean(axis=0) - predict_spots(
+        CAMERA, pattern, pose
+    ).mean(axis=0)
     sheet, false, *rest = clutter
     foils, spots = sheet.spots.copy(), false.spots.copy()
     foils[:, :2] += shift

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from functools import partial
 
 import cv2
 import numpy as np
@@ -93,9 +94,9 @@ def double(
     """Cameras near the danger cylinder of the guidance target."""
     ab, ac = TARGET[1] - TARGET[0], TARGET[2] - TARGET[0]
     n_axis = np.cross(ab, ac)
-    middle = TARGET[0] + (
-        np.cross(n_axis, ab) * (ac @ ac) + np.cross(ac, n_axis) * (ab @ ab)
-    ) / (2.0 * n_axis @ n_axis)
+    middle = TARGET[0] + (np.cross(n_axis, ab) * (ac @ ac) + np.cross(ac, n_axis) * (ab @ ab)) / (
+        2.0 * n_axis @ n_axis
+    )
     radius = np.linalg.norm(middle - TARGET[0])
     axis = n_axis / np.linalg.norm(n_axis)
     first = ab / np.linalg.norm(ab)
@@ -157,15 +158,15 @@ def peers() -> dict[str, object]:
         def solve(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
             pixels = np.ascontiguousarray(rays[:, :2] / rays[:, 2:])
             _, turns, moves = cv2.solveP3P(points, pixels, eye, None, flags=flag)
-            return [
-                (cv2.Rodrigues(a)[0], b.ravel()) for a, b in zip(turns, moves, strict=True)
-            ]
+            return [(cv2.Rodrigues(a)[0], b.ravel()) for a, b in zip(turns, moves, strict=True)]
 
         return solve
 
     def sqpnp(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         pixels = np.ascontiguousarray(rays[:, :2] / rays[:, 2:])
-        _, turns, moves, _ = cv2.solvePnPGeneric(points, pixels, eye, None, flags=cv2.SOLVEPNP_SQPNP)
+        _, turns, moves, _ = cv2.solvePnPGeneric(
+            points, pixels, eye, None, flags=cv2.SOLVEPNP_SQPNP
+        )
         return [(cv2.Rodrigues(a)[0], b.ravel()) for a, b in zip(turns, moves, strict=True)]
 
     try:
@@ -173,7 +174,9 @@ def peers() -> dict[str, object]:
 
         def pl(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
             units = rays / np.linalg.norm(rays, axis=1)[:, None]
-            return [(np.asarray(p.R), np.asarray(p.t)) for p in poselib.p3p(list(units), list(points))]
+            return [
+                (np.asarray(p.R), np.asarray(p.t)) for p in poselib.p3p(list(units), list(points))
+            ]
 
         found["poselib p3p"] = pl
     except ImportError:
@@ -202,19 +205,15 @@ def main() -> None:
             MAKERS[name](rng, round(1.02 * share * arguments.count))
         )
         wanted = round(share * arguments.count)
-        rotations, places, points, seen = (
-            a[:wanted] for a in (rotations, places, points, seen)
-        )
+        rotations, places, points, seen = (a[:wanted] for a in (rotations, places, points, seen))
         assert len(rotations) == wanted
         rays = seen / seen[..., 2:]
         errors = []
         for part in np.array_split(np.arange(wanted), max(1, wanted // 50_000)):
             r, t, _ = solve_p3p_batch(rays[part], points[part])
-            errors.append(
-                pose_errors(r, t, rotations[part, None], places[part, None]).min(axis=1)
-            )
+            errors.append(pose_errors(r, t, rotations[part, None], places[part, None]).min(axis=1))
         some = slice(0, min(wanted, 20_000))
-        us = best_us(lambda: solve_p3p_batch(rays[some], points[some])) / (some.stop)
+        us = best_us(partial(solve_p3p_batch, rays[some], points[some])) / some.stop
         error = np.concatenate(errors)
         everything.append(error)
         samples[name] = (rotations, places, points, rays)
@@ -263,7 +262,9 @@ def chosen(rng: np.random.Generator, samples: dict[str, tuple[np.ndarray, ...]])
 
 def compare(console: Console, samples: dict[str, tuple[np.ndarray, ...]], count: int) -> None:
     """Peers on the first problems of every class: truth among their roots to 1e-6, and time."""
-    table = Table(title=f"truth found to 1e-6 of range, {count} problems of each class; one call each")
+    table = Table(
+        title=f"truth found to 1e-6 of range, {count} problems of each class; one call each"
+    )
     table.add_column("solver")
     for name in samples:
         table.add_column(name, justify="right")
@@ -287,9 +288,7 @@ def compare(console: Console, samples: dict[str, tuple[np.ndarray, ...]], count:
                 except cv2.error:
                     roots = []
                 spent.append(time.perf_counter() - start)
-                hits += any(
-                    pose_errors(r, t, rotations[n], places[n]) <= 1e-6 for r, t in roots
-                )
+                hits += any(pose_errors(r, t, rotations[n], places[n]) <= 1e-6 for r, t in roots)
             cells.append(f"{hits}")
         table.add_row(solver, *cells, f"{1e6 * np.median(spent):.1f}")
     console.print(table)
@@ -298,7 +297,14 @@ def compare(console: Console, samples: dict[str, tuple[np.ndarray, ...]], count:
 def iterations(console: Console, rng: np.random.Generator) -> None:
     """Newton–Raphson and the alternate iteration by tilt: converged, and to the truth."""
     table = Table(title="Bales' iterations, guidance target, 1 to 12 m, 20,000 each")
-    for name in ("tilt", "method", "converged", "to the truth (1e-6)", "median steps", "µs a solve"):
+    for name in (
+        "tilt",
+        "method",
+        "converged",
+        "to the truth (1e-6)",
+        "median steps",
+        "µs a solve",
+    ):
         table.add_column(name, justify="right")
     for degrees in (0.0, 5.0, 30.0):
         n = 20_000
@@ -306,18 +312,22 @@ def iterations(console: Console, rng: np.random.Generator) -> None:
         axis /= np.linalg.norm(axis, axis=1)[:, None]
         tilt = Rotation.from_rotvec(axis * np.deg2rad(degrees) * np.sqrt(rng.random((n, 1))))
         rotations = tilt.as_matrix() @ HEAD_ON
-        places = np.column_stack(
-            [np.zeros((n, 2)), np.exp(rng.uniform(0.0, np.log(12.0), n))]
-        )
+        places = np.column_stack([np.zeros((n, 2)), np.exp(rng.uniform(0.0, np.log(12.0), n))])
         seen = np.einsum("nij,kj->nki", rotations, TARGET) + places[:, None]
         rays = seen / seen[..., 2:]
         truth = np.linalg.norm(seen, axis=-1)
         for name, alternate in (("Newton–Raphson", False), ("alternate", True)):
             distances, steps, converged = triangulate_batch(rays, BASE, POST, alternate=alternate)
             right = (np.abs(distances / truth - 1.0) < 1e-6).all(axis=1)
-            us = best_us(
-                lambda a=alternate, r=rays: triangulate_batch(r[:2000], BASE, POST, alternate=a), 3
-            ) / 2000.0
+            us = (
+                best_us(
+                    lambda a=alternate, r=rays: triangulate_batch(
+                        r[:2000], BASE, POST, alternate=a
+                    ),
+                    3,
+                )
+                / 2000.0
+            )
             table.add_row(
                 f"{degrees:.0f}°", name, f"{100 * converged.mean():.2f} %",
                 f"{100 * (converged & right).mean():.2f} %", f"{np.median(steps):.0f}", f"{us:.2f}",

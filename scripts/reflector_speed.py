@@ -15,11 +15,11 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from reflector_accuracy import OPTIONS, random_pose
-from reflector_run import CAMERA, CLIENT
 from rich.console import Console
 from rich.table import Table
 
+from reflector_accuracy import OPTIONS, random_pose
+from reflector_run import CAMERA, CLIENT
 from rendezview.reflectors import (
     Acquirer,
     LitDark,

@@ -68,14 +68,20 @@ def test_least_squares_returns_to_the_pose_through_the_cameras_model(five, camer
     assert found is not None
     assert found.converged
     assert found.camera_from_target.angle_to(truth) < 1e-9
-    np.testing.assert_allclose(found.camera_from_target.translation_m, truth.translation_m, rtol=1e-9)
+    np.testing.assert_allclose(
+        found.camera_from_target.translation_m, truth.translation_m, rtol=1e-9
+    )
 
 
 def test_covariance_is_the_scatter_of_the_poses(three, paper_camera):
     rng = np.random.default_rng(0)
     # A target frame far from the reflectors: rotation and translation are then correlated.
     shifted = type(three)(
-        "far", three.names, three.positions_m + [1.0, -2.0, 0.5], three.normals, three.diameters_m
+        "far",
+        three.names,
+        three.positions_m + np.array([1.0, -2.0, 0.5]),
+        three.normals,
+        three.diameters_m,
     )
     truth = pose_of(SIX, shifted)
     spots = predict_spots(paper_camera, shifted, truth)
@@ -89,9 +95,7 @@ def test_covariance_is_the_scatter_of_the_poses(three, paper_camera):
     scatter = np.cov(np.array(steps).T)
     told = refine(paper_camera, shifted, spots, [0, 1, 2], truth, 0.02).covariance
     whiten = np.linalg.inv(np.linalg.cholesky(told))
-    np.testing.assert_allclose(
-        np.linalg.eigvalsh(whiten @ scatter @ whiten.T), 1.0, atol=0.35
-    )
+    np.testing.assert_allclose(np.linalg.eigvalsh(whiten @ scatter @ whiten.T), 1.0, atol=0.35)
 
 
 def test_a_tilted_disc_is_not_seen_at_its_centre(three, paper_camera):
@@ -102,7 +106,10 @@ def test_a_tilted_disc_is_not_seen_at_its_centre(three, paper_camera):
 
 def test_spots_behind_the_camera_give_no_pose(three, paper_camera):
     spots = predict_spots(paper_camera, three, pose_of(SIX, three))
-    assert refine(paper_camera, three, spots, [0, 1, 2], Pose(np.eye(3), np.array([0, 0, -3.0]))) is None
+    assert (
+        refine(paper_camera, three, spots, [0, 1, 2], Pose(np.eye(3), np.array([0, 0, -3.0])))
+        is None
+    )
     with pytest.raises(ValueError, match="three or more"):
         refine(paper_camera, three, spots[:2], [0, 1], pose_of(SIX, three))
 
@@ -148,7 +155,9 @@ def test_the_closed_form_is_exact_far_away_and_head_on(three, paper_camera):
     np.testing.assert_allclose(as_tuple(found)[3:], as_tuple(far)[3:], atol=1e-3)
     assert found.range_m == pytest.approx(400.0, rel=1e-3)
     ahead = SixNumbers(3.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    found = closed_form(paper_camera, three, predict_spots(paper_camera, three, pose_of(ahead, three)))
+    found = closed_form(
+        paper_camera, three, predict_spots(paper_camera, three, pose_of(ahead, three))
+    )
     np.testing.assert_allclose(as_tuple(found), as_tuple(ahead), atol=1e-4)
 
 

@@ -148,6 +148,8 @@ def test_a_second_camera_is_brought_under_the_first():
     dark = spotted(PLACES, rng, noise=0.0)
     moved = registered(dark, [[1.0, 0.0, 5.0], [0.0, 1.0, -3.0]])
     spots = find_spots(LitDark(moved))
-    np.testing.assert_allclose(offsets(spots.centroids_px, PLACES + [5.0, -3.0]), 0.0, atol=0.02)
+    np.testing.assert_allclose(
+        offsets(spots.centroids_px, PLACES + np.array([5.0, -3.0])), 0.0, atol=0.02
+    )
     with pytest.raises(ValueError, match="inverted"):
         registered(dark, np.zeros((2, 3)))

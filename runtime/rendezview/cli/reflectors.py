@@ -171,5 +171,3 @@ def _affine(text: str | None) -> np.ndarray | None:
 
 def _say(text: str) -> None:
     Console(stderr=True).print(text, highlight=False, soft_wrap=True)
-
-

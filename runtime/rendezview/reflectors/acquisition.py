@@ -126,8 +126,7 @@ class Acquirer:
         self._groups = [p.name for p in patterns for _ in p.names]
         # A triangle's own group first: of two reflectors in one place it has the better claim.
         self._orders = {
-            p.name: np.argsort([g != p.name for g in self._groups], kind="stable")
-            for p in patterns
+            p.name: np.argsort([g != p.name for g in self._groups], kind="stable") for p in patterns
         }
         self._lens = camera_numbers(camera, self.options.blur_px)
 
@@ -226,9 +225,7 @@ class Acquirer:
             expected = prior.apply(self.constellation.centre_m)
             last = float(np.linalg.norm(expected))
             window = last * np.array([1 - options.reacquisition, 1 + options.reacquisition])
-        window = np.array(
-            [max(window[0], options.nearest_m), min(window[1], options.farthest_m)]
-        )
+        window = np.array([max(window[0], options.nearest_m), min(window[1], options.farthest_m)])
         triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)
         found: list[tuple[npt.NDArray[np.int64], Array, Array]] = []
         for number, triangle in enumerate(self._triangles):
@@ -288,9 +285,7 @@ class Acquirer:
         most, score, triangle, which, where, pose = judged[0]
         # The same spots under another numbering are no rivals: the target looks alike that way.
         mine = set(where.tolist())
-        rivals = [
-            item for item in judged[1:] if item[0] == most and set(item[4].tolist()) != mine
-        ]
+        rivals = [item for item in judged[1:] if item[0] == most and set(item[4].tolist()) != mine]
         rival = -max((item[1] for item in rivals), default=-math.inf)
         if rival + score < self.options.rival_margin:
             return Acquisition(
@@ -507,9 +502,7 @@ def _match(  # type: ignore[no-untyped-def]
     """Reflectors and the spots that stand where a pose shows them and are as large."""
     match_px, size_limit = limits
     expected = np.empty((points.shape[0], 3))
-    _expect(
-        lens, points, normals, diameters, rotation, translation, focal_px, blur_px, expected
-    )
+    _expect(lens, points, normals, diameters, rotation, translation, focal_px, blur_px, expected)
     bx, by = table[three[2], 0] - table[three[0], 0], table[three[2], 1] - table[three[0], 1]
     base = max(math.sqrt(bx * bx + by * by), 1.0)
     count = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 from rendezview.errors import RendezviewError
@@ -41,7 +42,7 @@ class SwitchingSensor:
                     f"camera {camera.name!r}: ranges must rise, not {camera.nearest_m} to "
                     f"{camera.farthest_m} m"
                 )
-        for near, far in zip(ordered, ordered[1:], strict=False):
+        for near, far in itertools.pairwise(ordered):
             if far.nearest_m > near.farthest_m:
                 raise RendezviewError(
                     f"between {near.farthest_m} and {far.nearest_m} m no camera is in use: "
@@ -49,7 +50,6 @@ class SwitchingSensor:
                 )
         self.cameras = ordered
         self._active = len(ordered) - 1
-        self._started: tuple[float, Pose, bool] | None = None  # chaser_from_target
 
     @property
     def active(self) -> RangedCamera:

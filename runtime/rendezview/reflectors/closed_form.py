@@ -149,10 +149,14 @@ def calibrate(
         )
         true = np.array([_seen_from(view, truth)[name] for view, _, truth in kept])
         terms = ("slope", "near_m", "near_m2", "offset_rad")
-        values = dict(zip((f"{name}_{t}" for t in terms), _regress(design, true, name), strict=True))
+        values = dict(
+            zip((f"{name}_{t}" for t in terms), _regress(design, true, name), strict=True)
+        )
         fitted = Calibration(**asdict(fitted) | values)
     raws = [_must(_raw(angles, length, post, fitted)) for _, angles, _ in kept]
-    ranges = np.array([truth.range_m - raw.range_m for raw, (_, _, truth) in zip(raws, kept, strict=True)])
+    ranges = np.array(
+        [truth.range_m - raw.range_m for raw, (_, _, truth) in zip(raws, kept, strict=True)]
+    )
     fitted = Calibration(**asdict(fitted) | {"c5_m": float(ranges.mean())})
     bearings = np.array(
         [
@@ -269,7 +273,7 @@ def _range(length: float, yaw: float, width: float) -> float | None:
 
 
 def _bearing(view: Array, angles: Array, raw: _Raw, length: float) -> tuple[float, float]:
-    """Azimuth and elevation of the base's middle: the middle of its picture, shifted (Pix_Shift)."""
+    """Azimuth and elevation of the base's middle: that of its picture, shifted (Pix_Shift)."""
     left, _, right = angles
     base = math.hypot(*(right - left))
     a, b = 0.5 * length * math.cos(raw.yaw), 0.5 * length * abs(math.sin(raw.yaw))

@@ -7,6 +7,7 @@ eroded away.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -152,7 +153,7 @@ def noise_grey(frames: LitDark) -> float:
     # Whole grey levels: the median is interpolated within its bin, [level − ½, level + ½].
     low, width = (0.0, 0.5) if level == 0 else (level - 0.5, 1.0)
     median = low + width * (half - before) / max(int(counts[level]), 1)
-    return max(float(median) / (0.6745 * np.sqrt(2.0)), 0.3)  # 0.3: rounding alone
+    return max(float(median) / (0.6745 * math.sqrt(2.0)), 0.3)  # 0.3: rounding alone
 
 
 def threshold_of(options: ThresholdOptions, noise: float, frames: LitDark) -> float:

@@ -268,9 +268,7 @@ def _det(c):  # type: ignore[no-untyped-def]
 def _mixed(a, b):  # type: ignore[no-untyped-def]
     """tr(adj(a) b): the coefficient of a² b in det(a + b)."""
     m = _adjugate(a)
-    return (
-        m[0] * b[0] + m[2] * b[2] + m[5] * b[5] + 2.0 * (m[1] * b[1] + m[3] * b[3] + m[4] * b[4])
-    )
+    return m[0] * b[0] + m[2] * b[2] + m[5] * b[5] + 2.0 * (m[1] * b[1] + m[3] * b[3] + m[4] * b[4])
 
 
 @njit(cache=True, nogil=True)

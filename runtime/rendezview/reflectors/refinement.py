@@ -33,7 +33,7 @@ class Refined:
     """A pose adjusted to its spots."""
 
     camera_from_target: Pose
-    covariance: Array  # (6, 6) camera frame, (rotation vector, translation), perturbed on the left
+    covariance: Array  # (6, 6) camera frame, (rotation vector, translation), left perturbation
     residuals_px: Array  # (K, 2) seen minus predicted
     iterations: int
     converged: bool
@@ -168,7 +168,9 @@ def disc_radius(focal_px, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def _project_all(lens, arms, normals, diameters, rotation, shift, out):  # type: ignore[no-untyped-def]
+def _project_all(  # type: ignore[no-untyped-def]
+    lens, arms, normals, diameters, rotation, shift, out
+):
     for i in range(arms.shape[0]):
         px, py, pz = _turn(rotation, arms, i)
         nx, ny, nz = _turn(rotation, normals, i)
@@ -252,7 +254,7 @@ def adjust(  # type: ignore[no-untyped-def]
                     _difference(trial_r, trial_t, start_r, start_t, offset)
                     new_total += _prior_cost(prior, offset, True)
                 small = turn < _STEP and move < _STEP * far
-                # At the floor of rounding the cost may rise by a hair: that is the end, not a bad step.
+                # At the floor of rounding the cost may rise by a hair: the end, no bad step.
                 if new_total <= total or turn + move / far < 1e-9:
                     rotation[:] = trial_r
                     shift[:] = trial_t

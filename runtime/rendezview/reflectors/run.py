@@ -68,7 +68,10 @@ def pair_up(sequences: list[Sequence], mode: Mode) -> list[FramePair]:
             f"{first.source}: {len(first)} pictures cannot be lit and dark in turn: "
             "remove the one without its partner, or use --mode single"
         )
-    return [FramePair(lit, dark) for lit, dark in zip(first.frames[::2], first.frames[1::2], strict=True)]
+    return [
+        FramePair(lit, dark)
+        for lit, dark in zip(first.frames[::2], first.frames[1::2], strict=True)
+    ]
 
 
 def follow(

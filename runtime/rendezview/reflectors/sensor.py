@@ -278,9 +278,7 @@ class ReflectorSensor:
         table = table.copy()
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
         self._remember(time_s, table, refined, noise, ambiguous)
-        return self._reading(
-            time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True
-        )
+        return self._reading(time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True)
 
     def _windows(
         self, time_s: float, track: _Track, push: Array | None

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from rendezview.pose import Array
@@ -30,7 +29,9 @@ SATURATED_GREY = 255
 MOST_SPOTS = 400  # more than that is no picture of a target
 # Columns of the spot table that the compiled loops fill.
 X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
-BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(8, 19)
+BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
+    8, 19
+)
 COLUMNS = 19
 
 _ROUNDS = 12
@@ -237,8 +238,8 @@ def _window(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-de
     settled = False
     for turn in range(_ROUNDS):
         reach = _REACH * sigma
-        x0, x1 = max(int(math.ceil(x - reach)), 0), min(int(math.floor(x + reach)), width - 1)
-        y0, y1 = max(int(math.ceil(y - reach)), 0), min(int(math.floor(y + reach)), height - 1)
+        x0, x1 = max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1)
+        y0, y1 = max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1)
         if x1 < x0 or y1 < y0:
             break
         f = -0.5 / (sigma * sigma)

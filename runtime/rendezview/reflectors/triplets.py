@@ -166,9 +166,7 @@ def search(  # type: ignore[no-untyped-def]
     """
     count = directions.shape[0]
     shortest, longest, size_tolerance, peak_tolerance, foreshortened, longest_side = limits
-    reach = math.hypot(
-        abs(glass[0]) + glass[3], abs(glass[1]) + glass[2] * glass[3] + glass[4]
-    )
+    reach = math.hypot(abs(glass[0]) + glass[3], abs(glass[1]) + glass[2] * glass[3] + glass[4])
     # Of each spot the bases it may belong to, as angles in pixels, from its size.
     low, high = np.empty(count), np.empty(count)
     log_size, log_peak = np.log(sizes), np.log(peaks)
@@ -229,7 +227,7 @@ def search(  # type: ignore[no-untyped-def]
                 k = order[r]
                 if flat[k, 0] > middle_x + radius:
                     break
-                if k == i or k == j or abs(flat[k, 1] - middle_y) > radius:
+                if k in (i, j) or abs(flat[k, 1] - middle_y) > radius:
                     continue
                 if abs(log_peak[k] - 0.5 * (log_peak[i] + log_peak[j])) > 0.5 * peak_tolerance:
                     continue

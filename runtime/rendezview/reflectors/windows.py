@@ -54,8 +54,8 @@ def read_windows(  # type: ignore[no-untyped-def]
             continue
         # A spot whose middle is in the window may reach out of it.
         reach = half[i] + 3.0 * size + 1.0
-        x0, x1 = int(math.ceil(x - reach)), int(math.floor(x + reach))
-        y0, y1 = int(math.ceil(y - reach)), int(math.floor(y + reach))
+        x0, x1 = math.ceil(x - reach), math.floor(x + reach)
+        y0, y1 = math.ceil(y - reach), math.floor(y + reach)
         x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width - 1), min(y1, height - 1)
         w, h = x1 - x0 + 1, y1 - y0 + 1
         if w < 3 or h < 3:

@@ -65,9 +65,7 @@ class Clutter:
     background: Float32s | None = None  # grey levels of both pictures
 
 
-def foil(
-    camera: Camera, rng: np.random.Generator, facets: int, motion_px: float = 0.15
-) -> Clutter:
+def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float = 0.15) -> Clutter:
     """A crumpled sheet of sunlit foil: facets about one place, some saturated, in both pictures.
 
     Between the two pictures the craft move by ``motion_px`` (σ) and each facet flickers by 4 %.
@@ -173,7 +171,9 @@ def exposure(
         if radiance <= 0.0:
             continue
         far = float(np.linalg.norm(pose.apply(pattern.positions_m[k])))
-        gains.append(options.peak_grey / (radiance * _concentration(camera, pattern, k, far, options)))
+        gains.append(
+            options.peak_grey / (radiance * _concentration(camera, pattern, k, far, options))
+        )
         at_limit = options.control_range_m
         limits.append(
             options.peak_grey * at_limit**2
@@ -206,7 +206,7 @@ def _radiance(
         return 0.0
     off_beam = math.acos(min(place[2] / far, 1.0)) / options.beam_half_power_rad
     off_normal = math.acos(min(incidence, 1.0)) / options.return_half_power_rad
-    return float(0.5**(off_beam**2) * 0.5**(off_normal**2) / far**2)
+    return float(0.5 ** (off_beam**2) * 0.5 ** (off_normal**2) / far**2)
 
 
 def _dark_share(
