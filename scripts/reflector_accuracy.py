@@ -187,7 +187,8 @@ def main() -> None:
         worst = max(worst, float(np.max(np.abs(ratio - 1.0))))
         rms = math.sqrt(float(np.mean(spot_error**2)))
         ratios.add_row(
-            f"{range_m:g}", str(missed), f"{rms:.4f}", f"{np.abs(spot_error.mean((0, 1))).max():.4f}",
+            f"{range_m:g}", str(missed), f"{rms:.4f}",
+            f"{np.abs(spot_error.mean((0, 1))).max():.4f}",
             f"{rms / np.mean(px_bound):.2f}", *[f"{r:.2f}" for r in ratio],
         )  # fmt: skip
         units = np.array([100.0 / range_m, *([180.0 / math.pi] * 5)])

@@ -251,7 +251,9 @@ def chosen(rng: np.random.Generator, samples: dict[str, tuple[np.ndarray, ...]])
             k = facing_root(r[n], t[n], counts[n], TARGET, NORMALS)
             right += k >= 0 and pose_errors(r[n, k], t[n, k], rotations[n], places[n]) < 1e-6
             facing = [
-                j for j in range(counts[n]) if facing_root(r[n, j:j+1], t[n, j:j+1], 1, TARGET, NORMALS) == 0
+                j
+                for j in range(counts[n])
+                if facing_root(r[n, j : j + 1], t[n, j : j + 1], 1, TARGET, NORMALS) == 0
             ]  # fmt: skip
             several += len(facing) > 1
         print(

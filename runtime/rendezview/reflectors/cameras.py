@@ -10,6 +10,7 @@ from rendezview.pose import Pose
 from rendezview.reflectors.difference import LitDark
 from rendezview.reflectors.pattern import ReflectorPattern
 from rendezview.reflectors.sensor import Reading, ReflectorSensor
+from rendezview.reflectors.status import Status
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +67,8 @@ class SwitchingSensor:
         camera = self.active
         reading = camera.sensor.update(time_s, frames)
         if reading.pose is None or reading.six is None:
-            if not camera.sensor.is_tracking:
+            waiting = reading.status is Status.UNCONFIRMED  # for its second reading
+            if not (waiting or camera.sensor.is_tracking):
                 self._active = (self._active - 1) % len(self.cameras)
             return reading, None
         chaser_from_target = camera.camera_from_chaser.inverse() @ reading.pose

@@ -101,7 +101,8 @@ def refine(
     shift = start.apply(centre)
     covariance, residuals = np.empty((6, 6)), np.empty((len(spots), 2))
     iterations = adjust(
-        camera_numbers(camera, blur_px), (pattern.positions_m - centre)[which], pattern.normals[which],
+        camera_numbers(camera, blur_px),
+        (pattern.positions_m - centre)[which], pattern.normals[which],
         pattern.diameters_m[which], spots, sigma, np.zeros((6, 6)),
         rotation, shift, covariance, residuals,
     )  # fmt: skip
