@@ -275,7 +275,9 @@ class Acquirer:
     ) -> Acquisition:
         """Of the candidates the one that explains most spots best, unless another comes close."""
         judged = []
-        few = slice(0, _MOST_CANDIDATES)
+        # Where there are no more than three reflectors no candidate can explain more spots.
+        alone = len(self.constellation) == 3
+        few = slice(0, 1 if alone else _MOST_CANDIDATES)
         for row, score, numbers in zip(rows[few], scores[few], poses[few], strict=True):
             triangle = self._triangles[row[0]]
             for pose in self._turned(triangle, numbers, prior):
@@ -287,13 +289,15 @@ class Acquirer:
         mine = set(where.tolist())
         rivals = [item for item in judged[1:] if item[0] == most and set(item[4].tolist()) != mine]
         rival = -max((item[1] for item in rivals), default=-math.inf)
+        others = ~np.isin(rows[:, 1:], where).all(axis=1)
+        if alone and others.any():
+            rival = float(scores[others].min())
         if rival + score < self.options.rival_margin:
             return Acquisition(
                 Status.AMBIGUOUS,
                 f"two sets of spots pass for the target (χ² {-score:.1f} and {rival:.1f}): "
                 "give a prior, or look again",
             )
-        others = ~np.isin(rows[:, 1:], where).all(axis=1)
         by_chance = float(others.sum()) * (-score / self.options.score_limit) ** 2.5
         if by_chance > self.options.chance:
             return Acquisition(
