@@ -1,0 +1,173 @@
+"""``rendezview reflectors`` and ``rendezview reflectors calibrate``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from rich.console import Console
+
+from rendezview.camera import Camera
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.files import atomic_write, make_folder
+from rendezview.reflectors.acquisition import AcquisitionOptions
+from rendezview.reflectors.closed_form import Calibration
+from rendezview.reflectors.difference import LitDark, Opening, ThresholdOptions, registered
+from rendezview.reflectors.overlay import draw_reading
+from rendezview.reflectors.pattern import patterns_of
+from rendezview.reflectors.run import FramePair, Mode, calibrate_run, follow, pair_up, record
+from rendezview.reflectors.status import Status
+from rendezview.results import JsonLinesWriter
+from rendezview.sequences import open_sequence
+from rendezview.target import Target
+
+_CALIBRATE = "calibrate"
+
+
+def reflectors(
+    frames: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Pictures: one folder, scene or video with lit and dark ones in turn, or one of "
+            "each. The word 'calibrate' first fits the closed form to a run with truth instead."
+        ),
+    ],
+    target: Annotated[Path, typer.Option(help="Target file with reflectors, or its folder.")],
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="JSON lines of readings; calibrate: the calibration."),
+    ] = None,
+    group: Annotated[
+        list[str] | None, typer.Option(help="Reflector group to use; repeat for several. All.")
+    ] = None,
+    mode: Annotated[
+        Mode | None,
+        typer.Option(help="How pictures make readings; pairs, or splitter of two sequences."),
+    ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(help="Give the closed form too, with this calibration.")
+    ] = None,
+    threshold: Annotated[
+        float | None, typer.Option(min=0.0, max=255.0, help="Grey; from the noise if not given.")
+    ] = None,
+    upper: Annotated[
+        float | None, typer.Option(min=0.0, max=255.0, help="Grey: brighter pixels are glints.")
+    ] = None,
+    opening: Annotated[Opening, typer.Option(help="Erosion and dilation.")] = Opening.SMALL,
+    blur: Annotated[
+        float, typer.Option(min=0.2, max=20.0, help="Blur of the optics, pixels (one σ).")
+    ] = 0.75,
+    lit_from_dark: Annotated[
+        str | None, typer.Option(help="Splitter: 'a,b,c,d,e,f', rows of the map between cameras.")
+    ] = None,
+    independent: Annotated[
+        bool, typer.Option("--independent", help="Each reading on its own, no memory.")
+    ] = False,
+    overlay: Annotated[Path | None, typer.Option(help="Folder for pictures of readings.")] = None,
+) -> None:
+    """Read a video guidance sensor: reflectors to six numbers, or calibrate it.
+
+    \b
+    Example: rendezview reflectors lit dark --camera camera.yaml --target client -o readings.jsonl
+             rendezview reflectors calibrate run/lit run/dark --target client -o calibration.json
+    """
+    calibrating = str(frames[0]) == _CALIBRATE
+    places = frames[1:] if calibrating else frames
+    if not places:
+        raise RendezviewError("reflectors calibrate: name the run: the pictures with their truth")
+    _check_output(output)
+    patterns = patterns_of(Target.load(target), tuple(group) if group else None)
+    loaded = Calibration.load(calibration) if calibration else None
+    options = ThresholdOptions(lower_grey=threshold, upper_grey=upper, opening=opening)
+    acquisition = AcquisitionOptions(blur_px=blur)
+    affine = _affine(lit_from_dark)
+    chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
+    seen_by = Camera.load(camera) if camera else None
+    pairs = pair_up([open_sequence(place, seen_by) for place in places], chosen)
+    if calibrating:
+        if output is None:
+            raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")
+        fitted, count = calibrate_run(
+            pairs, patterns[0], threshold=options, acquisition=acquisition, lit_from_dark=affine
+        )
+        fitted.save(output)
+        _say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(pairs)} readings")
+        return
+    if overlay:
+        make_folder(overlay)
+    writer = JsonLinesWriter(output) if output else None
+    outcomes: Counter[Status] = Counter()
+    times_ms: list[float] = []
+    try:
+        with ProgressBar() as progress:
+            readings = follow(
+                pairs, patterns, threshold=options, acquisition=acquisition,
+                independent=independent, lit_from_dark=affine,
+            )  # fmt: skip
+            for done, (pair, reading) in enumerate(readings, start=1):
+                outcomes[reading.status] += 1
+                times_ms.append(sum(reading.stage_ms.values()))
+                if writer:
+                    writer.write(record(pair, reading, patterns, loaded))
+                if overlay and reading.status is not Status.UNREADABLE:
+                    drawn = draw_reading(_read(pair, affine), reading, pair.lit.camera, patterns)
+                    _save(overlay / f"{pair.lit.im_id:06d}.png", drawn)
+                progress("readings", done, len(pairs))
+    finally:
+        if writer and outcomes:  # Ctrl-C in the middle keeps what was computed
+            writer.close()
+        elif writer:
+            writer.partial_path.unlink(missing_ok=True)
+    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != Status.OK)
+    _say(
+        f"{outcomes[Status.OK]} poses in {len(pairs)} readings"
+        + (f" ({told})" if told else "")
+        + (f", median {np.median(times_ms):.2f} ms a reading" if times_ms else "")
+    )
+
+
+def _read(pair: FramePair, affine: np.ndarray | None) -> LitDark:
+    dark = None if pair.dark is None else pair.dark.read()
+    if dark is not None and affine is not None:
+        dark = registered(dark, affine)
+    return LitDark(pair.lit.read(), dark)
+
+
+def _save(path: Path, picture: np.ndarray) -> None:
+    done, content = cv2.imencode(".png", picture)
+    if not done:
+        raise RendezviewError(f"{path}: this picture cannot be encoded")
+    with atomic_write(path, durable=False) as file:
+        file.write(content.tobytes())
+
+
+def _check_output(output: Path | None) -> None:
+    if output is not None and (output.is_dir() or not output.parent.is_dir()):
+        raise RendezviewError(f"{output}: give a file name in an existing folder")
+
+
+def _affine(text: str | None) -> np.ndarray | None:
+    if text is None:
+        return None
+    try:
+        affine = np.array([float(part) for part in text.split(",")]).reshape(2, 3)
+        if not np.isfinite(affine).all() or abs(np.linalg.det(affine[:, :2])) < 1e-3:
+            raise ValueError(text)
+    except ValueError:
+        raise RendezviewError(
+            f"--lit-from-dark must be six numbers 'a,b,c,d,e,f' (u = a u' + b v' + c, "
+            f"v = d u' + e v' + f) that can be inverted, not {text!r}"
+        ) from None
+    return affine
+
+
+def _say(text: str) -> None:
+    Console(stderr=True).print(text, highlight=False, soft_wrap=True)
