@@ -55,7 +55,27 @@ def tiny_options() -> TrainingOptions:
         resolution_px=128,
         perturbed_views=800,
         held_out_views=150,
+        contour_points=0,
+        lit_views=False,
     )
+
+
+@pytest.fixture(scope="session")
+def refining_model(tmp_path_factory: pytest.TempPathFactory, bumpy_mesh: Mesh) -> ViewModel:
+    """The bumpy body with contour points and lit silhouettes, and next to no trees."""
+    path = tmp_path_factory.mktemp("refining") / "bumpy.rvm"
+    options = TrainingOptions(
+        order=2,
+        bins=90,
+        smooth_bins=3,
+        resolution_px=128,
+        perturbed_views=100,
+        held_out_views=50,
+        contour_radii=(1.0, 2.0),
+        contour_resolution_px=256,
+    )
+    train(bumpy_mesh, path, name="bumpy", options=options, jobs=1)
+    return ViewModel.load(path)
 
 
 @pytest.fixture(scope="session")

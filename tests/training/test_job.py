@@ -26,6 +26,9 @@ SMALL = TrainingOptions(
     resolution_px=64,
     perturbed_views=280,  # two shards
     held_out_views=20,
+    contour_points=20,
+    contour_radii=(1.0,),
+    contour_resolution_px=64,
 )
 STOPPED = """
 import os, pickle, sys

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
+import numpy.typing as npt
+
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.recognizer import Recognizer, Sighting
 from rendezview.appearance.silhouette import SilhouetteOptions
@@ -25,6 +27,8 @@ def follow(
     independent: bool = False,
     silhouette: SilhouetteOptions | None = None,
     options: TrackerOptions | None = None,
+    sun_camera: npt.ArrayLike | None = None,
+    refine: bool = True,
 ) -> Iterator[tuple[Frame, Sighting]]:
     """One sighting for each frame, in order.
 
@@ -36,6 +40,8 @@ def follow(
         independent: every frame on its own, no prior and no memory.
         silhouette: how to find the target.
         options: of the tracker.
+        sun_camera: (3,) towards the Sun, camera frame, if it is known.
+        refine: move poses onto the edges, if the model has contour points.
 
     A frame that cannot be read gives the status ``UNREADABLE``, and the next goes on.
 
@@ -47,7 +53,7 @@ def follow(
     last_s = float("-inf")
     for index, frame in enumerate(sequence):
         if frame.camera not in recognizers:
-            recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette)
+            recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette, refine=refine)
         recognizer = recognizers[frame.camera]
         if tracker is None:
             tracker = Tracker(recognizer, prior, options)
@@ -59,7 +65,7 @@ def follow(
             yield frame, Sighting(Status.UNREADABLE, str(error))
             continue
         if independent:
-            yield frame, recognizer.recognize(image)
+            yield frame, recognizer.recognize(image, sun_camera=sun_camera)
             continue
         if not time_s > last_s:
             raise RendezviewError(
@@ -68,7 +74,7 @@ def follow(
                 "single frames"
             )
         last_s = time_s
-        yield frame, tracker.update(time_s, image)
+        yield frame, tracker.update(time_s, image, sun_camera)
 
 
 def result_row(scene_id: int, frame: Frame, sighting: Sighting) -> ResultRow | None:
@@ -90,8 +96,26 @@ def record(frame: Frame, sighting: Sighting) -> dict[str, Any]:
         "pose": sighting.pose,
         "covariance": sighting.covariance,
         "score": sighting.score,
+        "confidence": sighting.confidence,
+        "candidates": list(sighting.candidates),
+        "refinement": _refinement(sighting),
         "on_nodes": sighting.on_nodes,
         "weights": sighting.weights,
         "points_m": sighting.points_m,
         "stage_ms": sighting.stage_ms,
+    }
+
+
+def _refinement(sighting: Sighting) -> dict[str, float] | None:
+    """How the best refined pose stands, given or not."""
+    if sighting.found is None:
+        return None
+    best = sighting.found.best
+    return {
+        "outline": best.outline,
+        "inner": best.inner,
+        "seen": best.seen,
+        "residual_px": best.residual_px,
+        "excess": sighting.found.excess,
+        "margin": sighting.found.margin,
     }

@@ -51,6 +51,11 @@ class Found:
     rival: Refined | None = None
 
     @property
+    def merit(self) -> float:
+        """Of the best pose, as poses of one frame are compared."""
+        return merit(self.best, self.excess)
+
+    @property
     def features(self) -> Array:
         """(9,) what tells a right pose from a wrong one; the first is 1."""
         best = self.best

@@ -48,6 +48,13 @@ def track(
     threshold: Annotated[
         str, typer.Option(help="noise, otsu, or a grey level from 0 to 254.")
     ] = "noise",
+    sun: Annotated[
+        str | None,
+        typer.Option(help="'x,y,z' towards the Sun, camera frame: helps where shadows are hard."),
+    ] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine/--no-refine", help="Move poses onto the edges of the frame.")
+    ] = True,
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
@@ -61,7 +68,8 @@ def track(
     loaded = ViewModel.load(model)
     sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
     first = _prior(prior, sequence, loaded)
-    options = _silhouette(threshold)
+    options = None if threshold == Threshold.NOISE else _silhouette(threshold)
+    light = _direction(sun)
     rows: list[ResultRow] = []
     outcomes: Counter[Status] = Counter()
     times_ms: list[float] = []
@@ -69,7 +77,13 @@ def track(
     try:
         with ProgressBar() as progress:
             frames = follow(
-                loaded, sequence, prior=first, independent=independent, silhouette=options
+                loaded,
+                sequence,
+                prior=first,
+                independent=independent,
+                silhouette=options,
+                sun_camera=light,
+                refine=refine,
             )
             for done, (frame, sighting) in enumerate(frames, start=1):
                 outcomes[sighting.status] += 1
@@ -123,6 +137,18 @@ def _silhouette(threshold: str) -> SilhouetteOptions:
         raise RendezviewError(
             f"--threshold must be noise, otsu or a grey level from 0 to 254, not {threshold!r}"
         ) from None
+
+
+def _direction(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        direction = [float(part) for part in text.split(",")]
+    except ValueError:
+        direction = []
+    if len(direction) != 3 or not 0.0 < np.linalg.norm(direction) < np.inf:
+        raise RendezviewError(f"--sun must be 'x,y,z', towards the Sun, not {text!r}")
+    return direction
 
 
 def _prior(text: str | None, sequence: Sequence, model: ViewModel) -> Pose | None:

@@ -19,6 +19,7 @@ from rendezview.training.job import train as train_model
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import Neighbourhood, TrainingOptions
 from rendezview.training.renderers import Renderer
+from rendezview.training.symmetries import find_symmetries
 
 _DEFAULT = TrainingOptions()
 
@@ -90,6 +91,7 @@ def train(
             name=found.name,
             options=options,
             camera=Camera.load(camera) if camera else None,
+            symmetries=found.symmetries or find_symmetries(mesh),
             jobs=jobs,
             progress=progress,
         )
@@ -115,6 +117,13 @@ def summary(trained: Trained) -> str:
         f"{np.mean(leaves):.0f} leaves; "
         f"{100 * np.mean(model.training_accuracy):.1f} % of the training samples right",
     ]
+    if model.contours is not None:
+        lit = 0 if model.lit is None else len(model.lit.sun)
+        lines.append(
+            f"refinement: {model.contours.kind.shape[2]} contour points a view from "
+            f"{len(model.contours.shells_m)} distances, {lit} lit silhouettes; "
+            + (f"{len(model.symmetries)} symmetries" if model.symmetries else "no symmetry")
+        )
     if trained.decisions is not None:
         d = trained.decisions
         right = d.in_right.sum() + d.out_right.sum()

@@ -66,7 +66,19 @@ def contour_points(
     draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
     albedo = np.ascontiguousarray(mesh.face_rgb.mean(axis=1), dtype=np.float64)
     step_m = _STEP_RADII * geometry.target_radius_m
-    crossings = _crossings(vertices, faces, beside, albedo, focal, middle, nearness, owner, step_m)
+    crossings = _crossings(
+        vertices,
+        vertices[:, :2] / vertices[:, 2:] * focal + middle,
+        faces,
+        _normals(vertices, faces),
+        beside,
+        albedo,
+        focal,
+        middle,
+        nearness,
+        owner,
+        step_m,
+    )
     edges = np.zeros(owner.shape, dtype=np.bool_)
     _mark(crossings, edges)
     count = options.contour_points
@@ -148,34 +160,22 @@ def faces_beside(mesh: Mesh) -> npt.NDArray[np.int32]:
     return beside.reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
-def _normal(vertices, faces, face, out):  # type: ignore[no-untyped-def]
-    """Unit normal of a face, towards the camera; False where the face has no area."""
-    a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-    ux, uy, uz = (
-        vertices[b, 0] - vertices[a, 0],
-        vertices[b, 1] - vertices[a, 1],
-        vertices[b, 2] - vertices[a, 2],
-    )
-    vx, vy, vz = (
-        vertices[c, 0] - vertices[a, 0],
-        vertices[c, 1] - vertices[a, 1],
-        vertices[c, 2] - vertices[a, 2],
-    )
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if length < 1e-30:
-        out[0], out[1], out[2] = 0.0, 0.0, -1.0
-        return
-    towards = nx * vertices[a, 0] + ny * vertices[a, 1] + nz * vertices[a, 2]
-    sign = -1.0 / length if towards > 0.0 else 1.0 / length
-    out[0], out[1], out[2] = sign * nx, sign * ny, sign * nz
+def _normals(vertices: Array, faces: npt.NDArray[np.int32]) -> Array:
+    """Unit normals (F, 3), towards the camera; towards it straight where a face has no area."""
+    corners = vertices[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(length, 1e-30)[:, None]
+    normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0
+    normals[length < 1e-30] = (0.0, 0.0, -1.0)
+    return normals
 
 
 @njit(cache=True, nogil=True)
-def _depth_on(vertices, faces, face, normal, rx, ry):  # type: ignore[no-untyped-def]
+def _depth_on(vertices, faces, face, normals, rx, ry):  # type: ignore[no-untyped-def]
     """z where the ray (rx, ry, 1) meets the plane of a face; 0 where it runs along it."""
     a = faces[face, 0]
+    normal = normals[face]
     down = normal[0] * rx + normal[1] * ry + normal[2]
     if abs(down) < 1e-9:
         return 0.0
@@ -185,22 +185,18 @@ def _depth_on(vertices, faces, face, normal, rx, ry):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _exit(vertices, faces, face, focal, middle, px, py, dx, dy):  # type: ignore[no-untyped-def]
+def _exit(points, faces, face, px, py, dx, dy):  # type: ignore[no-untyped-def]
     """Interval [enter, leave] of p + s d inside a projected face, and the edge of the exit."""
     enter, leave, edge = -1e9, 1e9, -1
-    ux, uy = np.empty(3), np.empty(3)
-    for k in range(3):
-        v = faces[face, k]
-        ux[k] = focal * vertices[v, 0] / vertices[v, 2] + middle
-        uy[k] = focal * vertices[v, 1] / vertices[v, 2] + middle
-    area = (ux[1] - ux[0]) * (uy[2] - uy[0]) - (ux[2] - ux[0]) * (uy[1] - uy[0])
+    p, q, r = points[faces[face, 0]], points[faces[face, 1]], points[faces[face, 2]]
+    area = (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
     if abs(area) < 1e-9:
         return 1.0, 0.0, -1
     side = 1.0 if area > 0.0 else -1.0
     for k in range(3):
-        j = (k + 1) % 3
-        ex, ey = ux[j] - ux[k], uy[j] - uy[k]
-        at = side * (ex * (py - uy[k]) - ey * (px - ux[k]))  # ≥ 0 inside
+        a, b = points[faces[face, k]], points[faces[face, (k + 1) % 3]]
+        ex, ey = b[0] - a[0], b[1] - a[1]
+        at = side * (ex * (py - a[1]) - ey * (px - a[0]))  # ≥ 0 inside
         slope = side * (ex * dy - ey * dx)
         if abs(slope) < 1e-12:
             if at < -1e-9:
@@ -216,38 +212,33 @@ def _exit(vertices, faces, face, focal, middle, px, py, dx, dy):  # type: ignore
 
 @njit(cache=True, nogil=True)
 def _crossings(  # type: ignore[no-untyped-def]
-    vertices, faces, beside, albedo, focal, middle, nearness, owner, step
+    vertices, points, faces, normals, beside, albedo, focal, middle, nearness, owner, step
 ):
     """Every edge between neighbouring pixels: (M, 13) rows."""
     height, width = owner.shape
     rows = np.empty((4096, 13))
     count = 0
-    n, m, other = np.empty(3), np.empty(3), np.empty(3)
     for y in range(1, height - 1):
         for x in range(1, width - 1):
             face = owner[y, x]
             if face < 0:
                 continue
-            ready = False
             for side in range(4):
                 dx = (1, 0, -1, 0)[side]
                 dy = (0, 1, 0, -1)[side]
                 beyond = owner[y + dy, x + dx]
                 if beyond == face:
                     continue
-                if not ready:
-                    _normal(vertices, faces, face, n)
-                    ready = True
                 kind = 0
                 if beyond >= 0:
                     rx, ry = (x + dx - middle) / focal, (y + dy - middle) / focal
-                    z_here = _depth_on(vertices, faces, face, n, rx, ry)
+                    z_here = _depth_on(vertices, faces, face, normals, rx, ry)
                     z_there = 1.0 / nearness[y + dy, x + dx]
                     z_own = 1.0 / nearness[y, x]
                     if z_there - z_own > step and (z_here <= 0.0 or z_there - z_here > step):
                         kind = 1
                     elif side < 2 and abs(z_there - z_own) < step:
-                        _normal(vertices, faces, beyond, m)
+                        n, m = normals[face], normals[beyond]
                         cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
                         paint = abs(albedo[face] - albedo[beyond])
                         if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
@@ -255,7 +246,7 @@ def _crossings(  # type: ignore[no-untyped-def]
                         kind = 2
                     else:
                         continue
-                enter, leave, edge = _exit(vertices, faces, face, focal, middle, x, y, dx, dy)
+                enter, leave, edge = _exit(points, faces, face, x, y, dx, dy)
                 last = face
                 if edge < 0 or enter > 0.5 or leave < -0.5:
                     continue
@@ -272,23 +263,19 @@ def _crossings(  # type: ignore[no-untyped-def]
                                 near = owner[y + (around - 1) // 3 - 1, x + (around - 1) % 3 - 1]
                             if near < 0 or near == last:
                                 continue
-                            e, f, g = _exit(vertices, faces, near, focal, middle, x, y, dx, dy)
+                            e, f, g = _exit(points, faces, near, x, y, dx, dy)
                             if g < 0 or e > leave + 1e-3 or f <= leave + 1e-6:
                                 continue
                             # … on the same surface
-                            _normal(vertices, faces, near, other)
                             rx = (x + dx * leave - middle) / focal
                             ry = (y + dy * leave - middle) / focal
-                            z = _depth_on(vertices, faces, near, other, rx, ry)
+                            z = _depth_on(vertices, faces, near, normals, rx, ry)
                             if abs(z - 1.0 / nearness[y, x]) > step:
                                 continue
                             last, leave, edge, again = near, f, g, True
                 if leave < -0.01 or leave > 1.01:
                     continue
-                if last != face:
-                    _normal(vertices, faces, last, other)
-                else:
-                    other[:] = n
+                other = normals[last]
                 a, b = faces[last, edge], faces[last, (edge + 1) % 3]
                 rx, ry = (x + dx * leave - middle) / focal, (y + dy * leave - middle) / focal
                 # Depth on the edge itself: the two lines in space meet in the picture.

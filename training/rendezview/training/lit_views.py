@@ -27,6 +27,7 @@ _RANGE_RADII = 1.5  # sphere radii: between the nearest and the far views
 _PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # less is the whole silhouette
 _LEAST_COSINE = 0.06  # of the Sun's incidence: flatter, a face stays below the threshold
 _LEAST_SHARE = 0.08  # of the silhouette that must be lit
+_LEAST_OUTLINE = 10  # points; less is a speck
 _SMOOTH_BINS = 3
 
 
@@ -97,7 +98,11 @@ def lit_views(
         )  # fmt: skip
         if np.count_nonzero(mask) < _LEAST_SHARE * whole:
             continue
-        outlines = [_rays(points, focal, middle) for points in outlines_of_mask(mask)]
+        outlines = [
+            _rays(points, focal, middle)
+            for points in outlines_of_mask(mask)
+            if len(points) >= _LEAST_OUTLINE
+        ]
         signature = Signature.of_outlines(outlines, LIT_BINS, _SMOOTH_BINS)
         if signature is None:
             continue
@@ -107,12 +112,15 @@ def lit_views(
         rows.append(
             (int(sun), attitude, signature.readings, signature.area_sr * range_m**2, offset)
         )
-    quaternions = np.array([Rotation.from_matrix(r[1]).as_quat()[[3, 0, 1, 2]] for r in rows])
+    attitudes = np.array([r[1] for r in rows]).reshape(-1, 3, 3)
+    quaternions = np.zeros((0, 4))
+    if len(rows):
+        quaternions = Rotation.from_matrix(attitudes).as_quat()[:, [3, 0, 1, 2]]
     readings = np.array([r[2] for r in rows]).reshape(-1, LIT_BINS)
     return {
         "sun": np.array([r[0] for r in rows], dtype=np.uint8),
         "view": np.full(len(rows), view, dtype=np.uint16),
-        "quat_wxyz": quaternions.reshape(-1, 4).astype(np.float32),
+        "quat_wxyz": quaternions.astype(np.float32),
         "readings": np.minimum(np.rint(readings / READING_UNIT), 255).astype(np.uint8),
         "area_m2": np.array([r[3] for r in rows], dtype=np.float32),
         "offset_m": np.array([r[4] for r in rows]).reshape(-1, 2).astype(np.float32),
