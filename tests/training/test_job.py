@@ -144,7 +144,15 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         ends[stage] = of
 
     train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=SMALL, jobs=2, progress=progress)
-    assert list(told) == ["lattice", "perspective", "views", "held-out", "trees"]
+    assert list(told) == [
+        "lattice",
+        "perspective",
+        "views",
+        "held-out",
+        "contours",
+        "lit",
+        "trees",
+    ]
     for stage, counts in told.items():
         assert counts == list(range(ends[stage] + 1))
 

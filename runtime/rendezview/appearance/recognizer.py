@@ -199,7 +199,9 @@ class Recognizer:
     ) -> list[Silhouette] | Missing:
         """The target's silhouette; several readings of it before a bright sky."""
         if sky is not None and not sky.dark:
-            return find_bodies(frame, sky.noise_grey)
+            bodies = find_bodies(frame, sky.noise_grey)
+            if not isinstance(bodies, Missing):
+                return bodies
         found = find_silhouette(frame, self.silhouette_options, self._expected_px(prior))
         return found if isinstance(found, Missing) else [found]
 

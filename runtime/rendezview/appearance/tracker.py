@@ -59,6 +59,8 @@ class Tracker:
         """camera_from_target expected at a time."""
         if self._pose is None or self._time_s is None:
             return self._pose
+        if not (self._turn_rad_s.any() or self._move_m_s.any()):
+            return self._pose
         ahead_s = min(time_s - self._time_s, self.options.longest_prediction_s)
         centre_m = self.recognizer.model.centre_m
         rotation = Rotation.from_rotvec(self._turn_rad_s * ahead_s).as_matrix()

@@ -143,8 +143,8 @@ def _render(
                 "fov_axis": "x",
                 "fov": math.degrees(2.0 * math.atan(0.5 * camera.width / camera.fx)),
                 # Pixel centres are integers here, the film's corner is (-0.5, -0.5).
-                "principal_point_offset_x": (camera.cx + 0.5) / camera.width - 0.5,
-                "principal_point_offset_y": (camera.cy + 0.5) / camera.height - 0.5,
+                "principal_point_offset_x": 0.5 - (camera.cx + 0.5) / camera.width,
+                "principal_point_offset_y": 0.5 - (camera.cy + 0.5) / camera.height,
                 # Mitsuba's camera has x to the left and y up.
                 "to_world": mi.ScalarTransform4f().rotate([0, 0, 1], 180.0),
                 "film": film,

@@ -25,7 +25,7 @@ def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
     """
     points = _surface(mesh, np.random.default_rng(seed))
     centre_m, radius_m = mesh.bounding_sphere
-    tree = cKDTree(_surface(mesh, np.random.default_rng(seed + 1), 5 * _POINTS))
+    tree = cKDTree(_surface(mesh, np.random.default_rng(seed + 1), 20 * _POINTS))
     found: list[Symmetry] = []
     for axis in _axes(points):
         # The bounding sphere's centre must lie on the axis.
@@ -66,5 +66,5 @@ def _axes(points: Array) -> list[Array]:
 
 def _alike(points: Array, tree: cKDTree, axis: Array, angle_rad: float, radius_m: float) -> bool:
     turned = Rotation.from_rotvec(angle_rad * axis).apply(points)
-    distance, _ = tree.query(turned)
-    return bool(np.mean(distance < 2.0 * _SAME * radius_m) >= _SHARE)
+    distance, _ = tree.query(turned, distance_upper_bound=2.0 * _SAME * radius_m)
+    return bool(np.mean(np.isfinite(distance)) >= _SHARE)

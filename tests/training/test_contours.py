@@ -1,0 +1,114 @@
+"""Contour points and lit silhouettes of views, and the symmetries of meshes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from rendezview.appearance.contours import NO_POINT, OUTLINE, POINT_UNIT, RUN_UNIT
+from rendezview.training.contours import contour_points, faces_beside
+from rendezview.training.lit_views import lit_views, sun_maps
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import TrainingOptions, view_geometry
+from rendezview.training.symmetries import find_symmetries
+from rendezview.training.views import look_from
+
+OPTIONS = TrainingOptions(contour_points=200, contour_resolution_px=256)
+
+
+def as_mesh(body: trimesh.Trimesh) -> Mesh:
+    faces = np.array(body.faces, dtype=np.int32)
+    return Mesh(np.array(body.vertices), faces, np.full((len(faces), 3), 0.6, np.float32), ())
+
+
+def points_of(mesh: Mesh, direction, range_radii=3.0):
+    geometry = view_geometry(mesh, OPTIONS, None)
+    direction = np.asarray(direction) / np.linalg.norm(direction)
+    view = contour_points(
+        mesh,
+        faces_beside(mesh),
+        geometry,
+        direction,
+        range_radii * geometry.target_radius_m,
+        OPTIONS,
+    )
+    kept = view["kind"] != NO_POINT
+    metres = view["point"][kept] * POINT_UNIT * geometry.target_radius_m + geometry.centre_m
+    return metres, {name: values[kept] for name, values in view.items()}, geometry
+
+
+def test_points_of_a_box_lie_on_its_edges():
+    mesh = as_mesh(trimesh.creation.box((2.0, 1.0, 0.5)))
+    points, view, _ = points_of(mesh, [1.0, 0.7, 0.5])
+    on_face = np.isclose(np.abs(points), [1.0, 0.5, 0.25], atol=2e-4)
+    assert len(points) > 150
+    assert np.all(on_face.sum(axis=1) >= 2)  # an edge lies in two faces
+    along = view["tangent"] / 127.0
+    assert np.all(np.max(np.abs(along), axis=1) > 0.99)  # of a box, along an axis
+
+
+def test_points_of_a_ball_lie_on_its_rim_seen_from_the_camera():
+    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=4))
+    direction = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])
+    points, view, _ = points_of(mesh, direction)
+    rim = points[view["kind"] == OUTLINE]
+    assert np.linalg.norm(rim, axis=1) == pytest.approx(1.0, abs=0.01)
+    assert rim @ direction == pytest.approx(1.0 / 3.0, abs=0.1)  # tangent cone from 3 radii
+
+
+def test_the_outside_lies_to_the_right_of_the_tangent():
+    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=3))
+    direction = np.array([0.0, -1.0, 0.0])
+    points, view, _ = points_of(mesh, direction)
+    rotation = look_from(direction)
+    along = (view["tangent"] / 127.0) @ rotation.T
+    place = points @ rotation.T
+    outward = np.stack([along[:, 1], -along[:, 0]], axis=1)  # right of it on the screen, y down
+    assert np.all(np.sum(outward * place[:, :2], axis=1)[view["kind"] == OUTLINE] > 0.0)
+
+
+def test_a_thin_bar_has_short_runs_and_few_points():
+    bar = trimesh.creation.box((2.0, 0.008, 0.008))
+    bar.apply_translation((0.0, 0.9, 0.0))
+    body = trimesh.util.concatenate([trimesh.creation.box((1.6, 1.0, 0.3)), bar])
+    points, view, geometry = points_of(as_mesh(body), [0.0, 0.0, 1.0])
+    thin = points[:, 1] > 0.8
+    assert np.mean(thin) < 0.1
+    runs_m = view["run"][:, 0] * RUN_UNIT * geometry.target_radius_m
+    assert np.all(runs_m[thin] < 0.03)
+    assert np.median(runs_m[~thin]) > 0.1
+
+
+def test_faces_beside_share_an_edge():
+    mesh = as_mesh(trimesh.creation.box((1.0, 1.0, 1.0)))
+    beside = faces_beside(mesh)
+    assert beside.min() >= 0
+    for face, others in enumerate(beside):
+        for k, other in enumerate(others):
+            edge = {mesh.faces[face][k], mesh.faces[face][(k + 1) % 3]}
+            assert edge <= set(mesh.faces[other])
+
+
+def test_a_face_in_shadow_or_turned_away_is_not_lit(bumpy_mesh):
+    geometry = view_geometry(bumpy_mesh, OPTIONS, None)
+    maps = sun_maps(bumpy_mesh, geometry)
+    direction = np.array([0.2, 0.3, 0.93]) / np.linalg.norm([0.2, 0.3, 0.93])
+    lit = lit_views(bumpy_mesh, maps, geometry, 7, direction)
+    assert len(lit["sun"]) > 5
+    assert set(lit["view"]) == {7}
+    phases = np.arccos(maps.suns[lit["sun"]] @ direction)
+    low, high = lit["area_m2"][phases < np.deg2rad(45)], lit["area_m2"][phases > np.deg2rad(65)]
+    assert low.mean() > 1.1 * high.mean()  # the farther round the Sun, the less is lit
+    assert np.linalg.norm(lit["quat_wxyz"], axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_symmetries_of_bodies_are_found_and_of_others_not(bumpy_mesh):
+    box = find_symmetries(as_mesh(trimesh.creation.box((2.0, 1.0, 0.5))))
+    assert sorted(s.angle_rad for s in box) == pytest.approx([np.pi] * 3)
+    prism = find_symmetries(as_mesh(trimesh.creation.cylinder(0.5, 2.0, sections=4)))
+    assert any(s.angle_rad == pytest.approx(np.pi / 2) for s in prism)
+    tube = find_symmetries(as_mesh(trimesh.creation.cone(0.5, 2.0, sections=128)))
+    assert [s.kind for s in tube] == ["continuous"]
+    assert abs(tube[0].axis[2]) == pytest.approx(1.0)
+    assert find_symmetries(bumpy_mesh) == ()
