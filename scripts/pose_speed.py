@@ -1,0 +1,127 @@
+"""How long a pose takes at 1024 × 1024 on one core, beside what it could be done with.
+
+    python scripts/pose_speed.py models_cad/hubble [--model FILE]
+
+Frames of our own simulator, Sun phase 20°, medians of single calls. In the same run: the floor
+(threshold, contours, contour → bins), nearest of all views by FFT, scikit-learn's trees in a loop.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy import fft
+from scipy.spatial.transform import Rotation
+from sklearn.tree import DecisionTreeClassifier
+from threadpoolctl import threadpool_limits
+
+from rendezview.appearance import Recognizer, ViewModel
+from rendezview.appearance.signature import Signature
+from rendezview.appearance.silhouette import outer_borders, outlines_of_mask
+from rendezview.camera import Camera
+from rendezview.pose import Pose
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.bundled import find_target
+from rendezview.training.job import train
+from rendezview.training.mesh import load_mesh
+
+
+def median_ms(call: Callable[[], object], repeats: int = 60) -> float:
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("target")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--frames", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=77)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+    found = find_target(arguments.target)
+    mesh = load_mesh(found.mesh_path, found.unit)
+    with tempfile.TemporaryDirectory() as folder:
+        path = arguments.model or Path(folder) / "model.rvm"
+        if arguments.model is None:
+            train(mesh, path, name=found.name)
+        load = median_ms(lambda: ViewModel.load(path), 15)
+        model, size = ViewModel.load(path), path.stat().st_size
+    camera = Camera.from_fov(1024, 1024, np.deg2rad(40.0))
+    centre_m, radius_m = mesh.bounding_sphere
+    rng = np.random.default_rng(arguments.seed)
+    full, fast = Recognizer(model, camera), Recognizer(model, camera, trees=False)
+    rows: dict[str, list[float]] = {}
+    for _ in range(arguments.frames):
+        rotation = Rotation.random(random_state=rng).as_matrix()
+        depth = radius_m * rng.uniform(4.0, 7.0)
+        pose = Pose(rotation, np.array([0.0, 0.0, depth]) - rotation @ centre_m)
+        sun = sun_at_phase([0.0, 0.0, 1.0], np.deg2rad(20.0), rng.uniform(0.0, 6.28))
+        frame = render_frame(mesh, camera, pose, sun, SceneOptions(sky_frame="camera"), rng)
+        turn = Rotation.from_rotvec(rng.normal(size=3) * 0.01).as_matrix() @ rotation
+        prior = Pose(turn, np.array([0.0, 0.0, 1.01 * depth]) - turn @ centre_m)
+        rows.setdefault("tracking, refinement only", []).append(
+            median_ms(lambda f=frame, p=prior: fast.recognize(f, p), 20)
+        )
+        rows.setdefault("tracking with on nodes", []).append(
+            median_ms(lambda f=frame, p=prior: full.recognize(f, p), 20)
+        )
+        rows.setdefault("first pose, no prior", []).append(
+            median_ms(lambda f=frame: full.recognize(f), 5)
+        )
+        mask = cv2.threshold(frame, 30, 255, cv2.THRESH_BINARY)[1]
+        rows.setdefault("floor: threshold, contours, bins", []).append(
+            median_ms(lambda f=frame: floor(f, camera, model), 20)
+        )
+        signature = Signature.of_outlines([camera.rays(o) for o in outlines_of_mask(mask)], 360, 1)
+        if signature is not None:
+            views = model.views.readings.astype(np.float32)
+            spectra = np.conj(fft.rfft(views, axis=1))
+            rows.setdefault("nearest of all views by FFT", []).append(
+                median_ms(
+                    lambda s=signature.readings, w=spectra: np.argmax(
+                        fft.irfft(fft.rfft(s) * w, n=360, axis=1)
+                    ),
+                    5,
+                )
+            )
+    samples = model.views.readings[:400].astype(np.float32)
+    trees = [
+        DecisionTreeClassifier(criterion="entropy", max_depth=8).fit(
+            samples, np.arange(len(samples)) % 40 == k % 40
+        )
+        for k in range(len(model.forest))
+    ]
+    rows["scikit-learn, predict in a loop over the nodes"] = [
+        median_ms(lambda: [tree.predict(samples[:1]) for tree in trees], 5)
+    ]
+    if hasattr(cv2, "linemod"):
+        print("cv2.linemod is here: time it beside these")
+    floor_ms = float(np.median(rows["floor: threshold, contours, bins"]))
+    print(f"model {size / 1e6:.1f} MB, loaded in {load:.1f} ms")
+    for name, times in rows.items():
+        ms = float(np.median(times))
+        print(f"{name:48s} {ms:8.2f} ms  {ms / floor_ms:6.1f} × floor")
+
+
+def floor(frame: np.ndarray, camera: Camera, model: ViewModel) -> object:
+    mask = cv2.threshold(frame, 30, 255, cv2.THRESH_BINARY)[1]
+    border = max(outer_borders(np.asarray(mask, np.uint8)), key=len)
+    rays = camera.rays(border.astype(np.float64))
+    return Signature.of_outlines([rays], model.bins, 1)
+
+
+if __name__ == "__main__":
+    main()
