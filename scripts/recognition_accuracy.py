@@ -186,7 +186,7 @@ def one_real(mesh: Mesh, models: list[ViewModel], camera: Camera, seed: int, k: 
     error = rng.normal(size=3)
     error *= np.deg2rad(rng.uniform(0.0, 20.0)) / np.linalg.norm(error)
     prior = Pose(Rotation.from_rotvec(error).as_matrix() @ pose.rotation, pose.translation_m)
-    recognizer = Recognizer(models[0], camera)
+    recognizer = Recognizer(models[0], camera, refine=False)
     for frame in (image, *shadowed):
         tallies.append(end_to_end(recognizer, frame, prior, pose, direction))
     return tallies
@@ -272,7 +272,7 @@ def main() -> None:
     target = Target.load(arguments.target)
     mesh = load_mesh(target.mesh_path, arguments.unit or target.unit)
     with tempfile.TemporaryDirectory() as folder:
-        options = TrainingOptions()
+        options = TrainingOptions(contour_points=0, lit_views=False)
         if arguments.model:
             robust = ViewModel.load(arguments.model)
         else:

@@ -74,7 +74,9 @@ def main() -> None:
         model = ViewModel.load(arguments.model)
     else:
         with tempfile.TemporaryDirectory() as folder:
-            options = TrainingOptions(perturbed_views=6000, held_out_views=500)
+            options = TrainingOptions(
+                perturbed_views=6000, held_out_views=500, contour_points=0, lit_views=False
+            )
             path = Path(folder) / "hubble.rvm"
             model = train(mesh, path, name="hubble", options=options).model
     range_m = 1.3 * model.sphere_radius_m
@@ -91,7 +93,7 @@ def main() -> None:
         frames.append(render_frame(mesh, camera, truth, sun, scene, rng))
         off = Rotation.from_rotvec(np.deg2rad(10.0) * rng.normal(size=3) / np.sqrt(3.0))
         priors.append(Pose(off.as_matrix() @ truth.rotation, truth.translation_m))
-    recognizer = Recognizer(model, camera)
+    recognizer = Recognizer(model, camera, refine=False)
 
     def floor_stages(frame: np.ndarray) -> tuple[float, float, float]:
         level = 25.0

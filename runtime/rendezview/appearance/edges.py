@@ -29,8 +29,10 @@ _RUN_PER_POINT = RUN_UNIT / POINT_UNIT
 _LINES_APART_PX = 1.5
 _HALF_CONTRAST = 60.0  # grey levels at which an edge counts half of the strongest (squared)
 _SIGMAS = 3.0  # of the smoothed slope: a candidate
+_DIM_SLOPE = 4.0  # grey levels a pixel, of the outline before a dark sky
+_EVEN_SLOPE = 12.0  # at which noise and what the model does not know err alike
 _LEAST_SLOPE = 10.0  # grey levels a pixel; the grain of foil stays below
-_INNER_WEIGHT = 0.15  # of creases and steps: two in three of their edges are others
+_INNER_WEIGHT = 0.3  # of creases and steps: two in three of their edges are others
 _THIN_PX = 4.0  # a body narrower than this is fitted as a bar, not as a half-plane
 _NO_PLACE = 1e9  # no NaN: these loops are compiled as if there were none
 _TABLE = 200  # entries a unit of the normal distribution's table
@@ -168,6 +170,8 @@ def measure_edges(  # type: ignore[no-untyped-def]
     profile = np.empty(2 * LONGEST_PX + 32)
     # Bilinear reading takes a quarter off the noise.
     least = max(_SIGMAS * noise * np.sqrt(2.0 / (smooth_px * lines)), _LEAST_SLOPE)
+    # Before a dark sky the outside must be sky, which grain on the target is not.
+    least_outline = max(_SIGMAS * noise * 0.75 * np.sqrt(2.0 / (smooth_px * lines)), _DIM_SLOPE)
     margin = smooth_px + 2
     side = 2.0
     total = 0
@@ -241,7 +245,8 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 profile[i] += share * (upper + fb * (lower - upper))
                 a += nx
                 b += ny
-        best, at = 0.0, 0.0
+        best, at, steepness = 0.0, 0.0, 0.0
+        needed = least_outline if dark and kind[j] == OUTLINE else least
         before, here = 0.0, 0.0  # slopes one and two half-pixels ago
         for i in range(smooth_px - 1, count - smooth_px):
             slope = 0.0
@@ -249,7 +254,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 slope += profile[i + 1 + q] - profile[i - q]
             slope /= smooth_px
             size = abs(here)
-            if i > smooth_px and size >= least and size >= abs(before) and size > abs(slope):
+            if i > smooth_px and size >= needed and size >= abs(before) and size > abs(slope):
                 possible = True
                 if dark and kind[j] == OUTLINE:
                     beyond = profile[min(i + 1 + smooth_px, count - 1)]
@@ -259,7 +264,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 score = strength * strength * np.exp(-0.5 * (place / spread_px) ** 2)
                 if possible and score > best:
                     bend = abs(before) - 2.0 * size + abs(slope)
-                    best, at = score, place
+                    best, at, steepness = score, place, size
                     if bend < 0.0:
                         at += 0.5 * (abs(before) - abs(slope)) / bend
             before, here = here, slope
@@ -273,7 +278,9 @@ def measure_edges(  # type: ignore[no-untyped-def]
         row[RESIDUAL] = at
         # A thin body's edges are displaced by what the blur makes of it.
         free = min(inner, outer) if kind[j] == OUTLINE else inner
-        row[WEIGHT] = best * min(1.0, max(0.01, 0.5 * (free - 1.5)))
+        sure = steepness * steepness / (steepness * steepness + _EVEN_SLOPE * _EVEN_SLOPE)
+        near = np.exp(-0.5 * (at / spread_px) ** 2)
+        row[WEIGHT] = sure * near * min(1.0, max(0.01, 0.5 * (free - 1.5)))
         if kind[j] != OUTLINE:
             row[WEIGHT] *= _INNER_WEIGHT
         gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11

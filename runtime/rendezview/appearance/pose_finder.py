@@ -81,7 +81,7 @@ class Found:
 
 
 # Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seed 1).
-_LOGISTIC = np.array([-1.34, 5.18, 1.89, -7.84, -12.02, 8.83, -1.34, 1.97, 1.21])
+_LOGISTIC = np.array([-0.81, 5.48, 0.61, -11.92, -9.31, 10.19, -0.67, 1.58, 0.74])
 
 
 def merit(refined: Refined, excess: float) -> float:
@@ -121,10 +121,12 @@ class PoseFinder:
         refined = self._around(image, sky, refined)
         return self._chosen(refined, sky, bodies[0] if len(bodies) == 1 else None)
 
-    def at(self, image: Picture, sky: Sky, prior: Pose) -> Found | None:
+    def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is sure."""
         refined = self.refiner.refine(image, sky, prior)
         if refined is None or refined.support < self.options.sure_support:
+            return None
+        if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
         return self._chosen([refined], sky, None, prior=True)
 
@@ -148,11 +150,10 @@ class PoseFinder:
             close = np.flatnonzero(0.5 * (trace - 1.0) > cosine)[: self.options.hypotheses]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
-        refined = self.refiner.best(image, sky, rotations, centres, self.options.refined_near)
+        keep = self.options.refined_near
+        refined = self.refiner.best(image, sky, rotations, centres, keep)
         refined = self._around(image, sky, refined)
-        # An edge of tolerance: alignment may carry a start a little further.
-        reach = 1.5 * error_rad + np.deg2rad(3.0)
-        inside = [r for r in refined if r.pose.angle_to(prior) < reach]
+        inside = [r for r in refined if r.pose.angle_to(prior) < _reach(error_rad)]
         return self._chosen(inside, sky, bodies[0] if len(bodies) == 1 else None, prior=True)
 
     def _around(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
@@ -186,6 +187,11 @@ class PoseFinder:
             return Found(best, excess[k], 1.0, sky.dark, prior)
         j = max(others, key=lambda i: merits[i])
         return Found(best, excess[k], merits[k] - merits[j], sky.dark, prior, refined[j])
+
+
+def _reach(error_rad: float) -> float:
+    """How far from a prior a pose may come out: as far as the prior may be off, and a little."""
+    return float(1.1 * error_rad + np.deg2rad(1.0))
 
 
 def _turned(prior: Pose, centre_m: Array, error_rad: float) -> tuple[Array, Array]:

@@ -26,6 +26,7 @@ from rendezview.appearance.status import Status
 from rendezview.camera import Camera
 from rendezview.pose import Array, Pose, rotation_angle
 
+_LEAST_MARGIN = 0.04  # of merits: nearer to each other, chance decides between two poses
 _CLOSE_MARGIN = 0.1  # of merits: two poses that explain a frame as well
 
 # Beyond the residual that 99.5 % of good frames keep below, the outline is another one:
@@ -139,7 +140,8 @@ class Recognizer:
         sky = Sky.of(frame)
         found = None
         if prior is not None:
-            found = self.finder.at(frame, sky, prior)
+            error = prior_error_rad or self.matcher.options.prior_error_rad
+            found = self.finder.at(frame, sky, prior, error)
             clock.lap("refine")
             if found is not None and not self.trees:
                 return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)
@@ -175,7 +177,8 @@ class Recognizer:
                     reason="no pose of the target fits the edges",
                 )
             return nothing
-        if found.confidence >= self.least_confidence:
+        close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
+        if found.confidence >= self.least_confidence and not close:
             return _sighting(seen, found)
         if found.rival is not None and found.margin < _CLOSE_MARGIN:
             apart = found.best.pose.angle_to(found.rival.pose)

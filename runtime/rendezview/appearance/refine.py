@@ -35,7 +35,7 @@ Picture = npt.NDArray[np.uint8]
 _ROUGH = np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float)
 _COARSE = np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
 _FINE = np.array(
-    [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 4, 1], [5, 0.5, 1, 0, 3, 1, 5, 1]], float
+    [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 3, 0], [4, 0.5, 1, 0, 3, 1, 4, 1]], float
 )
 _CUT_PX = 1.25  # of the last stage
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
@@ -102,7 +102,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
 # less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seed 1).
-_INFLATION = np.array([3.48, 1.72, 0.91, -1.71])
+_INFLATION = np.array([-1.31, 3.41, 17.3, 0.06])
 
 
 class Refiner:

@@ -28,6 +28,7 @@ from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
 _VIEWS = 16_000  # fewer than `train` takes, so that the tour is short
+_SHELLS = (1.0, 2.0)  # sphere radii, as far as the tour goes
 _SUN_PHASE_DEG = 0.0  # light from behind the camera: shadows are no part of the tour
 _PRIOR_ERROR_RAD = np.deg2rad(15.0)
 
@@ -58,7 +59,13 @@ def demo(
             mesh,
             output / "hubble.rvm",
             name=target.name,
-            options=TrainingOptions(perturbed_views=_VIEWS, held_out_views=2000, seed=seed),
+            options=TrainingOptions(
+                perturbed_views=_VIEWS,
+                held_out_views=2000,
+                contour_radii=_SHELLS,
+                lit_views=False,  # the Sun stands behind the camera
+                seed=seed,
+            ),
             camera=camera,
             jobs=jobs,
             progress=progress,

@@ -14,6 +14,7 @@ from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.simulation.background import Earth, Stars
+from rendezview.simulation.mitsuba_renderer import MitsubaOptions
 from rendezview.simulation.scene import SceneOptions
 from rendezview.simulation.scene import simulate as simulate_scene
 from rendezview.simulation.sensor import SensorOptions
@@ -67,6 +68,10 @@ def simulate(
         float, typer.Option(help="Random trajectory: off-boresight by up to so many degrees.")
     ] = 0.0,
     jitter: Annotated[float, typer.Option(help="Pointing jitter, degrees (one σ).")] = 0.3,
+    mitsuba: Annotated[
+        bool,
+        typer.Option("--mitsuba", help="Drawn by Mitsuba (rendezview[mitsuba]), a second a frame."),
+    ] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Write mask_visib/ too.")] = False,
     jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
@@ -87,6 +92,7 @@ def simulate(
         earth=Earth() if earth else None,
         stars=Stars() if stars else None,
         shading=ShadingOptions(),
+        mitsuba=MitsubaOptions() if mitsuba else None,
         sensor=SensorOptions(noise_sigma_grey=noise, blur_sigma_px=blur),
         masks=masks,
     )
@@ -104,7 +110,7 @@ def simulate(
             options,
             output,
             seed,
-            jobs=jobs,
+            jobs=1 if mitsuba else jobs,  # Mitsuba takes all cores by itself
             progress=lambda done, total: progress("frames", done, total),
             overwrite=overwrite,
         )
