@@ -28,7 +28,8 @@ class FinderOptions:
     hypotheses_of_several: int = 40  # for each of several outlines
     refined: int = 6  # of them that are refined
     refined_near: int = 3  # the same near a prior
-    sure_support: float = 0.5  # of the prior alone: nothing else is tried
+    sure_support: float = 0.4  # of the prior alone: nothing else is tried …
+    sure_support_bright: float = 0.5  # … and before a bright sky, where chance supports too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +125,7 @@ class PoseFinder:
     def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is sure."""
         refined = self.refiner.refine(image, sky, prior)
-        if refined is None or refined.support < self.options.sure_support:
+        if refined is None or refined.support < self._sure(sky):
             return None
         if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
@@ -156,9 +157,12 @@ class PoseFinder:
         inside = [r for r in refined if r.pose.angle_to(prior) < _reach(error_rad)]
         return self._chosen(inside, sky, bodies[0] if len(bodies) == 1 else None, prior=True)
 
+    def _sure(self, sky: Sky) -> float:
+        return self.options.sure_support if sky.dark else self.options.sure_support_bright
+
     def _around(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
         """Another look from around a best pose that is not sure: edges may have held it aside."""
-        if not refined or refined[0].support >= self.options.sure_support:
+        if not refined or refined[0].support >= self._sure(sky):
             return refined
         rotations, centres = _turned(refined[0].pose, self.model.centre_m, _ASIDE_RAD)
         others = self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
