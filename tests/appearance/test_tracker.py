@@ -148,3 +148,55 @@ def test_a_frame_of_the_wrong_size_leaves_the_prior(tiny_model, camera):
     assert tracker.prior is A
     line = tracker.prior.rotation[2]
     assert float(angle_between(line, [0.0, 0.0, 1.0])) == 0.0
+
+
+class Rivals(Script):
+    """A recognizer that finds a pose near each prior, with the merits it is told."""
+
+    def __init__(self, merits: dict[int, list[float]]) -> None:
+        super().__init__()
+        self.poses = {
+            k: Pose(Rotation.from_rotvec([0.0, 0.0, k * np.pi]).as_matrix(), [0.0, 0.0, 5.0])
+            for k in merits
+        }
+        self.merits = merits
+
+    def recognize(self, image, prior=None, prior_error_rad=None, sun_camera=None) -> Sighting:
+        if prior is None:
+            both = tuple(self.poses.values())
+            found = SimpleNamespace(
+                best=SimpleNamespace(pose=both[0]),
+                rival=SimpleNamespace(pose=both[1]),
+                margin=0.0,
+                confidence=0.9,
+            )
+            return Sighting(Status.AMBIGUOUS, "two", found=found)
+        key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
+        pose = self.poses[key]
+        found = SimpleNamespace(
+            best=SimpleNamespace(pose=pose),
+            rival=None,
+            margin=1.0,
+            merit=self.merits[key].pop(0),
+            confidence=0.9,
+        )
+        return Sighting(Status.OK, pose=pose, found=found)
+
+
+def test_two_poses_are_followed_until_one_leads():
+    script = Rivals({0: [0.5, 0.5, 0.5], 1: [0.58, 0.58, 0.58]})
+    tracker = Tracker(script)
+    looks = [tracker.update(float(k), FRAME) for k in range(3)]
+    assert [s.status for s in looks] == [Status.AMBIGUOUS, Status.AMBIGUOUS, Status.OK]
+    assert looks[1].pose is None
+    assert looks[2].pose is script.poses[1]
+
+
+def test_two_poses_that_become_one_are_no_rivals():
+    script = Rivals({0: [0.5, 0.5], 1: [0.5, 0.5]})
+    script.poses[1] = Pose(
+        Rotation.from_rotvec([0.0, 0.0, np.deg2rad(1.0)]).as_matrix(), [0.0, 0.0, 5.0]
+    )
+    tracker = Tracker(script)
+    assert tracker.update(0.0, FRAME).status is Status.AMBIGUOUS
+    assert tracker.update(1.0, FRAME).status is Status.OK

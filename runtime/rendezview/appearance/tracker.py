@@ -12,6 +12,8 @@ from rendezview.appearance.recognizer import Recognizer, Sighting
 from rendezview.appearance.status import Status
 from rendezview.pose import Array, Pose
 
+_SAME_RAD = np.deg2rad(3.0)  # attitudes nearer than this are the same answer
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerOptions:
@@ -23,7 +25,7 @@ class TrackerOptions:
     longest_prediction_s: float = 10.0  # rates are held for so long, then the pose stands still
     anew_after: int = 2  # frames without a pose, then all attitudes are searched too
     anew_confidence: float = 0.9  # of a pose found anew: more than one near a prediction needs
-    decided_by: float = 0.15  # merit by which one of two rivals must lead, summed over frames
+    decided_by: float = 0.1  # merit by which one of two rivals must lead, summed over frames
 
 
 class Tracker:
@@ -134,6 +136,10 @@ class Tracker:
             if found is not None:
                 looks.append((merit + found.merit, sighting, found.best.pose))
         looks.sort(key=lambda look: -look[0])
+        # Rivals that end at one pose are one.
+        for k in range(len(looks) - 1, 0, -1):
+            if any(looks[k][2].angle_to(look[2]) < _SAME_RAD for look in looks[:k]):
+                del looks[k]
         if not looks:
             self._rivals = []
             return self.recognizer.recognize(image, None, None, sun_camera)
