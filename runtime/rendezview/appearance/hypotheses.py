@@ -35,27 +35,24 @@ class _Catalogue:
         # What a roll leaves unchanged: the sizes of the harmonics.
         self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
 
-    def most_alike(
-        self, readings: Readings, allowed: npt.NDArray[np.intp] | None = None
-    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Array]:
-        """Entries, shifts in bins and squared distances, best first, at most ``_BEST``.
+    def most_alike(self, readings: Readings) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Entries and shifts in bins, least distance first, at most ``_BEST``.
 
         By circular correlation, of the entries whose harmonics are of the right size.
         """
         spectrum = fft.rfft(readings)
-        sizes = self._sizes if allowed is None else self._sizes[allowed]
-        entries = np.arange(len(sizes)) if allowed is None else allowed
+        entries = np.arange(len(self._sizes))
         if len(entries) > _CORRELATED:
-            apart = sizes - np.abs(spectrum[:_HARMONICS]).astype(np.float32)
-            near = np.argpartition(np.einsum("ij,ij->i", apart, apart), _CORRELATED)[:_CORRELATED]
-            entries = entries[near]
+            apart = self._sizes - np.abs(spectrum[:_HARMONICS]).astype(np.float32)
+            squares = np.einsum("ij,ij->i", apart, apart)
+            entries = np.argpartition(squares, _CORRELATED)[:_CORRELATED]
         correlation = fft.irfft(spectrum * self._spectra[entries], n=self.bins, axis=1)
         distance = self._squares[entries][:, None] - 2.0 * correlation
         count = min(_BEST, distance.size)
         first = np.argpartition(distance, count - 1, axis=None)[:count]
         first = first[np.argsort(distance.ravel()[first], kind="stable")]
         rows, shifts = np.divmod(first, self.bins)
-        return entries[rows], shifts, np.asarray(distance.ravel()[first])
+        return entries[rows], shifts
 
 
 class Hypotheses:
@@ -90,7 +87,7 @@ class Hypotheses:
         readings = self._coarse(signature.readings)
         step = 2.0 * np.pi / self._bins
         cosine = float(np.cos(_APART_RAD))
-        views, shifts, _ = self._whole.most_alike(readings)
+        views, shifts = self._whole.most_alike(readings)
         share = most if self._lit is None else most // 2
         chosen = _spread(views, shifts, self._directions, cosine, self._bins, share)
         chosen_views, rolls = views[chosen], -step * shifts[chosen]
@@ -105,7 +102,7 @@ class Hypotheses:
         lit = self.model.lit
         if self._lit is None or lit is None:
             return whole
-        entries, shifts, _ = self._lit.most_alike(readings)
+        entries, shifts = self._lit.most_alike(readings)
         if sun_camera is not None:
             entries, shifts = self._under(entries, shifts, signature, sun_camera)
         seen = lit.view[entries].astype(np.intp)

@@ -139,8 +139,8 @@ class Recognizer:
         sun = _unit(sun_camera)
         sky = Sky.of(frame)
         found = None
+        error = prior_error_rad or self.matcher.options.prior_error_rad
         if prior is not None:
-            error = prior_error_rad or self.matcher.options.prior_error_rad
             found = self.finder.at(frame, sky, prior, error)
             clock.lap("refine")
             if found is not None and not self.trees:
@@ -156,7 +156,6 @@ class Recognizer:
             seen = self._by_trees(bodies, outlines, prior, prior_error_rad, clock, found)
         if found is None:
             if prior is not None:
-                error = prior_error_rad or self.matcher.options.prior_error_rad
                 also = [] if seen.pose is None else [seen.pose]
                 found = self.finder.near(frame, sky, prior, error, outlines, also)
             elif outlines:

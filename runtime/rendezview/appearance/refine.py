@@ -207,7 +207,7 @@ class Refiner:
         residual = float(np.sqrt(weight @ edges[:, RESIDUAL] ** 2 / total))
         jacobian = edges[:, :6]
         spread = jacobian.T @ (weight[:, None] ** 2 * jacobian)
-        loose = self._nothing_known(total)
+        loose = self._nothing_known()
         inverse = np.linalg.inv(matrix + loose)
         sigma_px = max(residual, _LEAST_SIGMA_PX)
         centred = sigma_px**2 * (inverse @ (spread + loose) @ inverse)
@@ -218,7 +218,7 @@ class Refiner:
         covariance = shift @ centred @ shift.T
         return 0.5 * (covariance + covariance.T), residual
 
-    def _nothing_known(self, total: float) -> Array:
+    def _nothing_known(self) -> Array:
         """Information of about a radian and a target radius: what no edge shows stays finite."""
         radius_m = self.model.target_radius_m
         return 1e-4 * np.diag([1.0] * 3 + [radius_m**-2] * 3)
