@@ -14,6 +14,7 @@ from rendezview.appearance.edges import (
     WEIGHT,
     measure_edges,
 )
+from rendezview.appearance.lighting import light
 
 # Columns of a stage of the search, from coarse to fine.
 REACH, SPREAD, SMOOTH, ROOM, LINES, STRIDE, STEPS, FIT = range(8)
@@ -25,6 +26,8 @@ _LEAST_EDGES = 12  # found, for six unknowns
 _LONGEST_TURN_RAD = 0.2  # of one step
 _DAMPING = 1e-3  # of the normal equations: what the edges do not show stays as it was
 _AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
+_NO_LIGHT = np.zeros(1)
+ASTRAY = -9.0  # of ``align``: no pose
 
 
 @njit(cache=True, nogil=True)
@@ -92,28 +95,39 @@ def normal_equations(edges, count, cut, matrix, right):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def align(  # type: ignore[no-untyped-def]
-    image, camera, bent, frame, stages, directions, shells_m, point, tangent, kind, run,
-    radius_m, blur_px, rotation, centre, edges,
-):  # fmt: skip
-    """Move a pose (in place) onto the edges; False where too few are found or it runs away.
+def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: ignore[no-untyped-def]
+    """Move a pose (in place) onto the edges.
 
     Args:
-        frame: (3,) noise, sky level, 1 where the sky is dark.
+        lens: (12,) camera vector, and whether it distorts.
+        frame: (6,) as in ``Sky.vector``.
         stages: (K, 8) from coarse to fine, columns REACH … FIT.
-        directions: (V, 3) of the views.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
+
+    Returns:
+        How well one light explains the frame, see ``light``, 0 where that was not asked;
+        ``ASTRAY`` where too few edges are found or the pose runs away.
     """
     matrix, right = np.empty((6, 6)), np.empty(6)
-    noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
+    shade = np.zeros(views.palette.shape[0])
+    radius_m = views.radius_m
+    explained = 0.0
+    lit = False
+    shell, view, count = 0, 0, 0
     for stage in stages:
         last = stage[FIT] > 0.0
+        if last and not lit:
+            explained = light(
+                image, edges, count, views.kind[shell, view], views.strip[shell, view],
+                views.palette, rotation, centre, lens[0][0] * radius_m / centre[2], frame,
+                shade,
+            )  # fmt: skip
+            lit = True
         for _ in range(int(stage[STEPS])):
-            shell, view = nearest_view(directions, shells_m, rotation, centre)
+            shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
             count = measure_edges(
-                image, camera, bent, rotation, centre, point[shell, view], tangent[shell, view],
-                kind[shell, view], run[shell, view], radius_m, noise, sky, dark, blur_px,
+                image, lens, frame, views, shell, view, rotation, centre, shade,
                 int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
                 int(stage[LINES]), int(stage[STRIDE]), last, edges,
             )  # fmt: skip
@@ -121,8 +135,8 @@ def align(  # type: ignore[no-untyped-def]
                 edges, count, _CUT_SPREADS * stage[SPREAD], matrix, right
             )
             if used < _LEAST_EDGES:
-                return False
-            scale = camera[0] / centre[2]  # pixels a metre
+                return ASTRAY
+            scale = lens[0][0] / centre[2]  # pixels a metre
             held = _DAMPING * weights * scale * scale
             for a in range(3):
                 matrix[a, a] += held * radius_m * radius_m
@@ -133,28 +147,24 @@ def align(  # type: ignore[no-untyped-def]
             rotation[:] = turned(step[:3] * shorter, rotation)
             centre += step[3:] * shorter
             if not (centre[2] > 1.02 * radius_m and centre[2] < 1e9 * radius_m):
-                return False
+                return ASTRAY
             shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
             if scale * (turn * radius_m + shift) < 0.02:  # pixels
                 break
-    return True
+    return explained
 
 
 @njit(cache=True, nogil=True)
-def support(  # type: ignore[no-untyped-def]
-    image, camera, bent, frame, directions, shells_m, point, tangent, kind, run, radius_m,
-    blur_px, rotation, centre, spread_px, edges,
-):  # fmt: skip
+def support(image, lens, frame, views, rotation, centre, spread_px, edges):  # type: ignore[no-untyped-def]
     """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
 
     An edge within half the spread of its place counts nearly whole. ``seen`` is the share of the
     outline's points that lie in the picture.
     """
-    shell, view = nearest_view(directions, shells_m, rotation, centre)
-    kinds = kind[shell, view]
+    shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
+    kinds = views.kind[shell, view]
     count = measure_edges(
-        image, camera, bent, rotation, centre, point[shell, view], tangent[shell, view], kinds,
-        run[shell, view], radius_m, frame[0], frame[1], frame[2] > 0.0, blur_px,
+        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT,
         int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, 1, False, edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
@@ -175,36 +185,29 @@ def support(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def align_each(  # type: ignore[no-untyped-def]
-    image, camera, bent, frame, first, then, directions, shells_m, point, tangent, kind, run,
-    radius_m, blur_px, rotations, centres, survivors, supports,
-):  # fmt: skip
+    image, lens, frame, first, then, views, rotations, centres, survivors, supports
+):
     """``align`` and ``support`` of K hypotheses, in place.
 
     All go through the stages ``first``; the ``survivors`` best supported, loosely judged, go
     on through ``then``. ``supports`` is (K, 3), 0 for the others and the lost.
     """
-    edges = np.zeros((point.shape[2], COLUMNS))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     count = rotations.shape[0]
     rough = np.zeros(count)
     for k in range(count):
         supports[k] = 0.0
-        if align(
-            image, camera, bent, frame, first, directions, shells_m, point, tangent, kind, run,
-            radius_m, blur_px, rotations[k], centres[k], edges,
-        ):  # fmt: skip
+        if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != ASTRAY:
             outline, inner, _ = support(
-                image, camera, bent, frame, directions, shells_m, point, tangent, kind, run,
-                radius_m, blur_px, rotations[k], centres[k], _LOOSE_PX, edges,
-            )  # fmt: skip
+                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, edges
+            )
             rough[k] = outline + 0.5 * inner
     order = np.argsort(-rough)
     for i in range(min(survivors, count)):
         k = order[i]
-        if rough[k] > 0.0 and align(
-            image, camera, bent, frame, then, directions, shells_m, point, tangent, kind, run,
-            radius_m, blur_px, rotations[k], centres[k], edges,
-        ):  # fmt: skip
+        if rough[k] > 0.0 and (
+            align(image, lens, frame, then, views, rotations[k], centres[k], edges) != ASTRAY
+        ):
             supports[k] = support(
-                image, camera, bent, frame, directions, shells_m, point, tangent, kind, run,
-                radius_m, blur_px, rotations[k], centres[k], CLOSE_PX, edges,
-            )  # fmt: skip
+                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, edges
+            )

@@ -10,19 +10,29 @@ inside a darkening rim and outside a thin boom.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 from scipy.special import ndtr
 
-from rendezview.appearance.contours import NO_POINT, OUTLINE, POINT_UNIT, RUN_UNIT
+from rendezview.appearance.contours import (
+    CELLS,
+    INNER_CELLS,
+    NO_POINT,
+    OUTLINE,
+    OUTLINE_CELLS,
+    POINT_UNIT,
+    RUN_UNIT,
+)
 from rendezview.pose import Array
 
 LONGEST_PX = 40  # of the search to either side
 # Columns of the measurements: six of the Jacobian of the residual (rotation about the view
 # centre, rad, translation, m, camera axes, left), then
-RESIDUAL, WEIGHT, STATE, U, V = 6, 7, 8, 9, 10
-COLUMNS = 11
+RESIDUAL, WEIGHT, STATE, U, V, NX, NY = 6, 7, 8, 9, 10, 11, 12  # N: outwards
+COLUMNS = 13
 FOUND, NOT_FOUND, OUTSIDE, CROWDED = 1.0, 0.0, -1.0, -2.0  # STATE of a point
 
 _RUN_PER_POINT = RUN_UNIT / POINT_UNIT
@@ -33,10 +43,31 @@ _DIM_SLOPE = 4.0  # grey levels a pixel, of the outline before a dark sky
 _EVEN_SLOPE = 12.0  # at which noise and what the model does not know err alike
 _LEAST_SLOPE = 10.0  # grey levels a pixel; the grain of foil stays below
 _INNER_WEIGHT = 0.3  # of creases and steps: two in three of their edges are others
-_THIN_PX = 4.0  # a body narrower than this is fitted as a bar, not as a half-plane
-_NO_PLACE = 1e9  # no NaN: these loops are compiled as if there were none
+_INSIDE_PX, _OUTSIDE_PX = 4.2, 3.2  # of an edge: what its strip is fitted to
+_LEAST_CONTRAST = 4.0  # grey levels; a strip with less has no edge
+_GAIN_SPREAD = 0.3  # of the brightness that is expected
+_TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
+_MODEL_GREY = 3.0  # what the strip leaves unexplained anyway
+_SURE_PX2 = 0.08**2  # an edge this sure weighs half
+_INNER_FIT = 1.0
+_UNFITTED_WEIGHT = 0.1  # of an edge that its strip does not fit
 _TABLE = 200  # entries a unit of the normal distribution's table
 _PHI = ndtr(np.linspace(-5.0, 5.0, 10 * _TABLE + 1))
+
+
+class ViewTables(NamedTuple):
+    """The sparse views of one model as the compiled loops read them; see ``Contours``."""
+
+    directions: Array
+    shells_m: Array
+    point: npt.NDArray[np.int16]
+    tangent: npt.NDArray[np.int8]
+    kind: npt.NDArray[np.uint8]
+    run: npt.NDArray[np.uint8]
+    strip: npt.NDArray[np.uint8]
+    palette: npt.NDArray[np.float32]
+    radius_m: float
+    blur_px: float
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -52,7 +83,7 @@ def _phi(z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def lens(x, y, k):  # type: ignore[no-untyped-def]
+def distorted(x, y, k):  # type: ignore[no-untyped-def]
     """OpenCV's distortion k1 k2 p1 p2 k3 k4 k5 k6 of normalised coordinates."""
     r2 = x * x + y * y
     radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (
@@ -65,105 +96,163 @@ def lens(x, y, k):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def step_place(profile, count, zero, start, width, sky, sigma):  # type: ignore[no-untyped-def]
-    """Place of the edge of a lit body before a dark sky, px outwards; _NO_PLACE where none fits.
+def strip_place(  # type: ignore[no-untyped-def]
+    profile, count, zero, start, depths, levels, steps, background, held, sigma, noise, scratch,
+    result,
+):  # fmt: skip
+    """Place an edge where the strip of surfaces that the model has there fits the profile.
 
-    Least squares of ``sky + (b + g d) Φ(d / σ)`` with ``d`` the depth inside the edge: brightness
-    b at the rim and its slope g inwards. A body narrower than four pixels is the bar
-    ``sky + b (Φ(d / σ) − Φ((d − width) / σ))``.
+    Least squares of ``background + gain Σ_k (b_k − b_{k−1}) Φ((d − d_k) / σ) + tilt d Φ(d / σ)``
+    with ``d`` the depth inside the edge: what the camera's blur σ makes of surfaces of brightness
+    b_k that begin at depths d_k. Free are the place, the gain, a little tilt, for what the model
+    does not know of the shading, and, unless it is ``held``, the background.
 
     Args:
         profile: (≥ count,) grey levels at whole pixels, from inside to outside.
         zero: index of the pixel at place 0.
         start: place of the steepest slope.
-        width: of the body along the normal, pixels.
+        depths, levels: (≥ steps,) d_k, pixels, and b_k − b_{k−1}, grey levels.
         sigma: of the blur, pixels.
+        noise: of a grey level of the profile, one σ.
+        scratch: (4, 6).
+        result: (2,) gets the place, pixels outwards, and its variance.
+
+    Returns:
+        Whether it fits.
     """
-    thin = width < _THIN_PX
     inverse = 1.0 / sigma
-    place, b, g = start, 0.0, 0.0
-    for step in range(4):
-        first = max(0, int(np.ceil(place - 3.2)) + zero)
-        last = min(count - 1, int(np.floor(place + 2.8)) + zero)
-        if thin:
-            first = max(first, int(np.ceil(place - width - 0.8)) + zero)
-        if last - first < 3:
-            return _NO_PLACE
-        if step == 0:
-            above, below = 0.0, 1e-9
-            for i in range(first, last + 1):
-                z = (place - (i - zero)) * inverse
-                e = _phi(z)
-                if thin:
-                    e -= _phi(z - width * inverse)
-                above += e * (profile[i] - sky)
-                below += e * e
-            b = above / below
-        # Normal equations of (place, b, g); g is held near 0, a rim shades by a few levels a px.
-        a00, a01, a02, a11, a12, a22 = 1e-6, 0.0, 0.0, 0.0, 0.0, 1.0 if thin else 0.05
-        c0, c1, c2 = 0.0, 0.0, 0.0
+    place, gain, tilt, base = start, 1.0, 0.0, background
+    height = 0.0
+    for k in range(steps):
+        height = max(height, abs(levels[k]))
+    variance, seen, cost = 0.0, 0, 0.0
+    for step in range(5):
+        first = max(0, int(np.ceil(place - _INSIDE_PX)) + zero)
+        last = min(count - 1, int(np.floor(place + _OUTSIDE_PX)) + zero)
+        seen = last - first + 1
+        if seen < 5:
+            return False
+        scratch[:] = 0.0
+        cost = 0.0
         for i in range(first, last + 1):
             d = place - (i - zero)
-            z = d * inverse
-            e, slope = _phi(z), 0.39894228 * np.exp(-0.5 * z * z) * inverse
-            if thin:
-                far = z - width * inverse
-                e -= _phi(far)
-                slope -= 0.39894228 * np.exp(-0.5 * far * far) * inverse
-            level = b + g * d
-            r = profile[i] - sky - level * e
-            j0, j1 = level * slope + g * e, e
-            j2 = 0.0 if thin else d * e
-            a00 += j0 * j0
-            a01 += j0 * j1
-            a02 += j0 * j2
-            a11 += j1 * j1
-            a12 += j1 * j2
-            a22 += j2 * j2
-            c0 += j0 * r
-            c1 += j1 * r
-            c2 += j2 * r
-        m00, m01, m02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-        determinant = a00 * m00 + a01 * m01 + a02 * m02
-        if abs(determinant) < 1e-9:
-            return _NO_PLACE
-        m11, m12, m22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-        move = (m00 * c0 + m01 * c1 + m02 * c2) / determinant
-        move = min(max(move, -0.5), 0.5)
-        place += move
-        b += (m01 * c0 + m11 * c1 + m12 * c2) / determinant
-        g += (m02 * c0 + m12 * c1 + m22 * c2) / determinant
-        if abs(move) < 0.005:
+            shape, slope = 0.0, 0.0
+            for k in range(steps):
+                z = (d - depths[k]) * inverse
+                if z > 4.0:
+                    shape += levels[k]
+                elif z > -4.0:
+                    shape += levels[k] * _phi(z)
+                    slope += levels[k] * 0.39894228 * np.exp(-0.5 * z * z)
+            inside = d * _phi(d * inverse)
+            j0, j1, j2 = gain * slope * inverse + tilt * _phi(d * inverse), shape, inside
+            r = profile[i] - base - gain * shape - tilt * inside
+            cost += r * r
+            scratch[0, 0] += j0 * j0
+            scratch[0, 1] += j0 * j1
+            scratch[0, 2] += j0 * j2
+            scratch[0, 3] += j0
+            scratch[1, 1] += j1 * j1
+            scratch[1, 2] += j1 * j2
+            scratch[1, 3] += j1
+            scratch[2, 2] += j2 * j2
+            scratch[2, 3] += j2
+            scratch[3, 3] += 1.0
+            scratch[0, 4] += j0 * r
+            scratch[1, 4] += j1 * r
+            scratch[2, 4] += j2 * r
+            scratch[3, 4] += r
+        for a in range(4):
+            for b in range(a):
+                scratch[a, b] = scratch[b, a]
+        # What is known beforehand, as one more reading each, as sure as a few grey levels.
+        sure = _MODEL_GREY * _MODEL_GREY + noise * noise
+        scratch[1, 1] += sure / (_GAIN_SPREAD * _GAIN_SPREAD)
+        scratch[1, 4] += sure / (_GAIN_SPREAD * _GAIN_SPREAD) * (1.0 - gain)
+        spread = _TILT_SPREAD * height + 1e-3
+        scratch[2, 2] += sure / (spread * spread)
+        scratch[2, 4] -= sure / (spread * spread) * tilt
+        if held:
+            scratch[3, 3] += 1e9
+        if step == 0:  # the others first
+            scratch[0, 0] += 1e9
+        scratch[0, 0] += 1e-6
+        scratch[0, 5] = 1.0
+        for k in range(4):  # Gauss elimination; the matrix is positive definite
+            for a in range(4):
+                if a != k:
+                    f = scratch[a, k] / scratch[k, k]
+                    for b in range(k, 6):
+                        scratch[a, b] -= f * scratch[k, b]
+        move = scratch[0, 4] / scratch[0, 0]
+        variance = scratch[0, 5] / scratch[0, 0]
+        place += min(max(move, -0.6), 0.6)
+        gain += scratch[1, 4] / scratch[1, 1]
+        tilt += scratch[2, 4] / scratch[2, 2]
+        base += scratch[3, 4] / scratch[3, 3]
+        if gain <= 0.05:
+            return False
+        if step > 0 and abs(move) < 0.005:
             break
-    if abs(place - start) > 1.2 or b <= 3.0:
-        return _NO_PLACE
-    return place
+    if abs(place - start) > 1.5 or variance > 1e3:
+        return False
+    result[0] = place
+    result[1] = (cost / (seen - 3) + noise * noise) * variance
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _strip(kind, strip, shade, inner_px, scale, depths, levels):  # type: ignore[no-untyped-def]
+    """Depths and steps in brightness of one strip; how many. The first level of an inner edge
+    is left out: it is the background.
+    """
+    steps = 0
+    before = 0.0
+    if kind != OUTLINE:
+        before = shade[strip[0]]
+    for cell in range(0 if kind == OUTLINE else 1, CELLS):
+        level = shade[strip[cell]]
+        if abs(level - before) > 0.5 or (kind == OUTLINE and cell == 0):
+            depth = OUTLINE_CELLS[cell] if kind == OUTLINE else INNER_CELLS[cell - 1]
+            depth *= scale
+            if strip[cell] == 0 and cell > 0 and inner_px < depth + 2.0:
+                depth = inner_px  # of a thin body: known better than to a cell
+            depths[steps], levels[steps] = depth, level - before
+            steps += 1
+            before = level
+    return steps
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def measure_edges(  # type: ignore[no-untyped-def]
-    image, camera, bent, rotation, centre, point, tangent, kind, run, radius_m,
-    noise, sky, dark, blur_px, reach_px, spread_px, smooth_px, room_px, lines, stride, fit, out,
+    image, lens, frame, views, shell, view, rotation, centre, shade, reach_px, spread_px,
+    smooth_px, room_px, lines, stride, fit, out,
 ):  # fmt: skip
     """Look for the edge of every contour point of one view; returns how many points there are.
 
     Args:
         image: (H, W) uint8.
-        camera: (12,) fx fy cx cy and the eight coefficients of distortion; ``bent`` says
-            whether any of them is not zero.
+        lens: (12,) fx fy cx cy and the eight coefficients of distortion, and whether any of
+            them is not zero.
+        frame: (6,) as in ``Sky.vector``.
+        views: ``ViewTables``; ``shell`` and ``view`` say which is seen.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
-        point, tangent, kind, run: of the view, as ``Contours`` has them.
-        noise, sky, dark: of the frame; see ``Sky``.
+        shade: (K,) brightness of the kinds of surface, of ``light``; read where ``fit`` is.
         reach_px: how far to look to either side.
         spread_px: σ of the preference for near edges.
         smooth_px: width of the two boxes whose difference is the slope.
         room_px: points with another edge nearer than this are left out.
         lines: parallel lines read.
         stride: every so many-th point only.
-        fit: place the edge by ``step_place``.
+        fit: place the edge by ``strip_place``.
         out: (N, COLUMNS) measurements.
     """
     height, width = image.shape
+    camera, bent = lens
+    noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
+    point, tangent = views.point[shell, view], views.tangent[shell, view]
+    kind, run, strip = views.kind[shell, view], views.run[shell, view], views.strip[shell, view]
+    radius_m, blur_px = views.radius_m, views.blur_px
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     k = camera[4:]
     unit_m = radius_m * POINT_UNIT
@@ -173,6 +262,9 @@ def measure_edges(  # type: ignore[no-untyped-def]
     # Before a dark sky the outside must be sky, which grain on the target is not.
     least_outline = max(_SIGMAS * noise * 0.75 * np.sqrt(2.0 / (smooth_px * lines)), _DIM_SLOPE)
     margin = smooth_px + 2
+    depths, levels, fitted = np.empty(CELLS), np.empty(CELLS), np.empty(2)
+    scratch = np.empty((4, 6))
+    grainy = 0.75 * noise / np.sqrt(lines)
     side = 2.0
     total = 0
     for j in range(point.shape[0]):
@@ -180,7 +272,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
             break
         total += 1
         row = out[j]
-        row[WEIGHT], row[STATE] = 0.0, OUTSIDE
+        row[WEIGHT], row[STATE], row[NX], row[NY] = 0.0, OUTSIDE, 0.0, 0.0
         if j % stride:
             continue
         px, py, pz = point[j, 0] * unit_m, point[j, 1] * unit_m, point[j, 2] * unit_m
@@ -200,9 +292,9 @@ def measure_edges(  # type: ignore[no-untyped-def]
         m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         if bent:
             h = 1e-5
-            u, v = lens(x, y, k)
-            u1, v1 = lens(x + h, y, k)
-            u2, v2 = lens(x, y + h, k)
+            u, v = distorted(x, y, k)
+            u1, v1 = distorted(x + h, y, k)
+            u2, v2 = distorted(x, y + h, k)
             m00, m10, m01, m11 = (u1 - u) / h, (v1 - v) / h, (u2 - u) / h, (v2 - v) / h
         u, v = fx * u + cx, fy * v + cy
         row[U], row[V] = u, v
@@ -211,6 +303,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
         if length < 1e-9:
             continue
         nx, ny = by / length, -bx / length  # outwards
+        row[NX], row[NY] = nx, ny
         scale = _RUN_PER_POINT * unit_m * fx * inverse
         inner, outer = run[j, 0] * scale, run[j, 1] * scale
         if inner < room_px or (kind[j] == OUTLINE and outer < room_px):
@@ -270,19 +363,37 @@ def measure_edges(  # type: ignore[no-untyped-def]
             before, here = here, slope
         if best == 0.0:
             continue
-        if fit and dark and kind[j] == OUTLINE:
-            fitted = step_place(profile, count, back, at, inner, sky, blur_px)
-            if fitted != _NO_PLACE:
-                at = fitted
         row[STATE] = FOUND
-        row[RESIDUAL] = at
-        # A thin body's edges are displaced by what the blur makes of it.
         free = min(inner, outer) if kind[j] == OUTLINE else inner
-        sure = steepness * steepness / (steepness * steepness + _EVEN_SLOPE * _EVEN_SLOPE)
-        near = np.exp(-0.5 * (at / spread_px) ** 2)
-        row[WEIGHT] = sure * near * min(1.0, max(0.01, 0.5 * (free - 1.5)))
-        if kind[j] != OUTLINE:
-            row[WEIGHT] *= _INNER_WEIGHT
+        placed = False
+        if fit:
+            body = radius_m * fx * inverse
+            steps = _strip(kind[j], strip[j], shade, inner, body, depths, levels)
+            contrast = 0.0
+            for step in range(steps):
+                contrast = max(contrast, abs(levels[step]))
+            if contrast > _LEAST_CONTRAST:
+                held = dark and kind[j] == OUTLINE
+                background = sky if held else profile[count - 1 - margin]
+                placed = strip_place(
+                    profile, count, back, at, depths, levels, steps, background, held, blur_px,
+                    grainy, scratch, fitted,
+                )  # fmt: skip
+        if placed:
+            at = fitted[0]
+            row[WEIGHT] = _SURE_PX2 / (_SURE_PX2 + fitted[1])
+            if kind[j] != OUTLINE:
+                row[WEIGHT] *= _INNER_FIT
+        else:
+            # A thin body's edges are displaced by what the blur makes of it.
+            sure = steepness * steepness / (steepness * steepness + _EVEN_SLOPE * _EVEN_SLOPE)
+            row[WEIGHT] = sure * min(1.0, max(0.01, 0.5 * (free - 1.5)))
+            if kind[j] != OUTLINE:
+                row[WEIGHT] *= _INNER_WEIGHT
+            if fit:
+                row[WEIGHT] *= _UNFITTED_WEIGHT
+        row[RESIDUAL] = at
+        row[WEIGHT] *= np.exp(-0.5 * (at / spread_px) ** 2)
         gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11
         j0, j1, j2 = gx * inverse, gy * inverse, -(gx * x + gy * y) * inverse
         row[0], row[1], row[2] = j2 * qy - j1 * qz, j0 * qz - j2 * qx, j1 * qx - j0 * qy

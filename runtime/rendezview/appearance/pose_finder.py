@@ -16,6 +16,7 @@ from rendezview.pose import Array, Pose
 from rendezview.symmetry import angle_between
 
 _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the support
+_LIGHT_WEIGHT = 0.25  # grey levels that one light explains speak for a pose
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
@@ -58,7 +59,7 @@ class Found:
 
     @property
     def features(self) -> Array:
-        """(9,) what tells a right pose from a wrong one; the first is 1."""
+        """(10,) what tells a right pose from a wrong one; the first is 1."""
         best = self.best
         return np.array(
             [
@@ -71,6 +72,7 @@ class Found:
                 best.seen,
                 float(self.dark),
                 float(self.prior),
+                best.light,
             ]
         )
 
@@ -82,12 +84,12 @@ class Found:
 
 
 # Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seed 1).
-_LOGISTIC = np.array([-0.81, 5.48, 0.61, -11.92, -9.31, 10.19, -0.67, 1.58, 0.74])
+_LOGISTIC = np.array([-0.81, 5.48, 0.61, -11.92, -9.31, 10.19, -0.67, 1.58, 0.74, 0.0])
 
 
 def merit(refined: Refined, excess: float) -> float:
     """One figure to choose among poses of one frame by."""
-    return refined.support - _EXCESS_WEIGHT * excess
+    return refined.support - _EXCESS_WEIGHT * excess + _LIGHT_WEIGHT * refined.light
 
 
 @dataclass(slots=True, eq=False)

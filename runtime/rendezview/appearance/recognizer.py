@@ -137,7 +137,7 @@ class Recognizer:
             clock.lap("signature")
             return self._by_trees(bodies, outlines, prior, prior_error_rad, clock)
         sun = _unit(sun_camera)
-        sky = Sky.of(frame)
+        sky = Sky.of(frame, sun)
         found = None
         error = prior_error_rad or self.matcher.options.prior_error_rad
         if prior is not None:

@@ -13,7 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance.align import CLOSE_PX, align, align_each, normal_equations, support
+from rendezview.appearance.align import (
+    ASTRAY,
+    CLOSE_PX,
+    align,
+    align_each,
+    normal_equations,
+    support,
+)
 from rendezview.appearance.contours import Contours
 from rendezview.appearance.edges import (
     COLUMNS,
@@ -21,6 +28,7 @@ from rendezview.appearance.edges import (
     RESIDUAL,
     STATE,
     WEIGHT,
+    ViewTables,
     camera_vector,
     grain,
 )
@@ -61,21 +69,23 @@ class Sky:
     level_grey: float
     noise_grey: float  # one σ, of neighbouring pixels
     dark: bool  # black sky: whatever is brighter is the target
+    sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
 
     @classmethod
-    def of(cls, image: Picture) -> Sky:
+    def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
         """Measured along the border and on a sparse grid."""
         level, spread = sky_level(image)
         noise = max(0.7, min(spread, grain(image)))
         border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
         bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
         dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
-        return cls(level, noise, dark)
+        return cls(level, noise, dark, sun_camera)
 
     @property
     def vector(self) -> Array:
-        """(3,) for the compiled loops."""
-        return np.array([self.noise_grey, self.level_grey, float(self.dark)])
+        """(6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown."""
+        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
+        return np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +98,7 @@ class Refined:
     inner: float  # the same of creases and steps
     seen: float  # share of the outline that lies in the picture
     residual_px: float  # root mean square of the edges that count
+    light: float  # share of the grey levels beside the edges that one light explains
 
     @property
     def support(self) -> float:
@@ -117,13 +128,15 @@ class Refiner:
         self.camera = camera
         self.options = options or RefineOptions()
         contours: Contours = model.contours
-        self._views = (
+        self._views = ViewTables(
             np.ascontiguousarray(model.lattice.nodes),
             np.ascontiguousarray(contours.shells_m),
             contours.point,
             contours.tangent,
             contours.kind,
             contours.run,
+            contours.strip,
+            contours.palette,
             model.target_radius_m,
             self.options.blur_px,
         )
@@ -134,9 +147,8 @@ class Refiner:
         """The pose next to ``start`` that fits the edges; None where it finds no hold."""
         rotation, centre = self._centred(start)
         frame = sky.vector
-        if not align(image, *self._lens, frame, _FINE, *self._views, rotation, centre, self._edges):
-            return None
-        return self._result(image, frame, rotation, centre)
+        light = align(image, self._lens, frame, _FINE, self._views, rotation, centre, self._edges)
+        return None if light == ASTRAY else self._result(image, frame, rotation, centre, light)
 
     def best(
         self, image: Picture, sky: Sky, rotations: Array, centres: Array, keep: int = 4
@@ -151,18 +163,18 @@ class Refiner:
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
         align_each(
-            image, *self._lens, frame, _ROUGH, _COARSE, *self._views, rotations, centres,
+            image, self._lens, frame, _ROUGH, _COARSE, self._views, rotations, centres,
             survivors, supports,
         )  # fmt: skip
         merit = (2.0 * supports[:, 0] + supports[:, 1]) / 3.0
         chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
         found = []
         for k in chosen:
-            if align(
-                image, *self._lens, frame, _FINE, *self._views, rotations[k], centres[k],
-                self._edges,
-            ):  # fmt: skip
-                found.append(self._result(image, frame, rotations[k], centres[k]))
+            light = align(
+                image, self._lens, frame, _FINE, self._views, rotations[k], centres[k], self._edges
+            )
+            if light != ASTRAY:
+                found.append(self._result(image, frame, rotations[k], centres[k], light))
         return sorted(found, key=lambda r: -r.support)
 
     def _distinct(
@@ -182,15 +194,17 @@ class Refiner:
         """Rotation and view centre of a pose, fresh arrays."""
         return pose.rotation.copy(), pose.apply(self.model.centre_m)
 
-    def _result(self, image: Picture, frame: Array, rotation: Array, centre: Array) -> Refined:
+    def _result(
+        self, image: Picture, frame: Array, rotation: Array, centre: Array, light: float
+    ) -> Refined:
         covariance, residual = self._covariance(rotation)
         outline, inner, seen = support(
-            image, *self._lens, frame, *self._views, rotation, centre, CLOSE_PX, self._edges
+            image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, self._edges
         )
         covariance *= np.exp(inflating(outline, residual, frame[2]) @ _INFLATION)
         arm = rotation @ self.model.centre_m
         pose = Pose(_orthonormal(rotation), centre - arm)
-        return Refined(pose, covariance, outline, inner, seen, residual)
+        return Refined(pose, covariance, outline, inner, seen, residual, light)
 
     def _covariance(self, rotation: Array) -> tuple[Array, float]:
         """(6, 6) of the pose from the edges last measured, and their residual, pixels.

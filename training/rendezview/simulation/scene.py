@@ -27,7 +27,6 @@ from rendezview.simulation.background import (
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions, render_mitsuba
 from rendezview.simulation.sensor import SensorOptions, UInt8s, automatic_exposure, expose
 from rendezview.simulation.shading import (
-    GREY_FROM_RGB,
     ShadingOptions,
     render,
     unit,
@@ -200,7 +199,7 @@ def _exposure(mesh: Mesh, pictures: list[Picture], options: SceneOptions) -> flo
         return metered
     # Nothing of the target is lit, or none of it is in sight: expose for its mean
     # albedo in full sunlight, as a mission would by table.
-    albedo = float(np.mean(np.asarray(mesh.face_rgb) @ GREY_FROM_RGB)) if len(mesh.faces) else 0.0
+    albedo = float(np.mean(mesh.face_albedo)) if len(mesh.faces) else 0.0
     return (200.0 - options.sensor.black_level_grey) / max(albedo, 0.05)
 
 

@@ -25,7 +25,6 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.zbuffer import Float32s, draw_perspective, empty_buffers
 
 # What a grey camera with a flat visible response makes of linear RGB (Rec. 709 luminance).
-GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +140,7 @@ def _render_pinhole(
     normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
     away = np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0
     normals[away] *= -1.0
-    albedo = np.asarray(mesh.face_rgb, dtype=np.float64) @ GREY_FROM_RGB
+    albedo = mesh.face_albedo
     sun_cosine = np.maximum(normals @ sun, 0.0)
     glow = np.full(len(faces), options.ambient)
     if earth is not None:  # a hemisphere of light about the Earth, as far as it is day there

@@ -16,15 +16,18 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.appearance.contours import (
+    CELLS,
     DIRECTION_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
     RUN_UNIT,
+    cell_limits,
 )
 from rendezview.pose import Array
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.surface_palette import packed_surfaces
 from rendezview.training.views import look_from
 from rendezview.training.zbuffer import draw_perspective, empty_buffers
 
@@ -32,9 +35,10 @@ _STEP_RADII = 0.02  # a surface that lies further behind by so much gives a step
 _CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle give a crease
 _FAINT_COLOUR = 0.12  # as do facets whose albedo differs by more
 _CLEAR_PX = 6.0  # a run of so many pixels makes an edge as good as any
+_ASIDE = 1.0 / 196.0  # of the target's radius, apart are five samples of a strip along the edge
 _FREE_PX = 64  # how far the free run along the normal is looked for
-# Columns of a crossing: u v, point (3), tangent (3), facet normal (3), then
-_KIND, _LENGTH = 11, 12  # length of the outline that it stands for, pixels
+# Columns of a crossing: u v, point (3), tangent (3), then
+_KIND, _LENGTH = 8, 9  # length of the outline that it stands for, pixels
 _INNER_SHARE = 0.3  # of the points, for steps and creases inside the outline
 
 
@@ -53,7 +57,8 @@ def contour_points(
         options: for the number of points and the resolution at which the view is drawn.
 
     Returns:
-        The fields of ``rendezview.appearance.contours.Contours`` for this one view.
+        The fields of ``rendezview.appearance.contours.Contours`` for this one view, but instead
+        of ``strip`` the ``surfaces`` (N, CELLS, 4) for ``surface_palette``.
     """
     rotation = look_from(direction)
     vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
@@ -64,13 +69,14 @@ def contour_points(
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
     nearness, owner = empty_buffers(size, size)
     draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
-    albedo = np.ascontiguousarray(mesh.face_rgb.mean(axis=1), dtype=np.float64)
+    albedo = mesh.face_albedo
+    normals = _normals(vertices, faces)
     step_m = _STEP_RADII * geometry.target_radius_m
     crossings = _crossings(
         vertices,
         vertices[:, :2] / vertices[:, 2:] * focal + middle,
         faces,
-        _normals(vertices, faces),
+        normals,
         beside,
         albedo,
         focal,
@@ -93,17 +99,19 @@ def contour_points(
     runs_m = runs_px[chosen] * (kept[:, 4] / focal)[:, None]
     place = (kept[:, 2:5] - np.array([0.0, 0.0, range_m])) @ rotation
     radius_m = geometry.target_radius_m
+    towards, colour = _strips(kept, focal, owner, normals, albedo, focal * tangent)
+    surfaces = packed_surfaces(towards @ rotation, colour)
     return {
         "point": _packed(place / (radius_m * POINT_UNIT), count, np.int16),
         "tangent": _packed(kept[:, 5:8] @ rotation / DIRECTION_UNIT, count, np.int8),
-        "normal": _packed(kept[:, 8:11] @ rotation / DIRECTION_UNIT, count, np.int8),
         "kind": _packed(kept[:, _KIND], count, np.uint8, NO_POINT),
         "run": _packed(np.minimum(runs_m / (radius_m * RUN_UNIT), 255.0), count, np.uint8),
+        "surfaces": _packed(surfaces, count, np.uint8),
     }
 
 
 def _packed(
-    values: Array, count: int, dtype: type[np.integer[Any]], fill: int = 0
+    values: npt.NDArray[Any], count: int, dtype: type[np.integer[Any]], fill: int = 0
 ) -> npt.NDArray[Any]:
     """Whole numbers, filled up to ``count`` rows."""
     packed = np.full((count, *values.shape[1:]), fill, dtype=dtype)
@@ -214,9 +222,9 @@ def _exit(points, faces, face, px, py, dx, dy):  # type: ignore[no-untyped-def]
 def _crossings(  # type: ignore[no-untyped-def]
     vertices, points, faces, normals, beside, albedo, focal, middle, nearness, owner, step
 ):
-    """Every edge between neighbouring pixels: (M, 13) rows."""
+    """Every edge between neighbouring pixels: (M, 10) rows."""
     height, width = owner.shape
-    rows = np.empty((4096, 13))
+    rows = np.empty((4096, 10))
     count = 0
     for y in range(1, height - 1):
         for x in range(1, width - 1):
@@ -275,7 +283,6 @@ def _crossings(  # type: ignore[no-untyped-def]
                             last, leave, edge, again = near, f, g, True
                 if leave < -0.01 or leave > 1.01:
                     continue
-                other = normals[last]
                 a, b = faces[last, edge], faces[last, (edge + 1) % 3]
                 rx, ry = (x + dx * leave - middle) / focal, (y + dy * leave - middle) / focal
                 # Depth on the edge itself: the two lines in space meet in the picture.
@@ -294,7 +301,7 @@ def _crossings(  # type: ignore[no-untyped-def]
                 facing = (ty * dx - tx * dy) / length
                 sign = 1.0 if facing > 0.0 else -1.0
                 if count == rows.shape[0]:
-                    grown = np.empty((2 * count, 13))
+                    grown = np.empty((2 * count, 10))
                     grown[:count] = rows
                     rows = grown
                 row = rows[count]
@@ -308,9 +315,8 @@ def _crossings(  # type: ignore[no-untyped-def]
                 total = np.sqrt(total)
                 for k in range(3):
                     row[5 + k] /= total
-                    row[8 + k] = other[k]
-                row[11] = kind
-                row[12] = abs(facing)
+                row[8] = kind
+                row[9] = abs(facing)
                 count += 1
     return rows[:count]
 
@@ -352,8 +358,58 @@ def _free_runs(points, focal, edges, nearness, step):  # type: ignore[no-untyped
                 elif way == 0:
                     if nearness[row, column] * (z + step) < 1.0:
                         break
-                elif points[k, 11] == 0.0 and nearness[row, column] > 0.0:
+                elif points[k, 8] == 0.0 and nearness[row, column] > 0.0:
                     break
                 run += 0.25 if run < 2.5 else 0.5
             runs[k, way] = run
     return runs
+
+
+@njit(cache=True, nogil=True)
+def _strips(points, focal, owner, normals, albedo, radius_px):  # type: ignore[no-untyped-def]
+    """Normals (N, CELLS, 3) and albedo (N, CELLS) along the image normals of the points.
+
+    Mean over a cell as far to either side along the edge as the reading of the picture goes;
+    the sky counts as black.
+    """
+    height, width = owner.shape
+    aside = _ASIDE * radius_px
+    towards = np.zeros((points.shape[0], CELLS, 3))
+    colour = np.zeros((points.shape[0], CELLS))
+    for j in range(points.shape[0]):
+        x, y, z = points[j, 2], points[j, 3], points[j, 4]
+        tx, ty = points[j, 5] - x / z * points[j, 7], points[j, 6] - y / z * points[j, 7]
+        length = np.sqrt(tx * tx + ty * ty) + 1e-30
+        tx, ty = tx / length, ty / length
+        outline = points[j, 8] == 0.0
+        for cell in range(CELLS):
+            near, far = cell_limits(outline, cell)
+            near, far = near * radius_px, far * radius_px
+            steps = max(2, int(np.ceil((far - near) * 1.5)))
+            samples = 0
+            for a in range(steps):
+                depth = near + (far - near) * (a + 0.5) / steps
+                for b in range(-2, 3):
+                    column = int(np.rint(points[j, 0] - depth * ty + aside * b * tx))
+                    row = int(np.rint(points[j, 1] + depth * tx + aside * b * ty))
+                    samples += 1
+                    if not (0 <= row < height and 0 <= column < width):
+                        continue
+                    face = owner[row, column]
+                    if face < 0:
+                        if outline and depth < 1.0:
+                            samples -= 1  # the nearest sample may lie just outside
+                        continue
+                    colour[j, cell] += albedo[face]
+                    for k in range(3):
+                        towards[j, cell, k] += albedo[face] * normals[face, k]
+            if samples > 0:
+                colour[j, cell] /= samples
+            size = 0.0
+            for k in range(3):
+                size += towards[j, cell, k] ** 2
+            if size > 0.0:
+                towards[j, cell] /= np.sqrt(size)
+            else:
+                colour[j, cell] = 0.0
+    return towards, colour

@@ -34,6 +34,7 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry, view_geometry
 from rendezview.training.renderers import SilhouetteRenderer, make_renderer
 from rendezview.training.stages import Arrays, Progress, Shards
+from rendezview.training.surface_palette import surface_palette
 from rendezview.training.views import (
     ViewSet,
     clean_views,
@@ -220,9 +221,12 @@ class _Drawn:
         ]
         shards = self.shards.run("contours", _contour_arrays, tasks, self.jobs, self.progress)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        palette, views["strip"] = surface_palette(views.pop("surfaces"))
         shape = (len(shells_m), len(directions))
         return Contours(
-            shells_m=shells_m, **{n: a.reshape(*shape, *a.shape[1:]) for n, a in views.items()}
+            shells_m=shells_m,
+            palette=palette,
+            **{n: a.reshape(*shape, *a.shape[1:]) for n, a in views.items()},
         )
 
     def lit(self) -> LitViews | None:

@@ -24,6 +24,7 @@ MAX_FILE_BYTES = 2 * 2**30
 GUESSED_DIAMETER_M = (0.05, 300.0)
 STATED_DIAMETER_M = (0.005, 1000.0)
 
+_GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])
 _LARGEST_COORDINATE = 1e15  # of the file's numbers; its powers still fit a double
 _CAD_SUFFIXES = frozenset({".step", ".stp", ".iges", ".igs", ".sldprt", ".sldasm", ".blend"})
 
@@ -44,6 +45,12 @@ class Mesh:
     def bounding_sphere(self) -> tuple[Array, float]:
         """Centre (3,) and radius in metres of the smallest sphere around all faces."""
         return smallest_enclosing_sphere(self.vertices_m[np.unique(self.faces)])
+
+    @property
+    def face_albedo(self) -> Array:
+        """(F,) albedo of the colours as a grey camera sees them (Rec. 709 luminance)."""
+        grey: Array = np.asarray(self.face_rgb, dtype=np.float64) @ _GREY_FROM_RGB
+        return grey
 
     @property
     def extent_m(self) -> Array:

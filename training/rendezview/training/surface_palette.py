@@ -1,0 +1,73 @@
+"""The few kinds of surface that lie beside the edges of a target: a palette, as of a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.appearance.contours import KINDS_OF_SURFACE
+from rendezview.pose import Array
+
+Bytes = npt.NDArray[np.uint8]
+
+_ALBEDO_WEIGHT = 2.0  # a step in albedo against one in the unit normal
+
+
+def packed_surfaces(normals: Array, albedo: Array) -> Bytes:
+    """(…, 4) bytes of unit normals (…, 3), either way round, and albedo (…): 0 is nothing."""
+    way = np.where(normals @ [0.9, 0.37, 0.23] < 0.0, -1.0, 1.0)
+    whole = np.concatenate(
+        [normals * way[..., None] * 127.0 + 128.0, np.clip(albedo, 0.0, 1.0)[..., None] * 255.0], -1
+    )
+    return np.where(albedo[..., None] > 0.0, np.rint(whole), 0.0).astype(np.uint8)
+
+
+def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
+    """The kinds of a great many surfaces, and the kind of each.
+
+    The kinds are split from one another in turn, always the one whose surfaces vary most, at
+    the mean along its longest axis, as palettes of pictures are made (Wan, Wong & Prusinkiewicz,
+    1988).
+
+    Args:
+        surfaces: (…, 4) of ``packed_surfaces``.
+
+    Returns:
+        (KINDS_OF_SURFACE, 4) unit normal, either way, and albedo of each kind; the first is
+        nothing at all, albedo 0. (…) the kind of each surface.
+    """
+    packed = np.ascontiguousarray(surfaces).view("<u4")[..., 0]
+    distinct, which, count = np.unique(packed, return_inverse=True, return_counts=True)
+    parts = distinct.view(np.uint8).reshape(-1, 4).astype(np.float64)
+    features = np.column_stack([(parts[:, :3] - 128.0) / 127.0, parts[:, 3] / 255.0])
+    features[:, 3] *= _ALBEDO_WEIGHT
+    kind = (distinct > 0).astype(np.uint8)
+    weight = count / max(int(count.sum()), 1)
+    spread = {1: _spread(features[kind == 1], weight[kind == 1])}
+    while len(spread) < KINDS_OF_SURFACE - 1:
+        widest = max(spread, key=lambda k: (spread[k][0], -k))
+        energy, axis, middle = spread[widest]
+        if energy < 1e-12:
+            break
+        new = len(spread) + 1
+        inside = np.flatnonzero(kind == widest)
+        kind[inside[(features[inside] - middle) @ axis > 0.0]] = new
+        for k in (widest, new):
+            members = kind == k
+            spread[k] = _spread(features[members], weight[members])
+    palette = np.zeros((KINDS_OF_SURFACE, 4), dtype=np.float32)
+    for k, (_, _, middle) in spread.items():
+        length = max(float(np.linalg.norm(middle[:3])), 1e-9)
+        palette[k] = [*(middle[:3] / length), middle[3] / _ALBEDO_WEIGHT]
+    return palette, kind[which].reshape(surfaces.shape[:-1])
+
+
+def _spread(features: Array, weight: Array) -> tuple[float, Array, Array]:
+    """Energy of the variation of some surfaces, its longest axis, and their mean."""
+    total = float(weight.sum())
+    if total <= 0.0:
+        return 0.0, np.zeros(4), np.zeros(4)
+    middle = weight @ features / total
+    apart = features - middle
+    sizes, axes = np.linalg.eigh((apart * weight[:, None]).T @ apart)
+    return float(sizes[-1]), axes[:, -1], middle
