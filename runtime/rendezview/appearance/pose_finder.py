@@ -84,7 +84,7 @@ class Found:
 
 
 # Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seed 1).
-_LOGISTIC = np.array([-0.81, 5.48, 0.61, -11.92, -9.31, 10.19, -0.67, 1.58, 0.74, 0.0])
+_LOGISTIC = np.array([-3.36, 6.46, 1.22, -13.28, -5.76, 6.29, -3.31, 1.5, 1.51, 8.32])
 
 
 def merit(refined: Refined, excess: float) -> float:

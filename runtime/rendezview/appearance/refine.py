@@ -113,7 +113,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
 # less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seed 1).
-_INFLATION = np.array([-1.31, 3.41, 17.3, 0.06])
+_INFLATION = np.array([2.07, 5.36, 2.79, -1.76])
 
 
 class Refiner:
