@@ -42,7 +42,7 @@ _MOST_CORRELATED = 0.9
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
 # again as goes with time and its square: views alike err alike. On nodes, poses; fitted to
 # seeds 1000–1003 of scripts/trajectory_accuracy.py.
-_COMMON = (0.25, 0.7)
+_COMMON = (0.35, 0.8)
 
 
 @dataclass(frozen=True, kw_only=True)
