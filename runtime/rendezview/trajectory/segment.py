@@ -12,7 +12,6 @@ from rendezview.pose import Array
 from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.shapes import (
-    CIRCULAR,
     HOPS,
     SIZE,
     SPIRAL,
@@ -34,6 +33,7 @@ from rendezview.trajectory.start import first_guess, hops_of
 
 Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
 
+_LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
 _MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom
 _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ
@@ -176,7 +176,7 @@ def fit_segment(
     """
     options = options or FitOptions()
     code = code_of(shape)
-    trouble = cloud.trouble(max(6, SIZE[code]))
+    trouble = cloud.trouble(_LEAST_FRAMES)
     if trouble is not None:
         return trouble
     start_s, end_s = float(cloud.times_s[0]), float(cloud.times_s[-1])
@@ -294,9 +294,7 @@ def _finished(
 ) -> Segment | Nothing:
     """The simplex from Gauss–Newton's answer, and the covariance where it ends."""
     parameters, least = fit.down()
-    matrix, _ = normal_equations(
-        fit.code, parameters, fit.scales, *fit.data, fit.weights, _CUT
-    )
+    matrix, _ = normal_equations(fit.code, parameters, fit.scales, *fit.data, fit.weights, _CUT)
     sigmas = _sigmas(matrix, fit.scales)
     evaluations = 0
     if options.simplex:
@@ -306,9 +304,7 @@ def _finished(
         )  # fmt: skip
     if not (np.isfinite(parameters).all() and np.isfinite(least)):
         return Nothing("the fit runs away: these points belong to no such segment")
-    matrix, right = normal_equations(
-        fit.code, parameters, fit.scales, *fit.data, fit.weights, _CUT
-    )
+    matrix, right = normal_equations(fit.code, parameters, fit.scales, *fit.data, fit.weights, _CUT)
     gap = np.abs(_solved(matrix, right, fit.scales)) / _sigmas(matrix, fit.scales)
     covariance = _covariance(fit, parameters, matrix)
     if fit.code <= SPIRAL:
@@ -354,7 +350,9 @@ def _solved(matrix: Array, right: Array, scales: Array) -> Array:
     """matrix⁻¹ right, in units of ``scales``; what nothing is known of stays put."""
     scaled = matrix * scales[:, None] * scales[None, :]
     least = 1e-14 * np.trace(scaled)
-    return np.asarray(scales * np.linalg.solve(scaled + least * np.eye(len(scales)), scales * right))
+    return np.asarray(
+        scales * np.linalg.solve(scaled + least * np.eye(len(scales)), scales * right)
+    )
 
 
 def _inverse(matrix: Array, scales: Array) -> Array:

@@ -66,9 +66,21 @@ def turn_matrix(vector, out):  # type: ignore[no-untyped-def]
         b = 2.0 * half * half
     else:
         a, b = 1.0 - squared / 6.0, 0.5 - squared / 24.0
-    out[0, 0], out[0, 1], out[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    out[1, 0], out[1, 1], out[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
-    out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+    out[0, 0], out[0, 1], out[0, 2] = (
+        1.0 - b * (y * y + z * z),
+        b * x * y - a * z,
+        b * x * z + a * y,
+    )
+    out[1, 0], out[1, 1], out[1, 2] = (
+        b * x * y + a * z,
+        1.0 - b * (x * x + z * z),
+        b * y * z - a * x,
+    )
+    out[2, 0], out[2, 1], out[2, 2] = (
+        b * x * z - a * y,
+        b * y * z + a * x,
+        1.0 - b * (x * x + y * y),
+    )
 
 
 @njit(cache=True, nogil=True)

@@ -32,7 +32,11 @@ def residuals(code, p, times, base, constants, carrier, points, whitening, by_no
     """
     places(code, p, times, base, constants, place)
     for k in range(len(times)):
-        x, y, z = place[k, 0] + carrier[k, 0], place[k, 1] + carrier[k, 1], place[k, 2] + carrier[k, 2]
+        x, y, z = (
+            place[k, 0] + carrier[k, 0],
+            place[k, 1] + carrier[k, 1],
+            place[k, 2] + carrier[k, 2],
+        )
         w = whitening[k]
         if by_node[k]:
             far = np.sqrt(x * x + y * y + z * z) + 1e-12
@@ -48,7 +52,9 @@ def residuals(code, p, times, base, constants, carrier, points, whitening, by_no
 
 
 @njit(cache=True, nogil=True)
-def cost(code, p, times, base, constants, carrier, points, whitening, by_node, weights, cut, place, out):  # type: ignore[no-untyped-def]
+def cost(
+    code, p, times, base, constants, carrier, points, whitening, by_node, weights, cut, place, out
+):  # type: ignore[no-untyped-def]
     """The robust cost; ``cut`` is c², infinite for plain least squares."""
     residuals(code, p, times, base, constants, carrier, points, whitening, by_node, place, out)
     total = 0.0
@@ -60,8 +66,20 @@ def cost(code, p, times, base, constants, carrier, points, whitening, by_node, w
 
 @njit(cache=True, nogil=True)
 def downhill_simplex(  # type: ignore[no-untyped-def]
-    code, start, steps, times, base, constants, carrier, points, whitening, by_node, weights, cut,
-    most, near,
+    code,
+    start,
+    steps,
+    times,
+    base,
+    constants,
+    carrier,
+    points,
+    whitening,
+    by_node,
+    weights,
+    cut,
+    most,
+    near,
 ):
     """Nelder and Mead's simplex, with Gao and Han's (2012) coefficients for P dimensions.
 
@@ -137,17 +155,23 @@ def downhill_simplex(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def jacobian(code, p, scales, times, base, constants, carrier, points, whitening, by_node, place, out):  # type: ignore[no-untyped-def]
+def jacobian(
+    code, p, scales, times, base, constants, carrier, points, whitening, by_node, place, out
+):  # type: ignore[no-untyped-def]
     """(N, 4, P) of the residuals, by central differences of 1e-4 of ``scales`` (P,)."""
     slopes = np.empty((len(times), RESIDUALS, len(p)))
     moved = p.copy()
     for j in range(len(p)):
         step = 1e-4 * scales[j]
         moved[j] = p[j] + step
-        residuals(code, moved, times, base, constants, carrier, points, whitening, by_node, place, out)
+        residuals(
+            code, moved, times, base, constants, carrier, points, whitening, by_node, place, out
+        )
         slopes[:, :, j] = out
         moved[j] = p[j] - step
-        residuals(code, moved, times, base, constants, carrier, points, whitening, by_node, place, out)
+        residuals(
+            code, moved, times, base, constants, carrier, points, whitening, by_node, place, out
+        )
         for k in range(len(times)):
             for i in range(RESIDUALS):
                 slopes[k, i, j] = (slopes[k, i, j] - out[k, i]) / (2.0 * step)
@@ -185,7 +209,19 @@ def normal_equations(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def gauss_newton(  # type: ignore[no-untyped-def]
-    code, start, scales, times, base, constants, carrier, points, whitening, by_node, weights, cut, most
+    code,
+    start,
+    scales,
+    times,
+    base,
+    constants,
+    carrier,
+    points,
+    whitening,
+    by_node,
+    weights,
+    cut,
+    most,
 ):
     """Gauss–Newton with Levenberg's damping down the same cost: the simplex's start and check.
 
@@ -197,12 +233,35 @@ def gauss_newton(  # type: ignore[no-untyped-def]
     place = np.empty((len(times), 3))
     out = np.empty((len(times), RESIDUALS))
     here = cost(
-        code, p, times, base, constants, carrier, points, whitening, by_node, weights, cut, place, out
+        code,
+        p,
+        times,
+        base,
+        constants,
+        carrier,
+        points,
+        whitening,
+        by_node,
+        weights,
+        cut,
+        place,
+        out,
     )
     damping = 1e-6
     for _ in range(most):
         matrix, right = normal_equations(
-            code, p, scales, times, base, constants, carrier, points, whitening, by_node, weights, cut
+            code,
+            p,
+            scales,
+            times,
+            base,
+            constants,
+            carrier,
+            points,
+            whitening,
+            by_node,
+            weights,
+            cut,
         )
         better = False
         for _ in range(6):
