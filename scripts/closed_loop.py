@@ -3,10 +3,11 @@
     python scripts/closed_loop.py MODEL TARGET [--kinds circular spiral vbar] [--seeds 0 20]
 
 Each flight lasts 1200 s, a frame every 10 s (640 × 480, 53° across, drawn at the true pose by our
-own simulator, Sun behind the camera). Mean motion 0.0011 rad/s. The first frame's attitude is given to
-20°. circular: one turn at 3.6 target radii in the plane of the orbit; spiral: one turn from 5 to
-3.6 radii; vbar: from 6 to 3.6 radii along the orbital velocity, with three hops. A star tracker tells
-the chaser's own attitude to 0.02°. The same errors are flown without corrections. Printed: root mean square distance to the plan, and the ratio.
+own simulator, Sun behind the camera). Mean motion 0.0011 rad/s. The first frame's attitude is given
+to 20°. circular: one turn at 3.6 target radii in the plane of the orbit; spiral: one turn from 5 to
+3.6 radii; vbar: from 6 to 3.6 radii along the orbital velocity, with three hops. A star tracker
+tells the chaser's own attitude to 0.02°. The same errors are flown without corrections. Printed:
+root mean square distance to the plan, and the ratio.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -186,7 +187,7 @@ def fit_segment(
     constants = np.array([mean_motion_rad_s, 0.0])
     places_m = cloud.places_m - ridden
     length_m = float(np.median(np.linalg.norm(cloud.places_m, axis=1)))
-    guess = None
+    guess: tuple[Array, Array] | Nothing | None = None
     if previous is not None and previous.shape is shape:
         guess = _moved(previous, middle_s)
     if guess is None:
@@ -202,7 +203,7 @@ def fit_segment(
     return _finished(fit, cloud, shape, middle_s, carrier, options)
 
 
-_Data = tuple[Array, Array, Array, Array, Array, Array, npt.NDArray[np.bool_]]
+_Data = tuple[Any, ...]  # see ``simplex``: times, base, constants, carrier, points, …
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,9 +219,10 @@ class _Fit:
 
     def down(self, cut: float = _CUT, steps: int = 8) -> tuple[Array, float]:
         """Parameters and cost after at most so many steps of Gauss–Newton."""
-        return gauss_newton(
-            self.code, self.parameters, self.scales, *self.data, self.weights, cut, steps
+        parameters, cost = gauss_newton(
+            self.code, self.parameters, self.scales, self.data, self.weights, cut, steps
         )
+        return parameters, float(cost)
 
 
 def _settled(fit: _Fit, data: _Data) -> _Fit:
@@ -235,7 +237,7 @@ def _settled(fit: _Fit, data: _Data) -> _Fit:
     cut = np.inf
     for _ in range(4):
         parameters, _ = fit.down(cut)
-        residuals(fit.code, parameters, *data, place, out)
+        residuals(fit.code, parameters, data, place, out)
         squares = np.einsum("ij,ij->i", out, out)
         whitening = data[5].copy()
         claims = [1.0, 1.0]
@@ -294,17 +296,17 @@ def _finished(
 ) -> Segment | Nothing:
     """The simplex from Gauss–Newton's answer, and the covariance where it ends."""
     parameters, least = fit.down()
-    matrix, _ = normal_equations(fit.code, parameters, fit.scales, *fit.data, fit.weights, _CUT)
+    matrix, _ = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
     sigmas = _sigmas(matrix, fit.scales)
     evaluations = 0
     if options.simplex:
         parameters, least, evaluations = downhill_simplex(
-            fit.code, parameters, sigmas, *fit.data, fit.weights, _CUT,
+            fit.code, parameters, sigmas, fit.data, fit.weights, _CUT,
             options.most_evaluations, _NEAR,
         )  # fmt: skip
     if not (np.isfinite(parameters).all() and np.isfinite(least)):
         return Nothing("the fit runs away: these points belong to no such segment")
-    matrix, right = normal_equations(fit.code, parameters, fit.scales, *fit.data, fit.weights, _CUT)
+    matrix, right = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
     gap = np.abs(_solved(matrix, right, fit.scales)) / _sigmas(matrix, fit.scales)
     covariance = _covariance(fit, parameters, matrix)
     if fit.code <= SPIRAL:
@@ -371,8 +373,8 @@ def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
     """(P, P) from the points' own misfits, summed over each frame before they are squared."""
     times = fit.data[0]
     place, out = np.empty((len(times), 3)), np.empty((len(times), RESIDUALS))
-    slopes = jacobian(fit.code, parameters, fit.scales, *fit.data, place, out)
-    residuals(fit.code, parameters, *fit.data, place, out)
+    slopes = jacobian(fit.code, parameters, fit.scales, fit.data, place, out)
+    residuals(fit.code, parameters, fit.data, place, out)
     squares = np.einsum("ij,ij->i", out, out)
     weights = fit.weights / (1.0 + squares / _CUT) ** 2
     first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))

@@ -310,7 +310,7 @@ def _down(data: _Data, state: _State, size: int, cut: float) -> _State:
         improved = False
         for _ in range(5):
             damped = matrix + damping * np.diag(np.diag(matrix)) + 1e-6 * _loose(data, size)
-            trial = state.moved(np.linalg.solve(damped, right))
+            trial = state.moved(np.asarray(np.linalg.solve(damped, right), np.float64))
             there = _cost(data, trial, cut)
             if there <= here:
                 improved = True

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -133,7 +134,7 @@ def _impulses(planned: Array, mean_motion_rad_s: float, step_s: float) -> tuple[
     """Velocities (N, 3) on arrival at each planned place, and the impulses there."""
     free = transition(mean_motion_rad_s, step_s)
     leaving = []
-    for here, there in zip(planned[:-1], planned[1:], strict=True):
+    for here, there in pairwise(planned):
         velocity = velocity_to_reach(mean_motion_rad_s, step_s, there - free[:3, :3] @ here)
         if velocity is None:
             raise ValueError(f"a step of {step_s} s is no part of an orbit")
@@ -148,4 +149,4 @@ def _impulses(planned: Array, mean_motion_rad_s: float, step_s: float) -> tuple[
 
 def _up(place: Array) -> Array:
     """Hill's normal, or the radial where the camera stands on it."""
-    return np.eye(3)[2 if abs(place[2]) < 0.9 * np.linalg.norm(place) else 0]
+    return np.asarray(np.eye(3)[2 if abs(place[2]) < 0.9 * np.linalg.norm(place) else 0])
