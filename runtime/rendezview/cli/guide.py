@@ -1,4 +1,4 @@
-"""What ``track`` adds to each frame where a plan or a shape is given: segments, corrections, spin."""
+"""What ``track`` adds to a frame where a plan or a shape is given: segment, correction, spin."""
 
 from __future__ import annotations
 
@@ -123,7 +123,17 @@ class Guide:
         if isinstance(report.spin, Spin):
             self.attitude_times_s.append(time_s)
             self.attitudes.append(report.spin.at(time_s)[0][0])
-        return record(report), describe(report) if report.ended else None
+        told = record(report)
+        told["centre_m"] = self.follower.centre_m
+        told["path_from_target"] = self._path_from_target(time_s, attitude, sighting)
+        return told, describe(report) if report.ended else None
+
+    def _path_from_target(self, time_s: float, attitude: Array | None, sighting: Sighting) -> Array:
+        """(3, 3) as the follower took it; the identity for a frame that it could not use."""
+        if attitude is not None:
+            return np.eye(3) if sighting.pose is None else attitude @ sighting.pose.rotation
+        plan = self.follower.plan
+        return np.eye(3) if plan is None else plan.path_from_target(time_s)
 
     def frames(self) -> tuple[str, str]:
         """Names of the frames of the path and of the attitude's reference."""

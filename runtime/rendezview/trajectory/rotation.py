@@ -30,7 +30,7 @@ def _advance(moments, rotation, rate, span, vector, turned):  # type: ignore[no-
     c = (moments[0] - moments[1]) / moments[2]
     p, q, r = rate[0], rate[1], rate[2]
     size = math.sqrt(p * p + q * q + r * r)
-    steps = max(1, int(math.ceil(abs(size * span) / _STEP_RAD)))
+    steps = max(1, int(np.ceil(abs(size * span) / _STEP_RAD)))
     h = span / steps
     for _ in range(steps):
         p1, q1, r1 = a * q * r, b * r * p, c * p * q
