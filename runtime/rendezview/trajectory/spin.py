@@ -24,7 +24,7 @@ _CUT = 12.0  # c² of the robust weight over the variance of a frame
 _MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom
 _LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
 _STEPS = 25
-_STARTS = ((1.0, 1.0), (2.0, 1.5), (0.6, 0.8), (1.5, 0.7), (0.7, 1.4))  # moments over the first
+_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_State``
 _MOST_RATIO = 30.0
 _COMMON = 0.8  # of a frame's σ, what all have in common and what goes with time, as for segments
 _WORTH = 25.0  # χ² that a tumble must save over constant spin to be told
@@ -199,23 +199,19 @@ class _Data:
 class _State:
     rotation: Array
     rate: Array
-    ratios: Array  # (2,) logarithms of the moments over the first
+    ratios: Array  # (2,) logarithms of Σ m y² and Σ m z² over Σ m x²: any belong to a body
 
     @property
     def moments(self) -> Array:
-        return np.concatenate([[1.0], np.exp(self.ratios)])
+        """(3,) over the first: I_x = Σ m (y² + z²) and so on."""
+        x, y, z = 1.0, *np.exp(self.ratios)
+        return np.array([1.0, (x + z) / (y + z), (x + y) / (y + z)])
 
     def moved(self, step: Array) -> _State:
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         limit = np.log(_MOST_RATIO)
         ratios = np.clip(self.ratios + step[6:], -limit, limit) if len(step) > 6 else self.ratios
         return _State(turn @ self.rotation, self.rate + step[3:6], ratios)
-
-    @property
-    def of_a_body(self) -> bool:
-        """No moment is more than the other two together."""
-        a, b, c = sorted(self.moments)
-        return bool(a + b >= c * (1.0 - 1e-9))
 
 
 def _trouble(times: Array, turned: Array) -> Nothing | None:
@@ -237,18 +233,13 @@ def _best(
     still = _down(data, still, 6, _CUT * variance)
     if tumbling is False:
         return _told(data, still, 6, dof, middle_s)
-    best: _State | None = None
-    least = np.inf
+    best, least = still, np.inf
     cut = _CUT * _variance(data, still, dof)
     for ratios in _STARTS:
-        state = _down(data, _State(still.rotation, still.rate, np.log(ratios)), 8, cut)
+        state = _down(data, _State(still.rotation, still.rate, np.array(ratios)), 8, cut)
         cost = _cost(data, state, cut)
-        if cost < least and state.of_a_body:
+        if cost < least:
             best, least = state, cost
-    if best is None:
-        if tumbling:
-            return Nothing("no rigid body turns like that: no moments of inertia explain it")
-        return _told(data, still, 6, dof, middle_s)
     variance = _variance(data, best, dof)
     if tumbling is None and _cost(data, still, _CUT * variance) - least < _WORTH * variance:
         return _told(data, still, 6, dof, middle_s)
@@ -343,7 +334,6 @@ def _told(data: _Data, state: _State, size: int, dof: int, middle_s: float) -> S
         covariance += moved @ moved.T
     if not np.isfinite(covariance).all():
         return Nothing("the fit runs away: these attitudes belong to no such motion")
-    sigma = np.sqrt(np.diag(covariance))
     return Spin(
         time_s=float(middle_s),
         rotation=state.rotation,
@@ -351,10 +341,21 @@ def _told(data: _Data, state: _State, size: int, dof: int, middle_s: float) -> S
         covariance=covariance[:6, :6],
         tumbling=size > 6,
         moments=state.moments,
-        moments_sigma=state.moments[1:] * sigma[6:8] if size > 6 else None,
+        moments_sigma=_moments_sigma(state, covariance) if size > 6 else None,
         start_s=float(middle_s + data.times[0]),
         end_s=float(middle_s + data.times[-1]),
         frames=frames,
         scatter=float(np.sqrt(variance)),
         roll_known=data.sight is None,
     )
+
+
+def _moments_sigma(state: _State, covariance: Array) -> Array:
+    """(2,) one σ of the second and third moment over the first."""
+    slopes = np.empty((2, 2))
+    for j in range(2):
+        step = np.zeros(8)
+        step[6 + j] = 1e-5
+        change = state.moved(step).moments - state.moved(-step).moments
+        slopes[:, j] = change[1:] / 2e-5
+    return np.asarray(np.sqrt(np.diag(slopes @ covariance[6:, 6:] @ slopes.T)))
