@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from tests.trajectory.paths import RANGE_M, SPAN_S, TIMES, circle, nodes, off, refined
 
 from rendezview.pose import Pose
 from rendezview.trajectory import (
@@ -18,7 +19,6 @@ from rendezview.trajectory import (
 from rendezview.trajectory.relative_orbit import push, transition
 from rendezview.trajectory.shapes import code_of
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex
-from tests.trajectory.paths import RANGE_M, SPAN_S, TIMES, circle, nodes, off, refined
 
 N = 0.0011
 

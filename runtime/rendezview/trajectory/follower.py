@@ -271,15 +271,18 @@ class Follower:
         if not (due or ended):
             return
         self._spun_s = time_s
+        tumbling = self.options.tumbling
+        if tumbling is None and not ended:  # whether it tumbles is asked once a segment
+            tumbling = isinstance(self._spin, Spin) and self._spin.tumbling
         if self._turns:
             times, attitudes, covariances = (
                 np.array(column) for column in zip(*self._turns, strict=True)
             )
-            self._spin = fit_spin(times, attitudes, covariances, tumbling=self.options.tumbling)
+            self._spin = fit_spin(times, attitudes, covariances, tumbling=tumbling)
         else:
             nodes = self._cloud
             self._spin = fit_spin_of_directions(
-                nodes.times_s, nodes.places_m, nodes.weights, tumbling=self.options.tumbling
+                nodes.times_s, nodes.places_m, nodes.weights, tumbling=tumbling
             )
 
 
