@@ -34,9 +34,7 @@ def sighting(time_s: float) -> Sighting:
     place = 31.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
     pose = looking_at(place, np.zeros(3), [0.0, 0.0, 1.0])
     nodes = place + np.array([[1.0, 0.5, 2.0], [-1.0, -0.5, -2.0]])
-    return Sighting(
-        Status.OK, pose=pose, covariance=COVARIANCE, weights=np.ones(2), points_m=nodes
-    )
+    return Sighting(Status.OK, pose=pose, covariance=COVARIANCE, weights=np.ones(2), points_m=nodes)
 
 
 def test_plan_to_words_messages_and_pictures(tmp_path: Path):
