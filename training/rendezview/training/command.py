@@ -23,6 +23,7 @@ from rendezview.training.renderers import Renderer
 from rendezview.training.symmetries import find_symmetries
 
 _DEFAULT = TrainingOptions()
+_SHELLS = ",".join(f"{shell:g}" for shell in _DEFAULT.contour_radii)
 
 
 def train(
@@ -43,7 +44,7 @@ def train(
     ] = None,
     shells: Annotated[
         str, typer.Option(help="Distances of the contour points, sphere radii, for refinement.")
-    ] = ",".join(f"{radius:g}" for radius in _DEFAULT.contour_radii),
+    ] = _SHELLS,
     resolution: Annotated[int, typer.Option(help="Pixels of a clean view.")] = 512,
     views: Annotated[
         int, typer.Option(help="Perturbed views to learn from.")
