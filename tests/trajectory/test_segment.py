@@ -152,7 +152,7 @@ def test_camera_place_has_the_covariance_of_perturbed_poses():
     centre = np.array([0.3, 1.0, -2.0])
     root = 1e-3 * rng.standard_normal((6, 6))
     covariance = root @ root.T
-    steps = rng.multivariate_normal(np.zeros(6), covariance, size=20000)
+    steps = rng.multivariate_normal(np.zeros(6), covariance, size=4000)
     for function, axes in ((camera_place, None), (centre_place, "camera")):
         _, found = function(pose, covariance, centre)
         moved = []
@@ -160,7 +160,7 @@ def test_camera_place_has_the_covariance_of_perturbed_poses():
             other = pose.perturbed(step)
             place = other.inverse().translation_m - centre
             moved.append(place if axes is None else other.rotation @ place)
-        np.testing.assert_allclose(np.cov(np.array(moved).T), found, atol=0.05 * np.trace(found))
+        np.testing.assert_allclose(np.cov(np.array(moved).T), found, atol=0.08 * np.trace(found))
 
 
 def cloud_of(times, places) -> PointCloud:
