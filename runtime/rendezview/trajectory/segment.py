@@ -12,9 +12,9 @@ import numpy.typing as npt
 from rendezview.pose import Array
 from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.scaling import inverse_of, sigmas_of, solved, typical_sizes
 from rendezview.trajectory.shapes import (
     HOPS,
-    SIZE,
     SPIRAL,
     Shape,
     code_of,
@@ -195,7 +195,7 @@ def fit_segment(
     if isinstance(guess, Nothing):
         return guess
     base, start = guess
-    scales = _scales(code, length_m, 0.5 * (end_s - start_s))
+    scales = typical_sizes(code, length_m, 0.5 * (end_s - start_s))
     data = (times, base, constants, ridden, cloud.points, cloud.whitening, cloud.by_node)
     fit = _settled(_Fit(code, start, scales, data, cloud.weights), data)
     if shape is Shape.VBAR and options.hops:
@@ -272,7 +272,7 @@ def _with_hops(fit: _Fit, places_m: Array, length_m: float) -> _Fit:
         fit,
         code=HOPS,
         parameters=start,
-        scales=_scales(HOPS, length_m, half_s),
+        scales=typical_sizes(HOPS, length_m, half_s),
         data=(times, base, np.array([constants[0], closing]), *rest),
     )
     parameters, least = hopping.down(steps=20)
@@ -297,7 +297,7 @@ def _finished(
     """The simplex from Gauss–Newton's answer, and the covariance where it ends."""
     parameters, least = fit.down()
     matrix, _ = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
-    sigmas = _sigmas(matrix, fit.scales)
+    sigmas = sigmas_of(matrix, fit.scales)
     evaluations = 0
     if options.simplex:
         parameters, least, evaluations = downhill_simplex(
@@ -307,7 +307,7 @@ def _finished(
     if not (np.isfinite(parameters).all() and np.isfinite(least)):
         return Nothing("the fit runs away: these points belong to no such segment")
     matrix, right = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
-    gap = np.abs(_solved(matrix, right, fit.scales)) / _sigmas(matrix, fit.scales)
+    gap = np.abs(solved(matrix, right, fit.scales)) / sigmas_of(matrix, fit.scales)
     covariance = _covariance(fit, parameters, matrix)
     if fit.code <= SPIRAL:
         if parameters[4] < 0.0:  # the other way round is about the opposite normal
@@ -337,38 +337,6 @@ def _finished(
     )
 
 
-def _scales(code: int, length_m: float, half_s: float) -> Array:
-    """(P,) typical sizes: of parameters that move places by about ``length_m``."""
-    length, speed = np.full(3, length_m), np.full(3, length_m / half_s)
-    if code <= SPIRAL:
-        whole = [1.0, 1.0, 1.0, length_m, 1.0 / half_s, length_m / half_s]
-        return np.array(whole[: SIZE[code]])
-    if code == HOPS:
-        return np.concatenate([length, speed, length, [half_s, half_s]])
-    return np.concatenate([length, speed, speed / half_s])[: SIZE[code]]
-
-
-def _solved(matrix: Array, right: Array, scales: Array) -> Array:
-    """matrix⁻¹ right, in units of ``scales``; what nothing is known of stays put."""
-    scaled = matrix * scales[:, None] * scales[None, :]
-    least = 1e-14 * np.trace(scaled)
-    return np.asarray(
-        scales * np.linalg.solve(scaled + least * np.eye(len(scales)), scales * right)
-    )
-
-
-def _inverse(matrix: Array, scales: Array) -> Array:
-    scaled = matrix * scales[:, None] * scales[None, :]
-    least = 1e-14 * np.trace(scaled)
-    inverse = np.linalg.inv(scaled + least * np.eye(len(scales)))
-    return np.asarray(inverse * scales[:, None] * scales[None, :])
-
-
-def _sigmas(matrix: Array, scales: Array) -> Array:
-    """(P,) one σ of each parameter, of independent points; no longer than a tenth of its scale."""
-    return np.minimum(np.sqrt(np.maximum(np.diag(_inverse(matrix, scales)), 1e-30)), 0.1 * scales)
-
-
 def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
     """(P, P) from the points' own misfits, summed over each frame before they are squared."""
     times = fit.data[0]
@@ -380,7 +348,7 @@ def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
     first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))
     scores = np.add.reduceat(weights[:, None] * np.einsum("nip,ni->np", slopes, out), first)
     frames, size = len(first), len(parameters)
-    inverse = _inverse(matrix, fit.scales)
+    inverse = inverse_of(matrix, fit.scales)
     spread = scores.T @ scores * frames / max(frames - size, 1)
     # Misfits of neighbouring frames alike: fewer frames than it seems.
     means = np.add.reduceat(weights[:, None] * out, first)
