@@ -13,12 +13,14 @@ from rich.console import Console
 from rendezview.appearance import SilhouetteOptions, Status, Threshold, ViewModel
 from rendezview.appearance.following import follow, record, result_row
 from rendezview.camera import Camera
+from rendezview.cli.guide import Guide, describe
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.files import read_json
 from rendezview.pose import Pose
 from rendezview.results import JsonLinesWriter, ResultRow, write_results
 from rendezview.sequences import Sequence, open_sequence
+from rendezview.trajectory.ccsds import parse_epoch
 
 
 def track(
@@ -58,18 +60,38 @@ def track(
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(help="Planned path (TOML): errors and corrections, spin, of each segment."),
+    ] = None,
+    shape: Annotated[
+        str | None,
+        typer.Option(help="Fit circular, spiral, vbar, orbit or drift, whatever the plan says."),
+    ] = None,
+    chaser: Annotated[
+        Path | None,
+        typer.Option(help="The chaser's own attitudes, CSV time_s,qw,qx,qy,qz: path from camera."),
+    ] = None,
+    oem: Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")] = None,
+    aem: Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")] = None,
+    epoch: Annotated[
+        str, typer.Option(help="UTC of the sequence's time 0, for OEM and AEM.")
+    ] = "2000-01-01T12:00:00",
 ) -> None:
     """Recognise and track a target through a sequence of frames.
 
     \b
     Example: rendezview track hubble.rvm approach -o poses.csv --log log.jsonl --prior scene
     """
-    _check_places(output, log, model)
+    _check_places(output, log, model, oem, aem, plan, chaser)
+    moment = parse_epoch(epoch)
     loaded = ViewModel.load(model)
     sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
     first = _prior(prior, sequence, loaded)
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
+    guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
+    console = Console(stderr=True)
     rows: list[ResultRow] = []
     outcomes: Counter[Status] = Counter()
     times_ms: list[float] = []
@@ -91,8 +113,14 @@ def track(
                 row = result_row(sequence.scene_id, frame, sighting)
                 if row is not None:
                     rows.append(row)
+                noted = record(frame, sighting)
+                if guide is not None:
+                    time_s = float(done - 1) if frame.time_s is None else frame.time_s
+                    noted["trajectory"], words = guide.update(time_s, sighting)
+                    if words:
+                        console.print(words, highlight=False, soft_wrap=True)
                 if writer:
-                    writer.write(record(frame, sighting))
+                    writer.write(noted)
                 progress("frames", done, len(sequence))
     finally:
         # Ctrl-C or an error in the middle keeps what was computed, and a log that cannot be
@@ -108,7 +136,11 @@ def track(
     told = ", ".join(
         f"{count} {status}" for status, count in outcomes.most_common() if status is not Status.OK
     )
-    Console(stderr=True).print(
+    if guide is not None:
+        if guide.last is not None and not guide.last.ended:
+            console.print(describe(guide.last), highlight=False, soft_wrap=True)
+        guide.write(oem, aem, moment, loaded.name)
+    console.print(
         f"{len(rows)} poses in {len(sequence)} frames"
         + (f" ({told})" if told else "")
         + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
@@ -117,15 +149,31 @@ def track(
     )
 
 
-def _check_places(output: Path, log: Path | None, model: Path) -> None:
+def _check_places(output: Path, log: Path | None, *others: Path | None) -> None:
     """Refuse at once what would fail, or do harm, only when all frames are computed."""
     if output.is_dir() or not output.parent.is_dir():
         raise RendezviewError(f"{output}: give a file name in an existing folder for the results")
-    places = [path.resolve() for path in (output, log, model) if path is not None]
+    places = [path.resolve() for path in (output, log, *others) if path is not None]
     if len(set(places)) < len(places):
         raise RendezviewError(
-            f"{output}: model, results and log must be different files: choose another name"
+            f"{output}: everything read and written must be different files: choose another name"
         )
+
+
+def _guide(
+    model: ViewModel,
+    plan: Path | None,
+    shape: str | None,
+    chaser: Path | None,
+    oem: Path | None,
+    aem: Path | None,
+    refine: bool,
+) -> Guide | None:
+    if plan is None and shape is None:
+        if chaser or oem or aem:
+            raise RendezviewError("--chaser, --oem and --aem need a --plan or a --shape to fit")
+        return None
+    return Guide.of(model, plan, shape, chaser, refine)
 
 
 def _silhouette(threshold: str) -> SilhouetteOptions:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -19,8 +19,9 @@ from rendezview.errors import RendezviewError
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.sphere_pictures import model_picture
 from rendezview.evaluation.track_pictures import point_cloud, sighting_curves
+from rendezview.evaluation.trajectory_pictures import path_picture, rate_picture
 from rendezview.files import atomic_write, atomic_write_text, make_folder
-from rendezview.pose import Pose
+from rendezview.pose import Array, Pose
 from rendezview.results import read_json_lines
 from rendezview.sequences import Frame, Sequence, open_sequence
 from rendezview.sequences.frame import GreyImage
@@ -40,8 +41,8 @@ def show(
 ) -> None:
     """Draw a model, a scene or a log.
 
-    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log: range, on
-    nodes and the point cloud. A scene: a sheet of frames.
+    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log: range, on nodes,
+    the point cloud, and of `track --plan` the path and the rates. A scene: a sheet of frames.
 
     Example: rendezview show hubble.rvm -o hubble-pictures
     """
@@ -123,7 +124,22 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
         estimates_m=places,
     )
     make_folder(folder)
-    return [_save(curves, folder / "curves.png"), _save(cloud, folder / "cloud.png")]
+    written = [_save(curves, folder / "curves.png"), _save(cloud, folder / "cloud.png")]
+    if all("trajectory" in r for r in records):
+        try:
+            path_drawn = path_picture(records, _cloud_of_path(records))
+            rates = rate_picture(records, x, "time, s" if timed else "frame")
+        except (KeyError, TypeError, ValueError) as error:
+            raise RendezviewError(f"{path}: not a log of `rendezview track` ({error})") from None
+        written += [_save(path_drawn, folder / "path.png"), _save(rates, folder / "rates.png")]
+    return written
+
+
+def _cloud_of_path(records: list[dict[str, Any]]) -> Array:
+    """(N, 3) points of the on nodes about the path's centre, in the plan's axes."""
+    clouds = [np.array(r["points_m"]).reshape(-1, 3) - r["trajectory"]["centre_m"] for r in records]
+    turns = [np.array(r["trajectory"]["path_from_target"]) for r in records]
+    return np.concatenate([c @ t.T for c, t in zip(clouds, turns, strict=True)])
 
 
 def _pose(value: dict[str, list[float]] | None) -> Pose | None:

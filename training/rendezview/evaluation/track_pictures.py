@@ -126,13 +126,7 @@ def point_cloud(
     figure = new_figure(6.2, 5.9)
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
-    axes.set_facecolor(BACKGROUND)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
-        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)
-        axis.line.set_color(GRID)
-        axis.set_major_locator(MaxNLocator(5))
-    axes.tick_params(colors=MUTED, labelsize=8, pad=1)
+    space_axes(axes)
     line = "-" if joined else "none"
     points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
     if len(points):
@@ -155,17 +149,28 @@ def point_cloud(
         axes.plot(*np.stack([centre, tip]).T, color=AXIS_COLOURS[k], linewidth=2.6)
         beyond = centre + 1.25 * target_radius_m * np.eye(3)[k]
         axes.text(*beyond, letter, color=AXIS_COLOURS[k], fontsize=9, fontweight="bold")
-    axes.set_xlabel("X, m", color=MUTED, fontsize=10)
-    axes.set_ylabel("Y, m", color=MUTED, fontsize=10)
-    axes.set_zlabel("Z, m", color=MUTED, fontsize=10)
     axes.set_aspect("equal")
-    axes.set_box_aspect(None, zoom=0.88)  # room for the labels
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         dress_legend(
             figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9.5)
         )
     return figure
+
+
+def space_axes(axes: Axes3D) -> None:
+    """The house's look for axes in space, metres."""
+    axes.set_facecolor(BACKGROUND)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)
+        axis.line.set_color(GRID)
+        axis.set_major_locator(MaxNLocator(5))
+    axes.tick_params(colors=MUTED, labelsize=8, pad=1)
+    axes.set_xlabel("X, m", color=MUTED, fontsize=10)
+    axes.set_ylabel("Y, m", color=MUTED, fontsize=10)
+    axes.set_zlabel("Z, m", color=MUTED, fontsize=10)
+    axes.set_box_aspect(None, zoom=0.88)  # room for the labels
 
 
 def stage_picture(sightings: Iterable[Sighting]) -> Figure:

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
 from rendezview.training.bundled import find_target
 from rendezview.training.job import Trained
 from rendezview.training.job import train as train_model
@@ -22,6 +23,7 @@ from rendezview.training.renderers import Renderer
 from rendezview.training.symmetries import find_symmetries
 
 _DEFAULT = TrainingOptions()
+_SHELLS = ",".join(f"{shell:g}" for shell in _DEFAULT.contour_radii)
 
 
 def train(
@@ -40,6 +42,9 @@ def train(
     sphere_radius: Annotated[
         float | None, typer.Option(help="Radius of the sphere of views, metres.")
     ] = None,
+    shells: Annotated[
+        str, typer.Option(help="Distances of the contour points, sphere radii, for refinement.")
+    ] = _SHELLS,
     resolution: Annotated[int, typer.Option(help="Pixels of a clean view.")] = 512,
     views: Annotated[
         int, typer.Option(help="Perturbed views to learn from.")
@@ -74,6 +79,7 @@ def train(
         order=order,
         bins=bins,
         sphere_radius_m=sphere_radius,
+        contour_radii=_radii(shells),
         resolution_px=resolution,
         perturbed_views=views,
         held_out_views=held_out,
@@ -103,6 +109,15 @@ def train(
         highlight=False,
         soft_wrap=True,
     )
+
+
+def _radii(text: str) -> tuple[float, ...]:
+    try:
+        return tuple(sorted({float(part) for part in text.split(",")}))
+    except ValueError:
+        raise RendezviewError(
+            f"--shells must be numbers such as 0.5,1,1.5,3, not {text!r}"
+        ) from None
 
 
 def summary(trained: Trained) -> str:

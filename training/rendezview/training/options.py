@@ -142,6 +142,12 @@ def view_geometry(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -
         radius_m = float(max(radii, _LEAST_RADII)) * target_radius_m
     else:
         radius_m = DEFAULT_RADII * target_radius_m
+    if options.contour_points and options.contour_radii[0] * radius_m <= 1.02 * target_radius_m:
+        raise RendezviewError(
+            f"a shell of {options.contour_radii[0] * radius_m:.3g} m does not enclose the target, "
+            f"whose own radius is {target_radius_m:.3g} m: the least shell is "
+            f"{1.02 * target_radius_m / radius_m:.2f} sphere radii"
+        )
     tangent = np.tan(np.arcsin(target_radius_m / radius_m))
     focal_px = (0.5 * options.resolution_px - 4.0) / tangent
     if camera is not None:

@@ -1,0 +1,212 @@
+"""What ``track`` adds to a frame where a plan or a shape is given: segment, correction, spin."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from rendezview.appearance import Sighting, ViewModel
+from rendezview.errors import RendezviewError
+from rendezview.files import atomic_write_text, read_text
+from rendezview.pose import Array
+from rendezview.trajectory import (
+    Correction,
+    Follower,
+    FollowerOptions,
+    Nothing,
+    Report,
+    Segment,
+    Shape,
+    Spin,
+    load_plan,
+)
+from rendezview.trajectory.ccsds import Names, attitude_message, orbit_message
+from rendezview.trajectory.follower import record
+
+_HEADER = ["time_s", "qw", "qx", "qy", "qz"]
+
+
+def chaser_attitudes(path: Path) -> Slerp:
+    """Attitudes of the chaser, path_from_camera, from a CSV ``time_s,qw,qx,qy,qz``.
+
+    Raises:
+        RendezviewError: missing, another header, a wrong row, or times that do not rise.
+    """
+    rows = list(csv.reader(read_text(path, "attitudes of the chaser (CSV)").splitlines()))
+    if not rows or [cell.strip() for cell in rows[0]] != _HEADER:
+        raise RendezviewError(f"{path}: line 1: the header must be {','.join(_HEADER)}")
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows[1:] if row])
+        if table.ndim != 2 or table.shape[1] != 5 or len(table) < 2:
+            raise ValueError("needs two rows or more of five numbers")
+        if not np.isfinite(table).all() or np.any(np.diff(table[:, 0]) <= 0.0):
+            raise ValueError("numbers must be finite, and the times rise")
+        return Slerp(table[:, 0], Rotation.from_quat(table[:, [2, 3, 4, 1]]))
+    except ValueError as error:
+        raise RendezviewError(f"{path}: {error}: correct the file") from error
+
+
+@dataclass(slots=True)
+class Guide:
+    """Feeds sightings to a follower; words for the screen, records for the log, messages."""
+
+    follower: Follower
+    chaser: Slerp | None = None
+    times_s: list[float] = field(default_factory=list)
+    states: list[Array] = field(default_factory=list)
+    attitude_times_s: list[float] = field(default_factory=list)
+    attitudes: list[Array] = field(default_factory=list)
+    last: Report | None = None
+
+    @classmethod
+    def of(
+        cls,
+        model: ViewModel,
+        plan_path: Path | None,
+        shape: str | None,
+        chaser: Path | None,
+        refine: bool,
+    ) -> Guide:
+        """As the options of ``track`` say.
+
+        Raises:
+            RendezviewError: the plan, shape or attitudes are none.
+        """
+        plan = load_plan(plan_path) if plan_path else None
+        try:
+            chosen = Shape(shape) if shape else None
+        except ValueError:
+            raise RendezviewError(
+                f"--shape must be one of {', '.join(Shape)}, not {shape!r}"
+            ) from None
+        told = FollowerOptions(poses=refine)
+        if plan is not None:
+            told = FollowerOptions(turn_rad=plan.turn_rad, segment_s=plan.segment_s, poses=refine)
+        follower = Follower(model.centre_m, chosen, plan, told)
+        return cls(follower, chaser_attitudes(chaser) if chaser else None)
+
+    def update(self, time_s: float, sighting: Sighting) -> tuple[dict[str, Any], str | None]:
+        """Record of a frame, and words when a segment ends.
+
+        Raises:
+            RendezviewError: the chaser's attitudes do not reach to this time.
+        """
+        attitude = None
+        if self.chaser is not None:
+            try:
+                attitude = self.chaser(time_s).as_matrix()
+            except ValueError:
+                first_s, last_s = self.chaser.times[[0, -1]]
+                raise RendezviewError(
+                    f"the chaser's attitudes are of {first_s:g} to {last_s:g} s, the frame of "
+                    f"{time_s:g} s: give attitudes of the whole sequence"
+                ) from None
+        report = self.follower.update(
+            time_s,
+            sighting.pose,
+            sighting.covariance,
+            sighting.points_m,
+            sighting.weights if len(sighting.points_m) else None,
+            attitude,
+        )
+        self.last = report
+        if isinstance(report.segment, Segment):
+            self.times_s.append(time_s)
+            place = report.segment.places(time_s)[0]
+            self.states.append(np.concatenate([place, report.segment.velocity(time_s)]))
+        if isinstance(report.spin, Spin):
+            self.attitude_times_s.append(time_s)
+            self.attitudes.append(report.spin.at(time_s)[0][0])
+        told = record(report)
+        told["centre_m"] = self.follower.centre_m
+        told["path_from_target"] = self._path_from_target(time_s, attitude, sighting)
+        return told, describe(report) if report.ended else None
+
+    def _path_from_target(self, time_s: float, attitude: Array | None, sighting: Sighting) -> Array:
+        """(3, 3) as the follower took it; the identity for a frame that it could not use."""
+        if attitude is not None:
+            return np.eye(3) if sighting.pose is None else attitude @ sighting.pose.rotation
+        plan = self.follower.plan
+        return np.eye(3) if plan is None else plan.path_from_target(time_s)
+
+    def frames(self) -> tuple[str, str]:
+        """Names of the frames of the path and of the attitude's reference."""
+        plan = self.follower.plan
+        path = "SC_BODY_1" if plan is None or plan.orbit is None else "RSW_ROTATING"
+        return path, path if self.chaser is not None else "LINE_OF_SIGHT"
+
+    def write(self, oem: Path | None, aem: Path | None, epoch: datetime, target: str) -> None:
+        """CCSDS messages of all that was fitted.
+
+        Raises:
+            RendezviewError: there was no segment, or no spin, in any frame.
+        """
+        names = Names(target=target.upper())
+        path_frame, reference = self.frames()
+        if oem is not None:
+            if not self.times_s:
+                raise RendezviewError(
+                    f"{oem}: no segment was fitted, so there is no orbit to write"
+                )
+            states = np.array(self.states)
+            text = orbit_message(
+                epoch, self.times_s, states[:, :3], states[:, 3:], frame=path_frame, names=names
+            )
+            atomic_write_text(oem, text)
+        if aem is not None:
+            if not self.attitude_times_s:
+                raise RendezviewError(
+                    f"{aem}: no spin was fitted, so there is no attitude to write"
+                )
+            text = attitude_message(
+                epoch,
+                self.attitude_times_s,
+                np.array(self.attitudes),
+                frame=reference,
+                names=names,
+            )
+            atomic_write_text(aem, text)
+
+
+def describe(report: Report) -> str:
+    """A report in one line for the screen."""
+    parts = [f"segment {report.number}, to {report.time_s:.1f} s"]
+    segment, correction, spin = report.segment, report.correction, report.spin
+    if isinstance(segment, Nothing):
+        parts.append(segment.reason)
+    else:
+        place = segment.places(report.time_s)[0]
+        sigma = np.sqrt(np.linalg.eigvalsh(segment.place_covariance(report.time_s))[-1])
+        parts.append(f"{segment.shape} at {_vector(place)} ± {sigma:.3f} m")
+    if isinstance(correction, Correction):
+        off, ahead = (
+            float(np.linalg.norm(error))
+            for error in (correction.error_m, correction.predicted_error_m)
+        )
+        parts.append(f"{off:.3f} m off the plan")
+        parts.append(
+            f"{ahead:.3f} ± {correction.predicted_sigma_m:.3f} m at {correction.reach_s:.1f} s"
+        )
+        direction = correction.direction
+        if direction is not None:
+            parts.append(f"Δv {1e3 * correction.size_m_s:.2f} mm/s along {_vector(direction)}")
+    elif isinstance(correction, Nothing) and isinstance(segment, Segment):
+        parts.append(f"no correction: {correction.reason}")
+    if isinstance(spin, Spin):
+        parts.append(
+            f"{'tumble' if spin.tumbling else 'spin'} {np.rad2deg(spin.speed_rad_s):.4f} ± "
+            f"{np.rad2deg(spin.speed_sigma_rad_s):.4f} °/s about {_vector(spin.axis)}"
+        )
+    elif isinstance(spin, Nothing):
+        parts.append(f"no spin: {spin.reason}")
+    return "; ".join(parts)
+
+
+def _vector(values: Array) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in values) + ")"

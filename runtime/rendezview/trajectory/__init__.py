@@ -1,0 +1,34 @@
+"""Where it is going: segments of a path fitted to sightings, corrections, attitude and spin."""
+
+from rendezview.trajectory.cloud import NodeErrors, PointCloud, camera_place, centre_place
+from rendezview.trajectory.follower import Follower, FollowerOptions, Report
+from rendezview.trajectory.guidance import Correction, correct
+from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.plan import Orbit, Plan, load_plan
+from rendezview.trajectory.segment import FitOptions, Segment, fit_segment
+from rendezview.trajectory.shapes import Shape
+from rendezview.trajectory.spin import Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
+
+__all__ = [
+    "Correction",
+    "FitOptions",
+    "Follower",
+    "FollowerOptions",
+    "NodeErrors",
+    "Nothing",
+    "Orbit",
+    "Plan",
+    "PointCloud",
+    "Report",
+    "Segment",
+    "Shape",
+    "Spin",
+    "camera_place",
+    "centre_place",
+    "correct",
+    "fit_segment",
+    "fit_spin",
+    "fit_spin_of_directions",
+    "in_line_of_sight",
+    "load_plan",
+]

@@ -1,0 +1,180 @@
+"""The point cloud: where on nodes and refined poses put the camera, with times and weights.
+
+Points are in the path frame, its origin at the centre of the path. Those of one frame of the
+camera have one time and stand together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.pose import Array, Pose
+from rendezview.trajectory.nothing import Nothing
+
+_LEAST_SIGMA = 1e-5  # of a pose's place over its range: no covariance is as small as that
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeErrors:
+    """One σ of the point of an on node. Its scatter is the spacing of the nodes."""
+
+    direction_rad: float = 0.12  # each axis, of one node; those of a frame err together
+    range_fraction: float = 0.03
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud:
+    """Points with times, as the compiled loops want them."""
+
+    times_s: Array  # (N,) never falling
+    points: Array  # (N, 3) m for a pose; the unit direction for a node
+    whitening: Array  # (N, 3, 3) see ``simplex.residuals``
+    by_node: npt.NDArray[np.bool_]  # (N,)
+    weights: Array  # (N,) trust, 0 … 1
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    @property
+    def places_m(self) -> Array:
+        """(N, 3) in metres, of nodes too."""
+        far = np.where(self.by_node, self.whitening[:, 2, 2], 1.0)
+        return np.asarray(self.points * far[:, None])
+
+    @classmethod
+    def empty(cls) -> PointCloud:
+        """No points yet."""
+        return cls(
+            np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, bool), np.zeros(0)
+        )
+
+    @classmethod
+    def of_nodes(
+        cls,
+        times_s: npt.ArrayLike,
+        points_m: npt.ArrayLike,
+        weights: npt.ArrayLike | None = None,
+        errors: NodeErrors | None = None,
+    ) -> PointCloud:
+        """Points (N, 3) of on nodes, path frame, with times (N,) and the trust in each (N,)."""
+        errors = errors or NodeErrors()
+        points = np.asarray(points_m, np.float64).reshape(-1, 3)
+        far = np.linalg.norm(points, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):  # a point at the centre: refused later
+            directions = points / far[:, None]
+            across = np.full(len(points), 1.0 / errors.direction_rad)
+            along = 1.0 / (errors.range_fraction * far)
+        whitening = np.zeros((len(points), 3, 3))
+        whitening[:, 0, 0], whitening[:, 1, 1], whitening[:, 2, 2] = across, along, far
+        trust = np.ones(len(points)) if weights is None else np.asarray(weights, np.float64)
+        times = np.broadcast_to(np.asarray(times_s, np.float64), (len(points),)).copy()
+        return cls(times, directions, whitening, np.ones(len(points), bool), trust)
+
+    @classmethod
+    def of_places(
+        cls,
+        times_s: npt.ArrayLike,
+        places_m: npt.ArrayLike,
+        covariances: npt.ArrayLike | None = None,
+    ) -> PointCloud:
+        """Places (N, 3) of refined poses, path frame, with covariances (N, 3, 3) in m²."""
+        places = np.asarray(places_m, np.float64).reshape(-1, 3)
+        times = np.broadcast_to(np.asarray(times_s, np.float64), (len(places),)).copy()
+        far = np.linalg.norm(places, axis=1)
+        if covariances is None:
+            whitening = np.eye(3) / np.maximum(1e-3 * far, 1e-9)[:, None, None]
+        else:
+            whitening = _whitening(np.asarray(covariances, np.float64).reshape(-1, 3, 3), far)
+        return cls(times, places, whitening, np.zeros(len(places), bool), np.ones(len(places)))
+
+    def joined(self, other: PointCloud) -> PointCloud:
+        """Both clouds in order of time."""
+        times = np.concatenate([self.times_s, other.times_s])
+        order = np.argsort(times, kind="stable")
+        return PointCloud(
+            times[order],
+            np.concatenate([self.points, other.points])[order],
+            np.concatenate([self.whitening, other.whitening])[order],
+            np.concatenate([self.by_node, other.by_node])[order],
+            np.concatenate([self.weights, other.weights])[order],
+        )
+
+    def since(self, time_s: float) -> PointCloud:
+        """The points from a time on."""
+        first = int(np.searchsorted(self.times_s, time_s - 1e-9))
+        return PointCloud(
+            self.times_s[first:],
+            self.points[first:],
+            self.whitening[first:],
+            self.by_node[first:],
+            self.weights[first:],
+        )
+
+    def trouble(self, frames: int) -> Nothing | None:
+        """Why no segment goes through these points; None where nothing speaks against it.
+
+        Args:
+            frames: how many different times the segment needs.
+        """
+        if not np.isfinite(self.times_s).all():
+            return Nothing("a time is not finite")
+        numbers = (self.points, self.whitening, self.weights)
+        if not all(np.isfinite(values).all() for values in numbers):
+            return Nothing("a point, or its covariance, is not finite")
+        if np.any(np.diff(self.times_s) < 0.0):
+            return Nothing("the times do not rise")
+        different = 1 + int(np.count_nonzero(np.diff(self.times_s))) if len(self) else 0
+        if different < frames:
+            return Nothing(f"points of {different} frames: a segment needs {frames}")
+        places = self.places_m
+        if np.all(np.ptp(places, axis=0) <= 1e-9 * np.abs(places).max()):
+            return Nothing("all points are one: nothing moves")
+        if not np.any(self.weights > 0.0):
+            return Nothing("no point is trusted")
+        return None
+
+
+def camera_place(
+    pose: Pose, covariance: npt.ArrayLike, centre_m: npt.ArrayLike
+) -> tuple[Array, Array]:
+    """Camera about a centre, target frame: place (3,) m and covariance (3, 3) of a pose's.
+
+    c = −Rᵀ t, and with R' = exp([w]×) R, t' = t + v:  δc = −Rᵀ ([t]× w + v).
+    """
+    x, y, z = pose.translation_m
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    lever = -pose.rotation.T @ np.hstack([cross, np.eye(3)])
+    place = pose.inverse().translation_m - np.asarray(centre_m, np.float64)
+    return place, lever @ np.asarray(covariance, np.float64) @ lever.T
+
+
+def centre_place(
+    pose: Pose, covariance: npt.ArrayLike, centre_m: npt.ArrayLike
+) -> tuple[Array, Array]:
+    """Camera about a centre, camera axes: place (3,) m and covariance (3, 3) of a pose's.
+
+    −(R c + t); its error is −(w × R c + v) = [R c]× w − v. For a camera whose own attitude is
+    known, so that the target's takes no part.
+    """
+    arm = pose.rotation @ np.asarray(centre_m, np.float64)
+    x, y, z = arm
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    lever = np.hstack([cross, -np.eye(3)])
+    return -(arm + pose.translation_m), lever @ np.asarray(covariance, np.float64) @ lever.T
+
+
+def _whitening(covariances: Array, far: Array) -> Array:
+    """(N, 3, 3) W with WᵀW the inverse of each covariance; NaN where it is none."""
+    whitening = np.full_like(covariances, np.nan)
+    sound = np.isfinite(covariances).all(axis=(1, 2))
+    if sound.any():
+        values, vectors = np.linalg.eigh(covariances[sound])
+        least = (_LEAST_SIGMA * far[sound]) ** 2 + 1e-18
+        values = np.maximum(values, least[:, None])
+        # The symmetric root, so that the deviations of neighbouring frames have like axes.
+        turned = vectors / np.sqrt(values)[:, None, :]
+        whitening[sound] = turned @ np.swapaxes(vectors, 1, 2)
+    return whitening

@@ -1,0 +1,400 @@
+"""The fit of a segment to a point cloud, its uncertainty, and where it leads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.pose import Array
+from rendezview.trajectory.cloud import PointCloud
+from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.scaling import inverse_of, sigmas_of, solved, typical_sizes
+from rendezview.trajectory.shapes import (
+    HOPS,
+    SPIRAL,
+    Shape,
+    code_of,
+    frame_of,
+    places,
+    turn_matrix,
+)
+from rendezview.trajectory.simplex import (
+    RESIDUALS,
+    downhill_simplex,
+    gauss_newton,
+    jacobian,
+    normal_equations,
+    residuals,
+)
+from rendezview.trajectory.start import first_guess, hops_of
+
+Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
+
+_LEAST_FRAMES = 6
+_CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
+_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom
+_NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ
+_HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
+_MOST_CORRELATED = 0.9
+# Of a point's claimed σ, what all points of a segment may have in common, and half as much
+# again as goes with time and its square: views alike err alike. On nodes, poses; fitted to
+# seeds 1000–1003 of scripts/trajectory_accuracy.py.
+_COMMON = (0.35, 0.8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitOptions:
+    """How a segment is fitted."""
+
+    most_evaluations: int = 600
+    simplex: bool = True  # False: Gauss–Newton's answer alone
+    hops: bool = True  # look for hops of a V-bar approach
+    least_turn_sigma: float = 3.0  # of circular and spiral: a rate less sure is none
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """A fitted segment: places at any time, in the path frame, with their covariance."""
+
+    shape: Shape
+    start_s: float
+    end_s: float
+    middle_s: float  # times of the parameters count from here
+    parameters: Array  # (P,) see ``shapes``
+    covariance: Array  # (P, P)
+    frames: int
+    points: int
+    scatter: tuple[float, float]  # of on nodes, of poses: over what they claim
+    gap_sigma: float  # largest step from the simplex's answer to Gauss–Newton's, in σ
+    evaluations: int  # of the simplex
+    cost: float  # robust χ², of unscaled points
+    code: int
+    base: Array  # (3, 3)
+    constants: Array  # mean motion rad/s, closing of hops 1/s
+    carrier: Carrier | None = None
+
+    def places(self, times_s: npt.ArrayLike) -> Array:
+        """(N, 3) m at times (N,) s."""
+        times = np.atleast_1d(np.asarray(times_s, np.float64))
+        out = self._shape_places(self.parameters, times)
+        return out if self.carrier is None else out + self.carrier(times)
+
+    def velocity(self, time_s: float) -> Array:
+        """(3,) m/s at a time."""
+        step = 1e-4 * max(self.end_s - self.start_s, 1e-3)
+        after, before = self.places([time_s + step, time_s - step])
+        return np.asarray((after - before) / (2.0 * step))
+
+    def place_covariance(self, time_s: float) -> Array:
+        """(3, 3) m² of the place at a time, within the segment or beyond."""
+        times = np.array([time_s])
+        lever = np.empty((3, len(self.parameters)))
+        sigmas = np.sqrt(np.diag(self.covariance))
+        for j, sigma in enumerate(sigmas):
+            step = np.zeros(len(sigmas))
+            step[j] = 1e-3 * sigma + 1e-15
+            ahead = self._shape_places(self.parameters + step, times)
+            behind = self._shape_places(self.parameters - step, times)
+            lever[:, j] = (ahead - behind)[0] / (2.0 * step[j])
+        return np.asarray(lever @ self.covariance @ lever.T)
+
+    def _shape_places(self, parameters: Array, times_s: Array) -> Array:
+        out = np.empty((len(times_s), 3))
+        places(self.code, parameters, times_s - self.middle_s, self.base, self.constants, out)
+        return out
+
+    @property
+    def frame(self) -> Array:
+        """(3, 3) of circular and spiral: columns towards the middle's place, ahead, normal."""
+        turned = np.empty((3, 3))
+        turn_matrix(self.parameters[:3], turned)
+        return self.base @ turned
+
+    @property
+    def rate_rad_s(self) -> float | None:
+        """Of circular and spiral, positive about ``frame[:, 2]``."""
+        return float(self.parameters[4]) if self.code <= SPIRAL else None
+
+    def described(self) -> dict[str, object]:
+        """The parameters by name, with units, each with its one σ where it has one of its own."""
+        p, sigma = self.parameters, np.sqrt(np.diag(self.covariance))
+        if self.code <= SPIRAL:
+            told: dict[str, object] = {
+                "normal": self.frame[:, 2],
+                "normal_sigma_rad": sigma[:2],
+                "radius_m": p[3],
+                "radius_sigma_m": sigma[3],
+                "rate_rad_s": p[4],
+                "rate_sigma_rad_s": sigma[4],
+            }
+            if self.code == SPIRAL:
+                told |= {"climb_m_s": p[5], "climb_sigma_m_s": sigma[5]}
+            return told
+        told = {
+            "place_m": p[:3],
+            "place_sigma_m": sigma[:3],
+            "velocity_m_s": p[3:6],
+            "velocity_sigma_m_s": sigma[3:6],
+        }
+        if self.code == HOPS:
+            told |= {"hop_m": p[6:9], "hop_sigma_m": sigma[6:9], "hop_period_s": p[9]}
+            told |= {"hop_period_sigma_s": sigma[9], "hop_start_s": self.middle_s + p[10]}
+        elif self.shape is Shape.DRIFT:
+            told |= {"acceleration_m_s2": p[6:9], "acceleration_sigma_m_s2": sigma[6:9]}
+        return told
+
+
+def fit_segment(
+    cloud: PointCloud,
+    shape: Shape,
+    *,
+    mean_motion_rad_s: float = 0.0,
+    carrier: Carrier | None = None,
+    previous: Segment | None = None,
+    options: FitOptions | None = None,
+) -> Segment | Nothing:
+    """The segment of a shape that fits a cloud best, by downhill simplex on a robust cost.
+
+    Cleghorn & Sternberg (1991), "Trajectory": the simplex is theirs, as are circular, spiral and
+    V-bar. Gauss–Newton down the same cost gives the starting simplex, its sides one σ long, and
+    the check (``Segment.gap_sigma``); for orbit and drift it is the linear least-squares answer.
+
+    Args:
+        cloud: points about the path's centre.
+        mean_motion_rad_s: of orbit and drift, whose axes must then be Hill's.
+        carrier: a path that the shape is a deviation from; for orbit and drift, whose thrusts
+            are then the carrier's own.
+        previous: the fit to the points so far: where to start.
+
+    Returns:
+        The segment, or why there is none. The covariance of its parameters takes the points' own
+        scatter, lets those of one frame err together, and neighbouring frames as much as their
+        misfits say.
+    """
+    options = options or FitOptions()
+    code = code_of(shape)
+    trouble = cloud.trouble(_LEAST_FRAMES)
+    if trouble is not None:
+        return trouble
+    start_s, end_s = float(cloud.times_s[0]), float(cloud.times_s[-1])
+    middle_s = 0.5 * (start_s + end_s)
+    times = cloud.times_s - middle_s
+    ridden = np.zeros((len(cloud), 3)) if carrier is None else carrier(cloud.times_s)
+    constants = np.array([mean_motion_rad_s, 0.0])
+    places_m = cloud.places_m - ridden
+    length_m = float(np.median(np.linalg.norm(cloud.places_m, axis=1)))
+    guess: tuple[Array, Array] | Nothing | None = None
+    if previous is not None and previous.shape is shape:
+        guess = _moved(previous, middle_s)
+    if guess is None:
+        guess = first_guess(code, times, places_m, cloud.weights, mean_motion_rad_s)
+    if isinstance(guess, Nothing):
+        return guess
+    base, start = guess
+    scales = typical_sizes(code, length_m, 0.5 * (end_s - start_s))
+    data = (times, base, constants, ridden, cloud.points, cloud.whitening, cloud.by_node)
+    fit = _settled(_Fit(code, start, scales, data, cloud.weights), data)
+    if shape is Shape.VBAR and options.hops:
+        fit = _with_hops(fit, places_m, length_m)
+    return _finished(fit, cloud, shape, middle_s, carrier, options)
+
+
+_Data = tuple[Any, ...]  # see ``simplex``: times, base, constants, carrier, points, …
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """Gauss–Newton's answer, and the data with standard deviations that fit their scatter."""
+
+    code: int
+    parameters: Array
+    scales: Array  # (P,) typical sizes of the parameters
+    data: _Data
+    weights: Array
+    scatters: tuple[float, float] = (1.0, 1.0)  # claims over scatter: nodes, poses
+
+    def down(self, cut: float = _CUT, steps: int = 8) -> tuple[Array, float]:
+        """Parameters and cost after at most so many steps of Gauss–Newton."""
+        parameters, cost = gauss_newton(
+            self.code, self.parameters, self.scales, self.data, self.weights, cut, steps
+        )
+        return parameters, float(cost)
+
+
+def _settled(fit: _Fit, data: _Data) -> _Fit:
+    """From least squares to the robust cost.
+
+    Nodes and poses are scaled by their own scatter each, whatever their covariances claim.
+
+    Args:
+        data: with the standard deviations claimed.
+    """
+    place, out = np.empty((len(data[0]), 3)), np.empty((len(data[0]), RESIDUALS))
+    cut = np.inf
+    for _ in range(4):
+        parameters, _ = fit.down(cut)
+        residuals(fit.code, parameters, data, place, out)
+        squares = np.einsum("ij,ij->i", out, out)
+        whitening = data[5].copy()
+        claims = [1.0, 1.0]
+        for kind, chosen in enumerate((data[6], ~data[6])):
+            if chosen.any():
+                scatter = np.sqrt(np.median(squares[chosen]) / _MEDIAN_OF_THREE)
+                claims[kind] = 1.0 / max(float(scatter), 1e-6)
+                whitening[chosen] *= claims[kind]
+        whitening[data[6], 2, 2] = data[5][data[6], 2, 2]  # the range of a node, no deviation
+        fit = replace(
+            fit,
+            parameters=parameters,
+            data=(*data[:5], whitening, data[6]),
+            scatters=(claims[0], claims[1]),
+        )
+        cut = _CUT
+    return fit
+
+
+def _with_hops(fit: _Fit, places_m: Array, length_m: float) -> _Fit:
+    """A straight line with hops, if the points show them."""
+    _, straight = fit.down()
+    line = fit.parameters
+    times, base, constants, *rest = fit.data
+    far_m = float(np.linalg.norm(line[:3]))
+    closing = -float(line[:3] @ line[3:]) / max(far_m, 1e-9) ** 2
+    start = hops_of(times, places_m, fit.weights, closing)
+    if start is None:
+        return fit
+    half_s = 0.5 * float(times[-1] - times[0])
+    hopping = replace(
+        fit,
+        code=HOPS,
+        parameters=start,
+        scales=typical_sizes(HOPS, length_m, half_s),
+        data=(times, base, np.array([constants[0], closing]), *rest),
+    )
+    parameters, least = hopping.down(steps=20)
+    if straight - least < _HOPS_WORTH or not _sound_hops(parameters, half_s):
+        return fit
+    return replace(hopping, parameters=parameters)
+
+
+def _sound_hops(parameters: Array, half_s: float) -> bool:
+    """A period that the segment can show."""
+    return bool(0.1 * half_s < parameters[9] < 4.0 * half_s)
+
+
+def _finished(
+    fit: _Fit,
+    cloud: PointCloud,
+    shape: Shape,
+    middle_s: float,
+    carrier: Carrier | None,
+    options: FitOptions,
+) -> Segment | Nothing:
+    """The simplex from Gauss–Newton's answer, and the covariance where it ends."""
+    parameters, least = fit.down()
+    matrix, _ = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
+    sigmas = sigmas_of(matrix, fit.scales)
+    evaluations = 0
+    if options.simplex:
+        parameters, least, evaluations = downhill_simplex(
+            fit.code, parameters, sigmas, fit.data, fit.weights, _CUT,
+            options.most_evaluations, _NEAR,
+        )  # fmt: skip
+    if not (np.isfinite(parameters).all() and np.isfinite(least)):
+        return Nothing("the fit runs away: these points belong to no such segment")
+    matrix, right = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
+    gap = np.abs(solved(matrix, right, fit.scales)) / sigmas_of(matrix, fit.scales)
+    covariance = _covariance(fit, parameters, matrix)
+    if fit.code <= SPIRAL:
+        if parameters[4] < 0.0:  # the other way round is about the opposite normal
+            fit, parameters, covariance = _turned_over(fit, parameters, covariance)
+        rate, rate_sigma = parameters[4], np.sqrt(covariance[4, 4])
+        if not rate > options.least_turn_sigma * rate_sigma or parameters[3] <= 0.0:
+            return Nothing(
+                f"no turn about the target can be told: {rate:.2g} ± {rate_sigma:.2g} rad/s"
+            )
+    return Segment(
+        shape=shape,
+        start_s=float(cloud.times_s[0]),
+        end_s=float(cloud.times_s[-1]),
+        middle_s=middle_s,
+        parameters=parameters,
+        covariance=covariance,
+        frames=1 + int(np.count_nonzero(np.diff(cloud.times_s))),
+        points=len(cloud),
+        scatter=(1.0 / fit.scatters[0], 1.0 / fit.scatters[1]),
+        gap_sigma=float(gap.max()),
+        evaluations=int(evaluations),
+        cost=float(least),
+        code=fit.code,
+        base=fit.data[1],
+        constants=fit.data[2],
+        carrier=carrier,
+    )
+
+
+def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
+    """(P, P) from the points' own misfits, summed over each frame before they are squared."""
+    times = fit.data[0]
+    place, out = np.empty((len(times), 3)), np.empty((len(times), RESIDUALS))
+    slopes = jacobian(fit.code, parameters, fit.scales, fit.data, place, out)
+    residuals(fit.code, parameters, fit.data, place, out)
+    squares = np.einsum("ij,ij->i", out, out)
+    weights = fit.weights / (1.0 + squares / _CUT) ** 2
+    first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))
+    scores = np.add.reduceat(weights[:, None] * np.einsum("nip,ni->np", slopes, out), first)
+    frames, size = len(first), len(parameters)
+    inverse = inverse_of(matrix, fit.scales)
+    spread = scores.T @ scores * frames / max(frames - size, 1)
+    # Misfits of neighbouring frames alike: fewer frames than it seems.
+    means = np.add.reduceat(weights[:, None] * out, first)
+    square = float(np.sum(means**2))
+    alike = float(np.sum(means[1:] * means[:-1])) / square if square > 0.0 else 0.0
+    alike = min(max(alike, 0.0), _MOST_CORRELATED)
+    covariance = inverse @ spread @ inverse * (1.0 + alike) / (1.0 - alike)
+    by_node = fit.data[6]
+    share = np.where(by_node, _COMMON[0] * fit.scatters[0], _COMMON[1] * fit.scatters[1])
+    along = times / max(float(np.abs(times).max()), 1e-12)
+    for slow in (np.ones_like(along), along, 1.5 * along**2 - 0.5):
+        moved = inverse @ np.einsum("n,nip->pi", weights * share * slow, slopes)
+        covariance += moved @ moved.T
+    return np.asarray(0.5 * (covariance + covariance.T))
+
+
+def _turned_over(fit: _Fit, parameters: Array, covariance: Array) -> tuple[_Fit, Array, Array]:
+    """The same circle with its normal on the other side, so that the rate is positive."""
+    turned = np.empty((3, 3))
+    turn_matrix(parameters[:3], turned)
+    over = np.diag([1.0, -1.0, -1.0])  # half a turn about the place of the middle
+    times, base, *rest = fit.data
+    change = np.eye(len(parameters))
+    change[:3, :3] = over @ turned.T  # small turns, now on the right of all
+    change[4, 4] = -1.0
+    moved = parameters.copy()
+    moved[:3], moved[4] = 0.0, -parameters[4]
+    fit = replace(fit, data=(times, base @ turned @ over, *rest))
+    return fit, moved, change @ covariance @ change.T
+
+
+def _moved(previous: Segment, middle_s: float) -> tuple[Array, Array] | None:
+    """The fit so far as the start of a fit about another middle; None where it cannot be."""
+    shift_s = middle_s - previous.middle_s
+    if previous.code == HOPS:
+        return None  # a new search of the hops costs less than a wrong one
+    place = previous._shape_places(previous.parameters, np.array([middle_s]))[0]
+    if previous.code <= SPIRAL:
+        p = previous.parameters.copy()
+        p[:3] = 0.0
+        if previous.code == SPIRAL:
+            p[3] += p[5] * shift_s
+        return frame_of(previous.frame[:, 2], place), p
+    p = previous.parameters.copy()
+    step = 1e-3
+    times = np.array([middle_s - step, middle_s + step])
+    before, after = previous._shape_places(previous.parameters, times)
+    p[:3], p[3:6] = place, (after - before) / (2.0 * step)
+    return np.eye(3), p

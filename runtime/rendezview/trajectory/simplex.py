@@ -1,0 +1,206 @@
+"""The downhill simplex and its check: two compiled ways down one robust cost.
+
+The cost of parameters p is Σ w_i q_i / (1 + q_i / c²) (Geman and McClure), with q_i the squared
+misfit of point i in its own standard deviations: near ones count as in least squares, one far off
+costs c² at most, however far it is.
+
+A refined pose's misfit is its distance in the metric of its covariance. An on node's is that of
+its *direction* and that of its *range*, apart: nodes lie scattered on a sphere about the target,
+and the mean of points on a sphere lies below its surface, 1 % at 8°.
+
+``data`` is (times, base, constants, carrier, points, whitening, by_node): see ``shapes.places`` and
+``residuals``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.trajectory.shapes import places
+
+RESIDUALS = 4  # of a point: three of its place or direction, one of its range
+
+
+@njit(cache=True, nogil=True)
+def residuals(code, p, data, place, out):  # type: ignore[no-untyped-def]
+    """Fill (N, 4): misfits of all points in standard deviations.
+
+    Of ``data``: ``carrier`` (N, 3) are places that those of the shape are added to: a plan, or
+    zeros. ``points`` (N, 3) are places of poses, unit directions of nodes. ``whitening`` (N, 3, 3)
+    is the square root of a pose's information; of nodes [0, 0] is 1/σ of the direction, [1, 1] 1/σ
+    of the range, [2, 2] the range. ``place`` (N, 3) is scratch.
+    """
+    times, base, constants, carrier, points, whitening, by_node = data
+    places(code, p, times, base, constants, place)
+    for k in range(len(times)):
+        x = place[k, 0] + carrier[k, 0]
+        y = place[k, 1] + carrier[k, 1]
+        z = place[k, 2] + carrier[k, 2]
+        w = whitening[k]
+        if by_node[k]:
+            far = np.sqrt(x * x + y * y + z * z) + 1e-12
+            out[k, 0] = w[0, 0] * (x / far - points[k, 0])
+            out[k, 1] = w[0, 0] * (y / far - points[k, 1])
+            out[k, 2] = w[0, 0] * (z / far - points[k, 2])
+            out[k, 3] = w[1, 1] * (far - w[2, 2])
+        else:
+            x, y, z = x - points[k, 0], y - points[k, 1], z - points[k, 2]
+            for i in range(3):
+                out[k, i] = w[i, 0] * x + w[i, 1] * y + w[i, 2] * z
+            out[k, 3] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def cost(code, p, data, weights, cut, place, out):  # type: ignore[no-untyped-def]
+    """The robust cost; ``cut`` is c², infinite for plain least squares."""
+    residuals(code, p, data, place, out)
+    total = 0.0
+    for k in range(len(weights)):
+        q = out[k, 0] ** 2 + out[k, 1] ** 2 + out[k, 2] ** 2 + out[k, 3] ** 2
+        total += weights[k] * q / (1.0 + q / cut)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def downhill_simplex(code, start, steps, data, weights, cut, most, near):  # type: ignore[no-untyped-def]
+    """Nelder and Mead's simplex, with Gao and Han's (2012) coefficients for P dimensions.
+
+    Args:
+        start: (P,) first corner; the others lie ``steps`` (P,) away along the axes.
+        most: evaluations, at most.
+        near: ends when no corner costs more than so much above the best.
+
+    Returns:
+        (P,) the best corner, its cost, and how often the cost was asked for.
+    """
+    size = len(start)
+    place = np.empty((len(weights), 3))
+    out = np.empty((len(weights), RESIDUALS))
+    corners = np.empty((size + 1, size))
+    costs = np.empty(size + 1)
+    for k in range(size + 1):
+        corners[k] = start
+        if k > 0:
+            corners[k, k - 1] += steps[k - 1]
+        costs[k] = cost(code, corners[k], data, weights, cut, place, out)
+    asked = size + 1
+    expand = 1.0 + 2.0 / size
+    contract = 0.75 - 0.5 / size
+    shrink = 1.0 - 1.0 / size
+    trial, second = np.empty(size), np.empty(size)
+    while asked < most:
+        order = np.argsort(costs)
+        corners, costs = corners[order], costs[order]
+        if costs[size] - costs[0] <= near:
+            break
+        middle = np.zeros(size)
+        for k in range(size):
+            middle += corners[k] / size
+        away = middle - corners[size]
+        trial[:] = middle + away
+        at_trial = cost(code, trial, data, weights, cut, place, out)
+        asked += 1
+        if at_trial < costs[0]:
+            second[:] = middle + expand * away
+        elif at_trial < costs[size - 1]:
+            corners[size], costs[size] = trial, at_trial
+            continue
+        elif at_trial < costs[size]:
+            second[:] = middle + contract * away
+        else:
+            second[:] = middle - contract * away
+        at_second = cost(code, second, data, weights, cut, place, out)
+        asked += 1
+        if at_second < min(at_trial, costs[size]):
+            corners[size], costs[size] = second, at_second
+        elif at_trial < costs[0]:
+            corners[size], costs[size] = trial, at_trial
+        else:
+            for k in range(1, size + 1):
+                corners[k] = corners[0] + shrink * (corners[k] - corners[0])
+                costs[k] = cost(code, corners[k], data, weights, cut, place, out)
+            asked += size
+    best = np.argmin(costs)
+    return corners[best], costs[best], asked
+
+
+@njit(cache=True, nogil=True)
+def jacobian(code, p, scales, data, place, out):  # type: ignore[no-untyped-def]
+    """(N, 4, P) of the residuals, by central differences of 1e-4 of ``scales`` (P,)."""
+    slopes = np.empty((len(out), RESIDUALS, len(p)))
+    moved = p.copy()
+    for j in range(len(p)):
+        step = 1e-4 * scales[j]
+        moved[j] = p[j] + step
+        residuals(code, moved, data, place, out)
+        slopes[:, :, j] = out
+        moved[j] = p[j] - step
+        residuals(code, moved, data, place, out)
+        for k in range(len(out)):
+            for i in range(RESIDUALS):
+                slopes[k, i, j] = (slopes[k, i, j] - out[k, i]) / (2.0 * step)
+        moved[j] = p[j]
+    return slopes
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(code, p, scales, data, weights, cut):  # type: ignore[no-untyped-def]
+    """Matrix (P, P) and right side (P,) of one Gauss–Newton step of the robust cost."""
+    size = len(p)
+    place = np.empty((len(weights), 3))
+    out = np.empty((len(weights), RESIDUALS))
+    slopes = jacobian(code, p, scales, data, place, out)
+    residuals(code, p, data, place, out)
+    matrix, right = np.zeros((size, size)), np.zeros(size)
+    for k in range(len(weights)):
+        q = out[k, 0] ** 2 + out[k, 1] ** 2 + out[k, 2] ** 2 + out[k, 3] ** 2
+        weight = weights[k] / (1.0 + q / cut) ** 2
+        for i in range(RESIDUALS):
+            for a in range(size):
+                lever = weight * slopes[k, i, a]
+                right[a] -= lever * out[k, i]
+                for b in range(a, size):
+                    matrix[a, b] += lever * slopes[k, i, b]
+    for a in range(size):
+        for b in range(a):
+            matrix[a, b] = matrix[b, a]
+    return matrix, right
+
+
+@njit(cache=True, nogil=True)
+def gauss_newton(code, start, scales, data, weights, cut, most):  # type: ignore[no-untyped-def]
+    """Gauss–Newton with Levenberg's damping down the same cost: the simplex's start and check.
+
+    Returns:
+        (P,) parameters, their cost.
+    """
+    size = len(start)
+    p = start.copy()
+    place = np.empty((len(weights), 3))
+    out = np.empty((len(weights), RESIDUALS))
+    here = cost(code, p, data, weights, cut, place, out)
+    damping = 1e-6
+    for _ in range(most):
+        matrix, right = normal_equations(code, p, scales, data, weights, cut)
+        better = False
+        there = here
+        step = np.zeros(size)
+        for _ in range(6):
+            damped = matrix.copy()
+            for a in range(size):
+                damped[a, a] += damping * matrix[a, a] + 1e-12 / scales[a] ** 2
+            step = np.linalg.solve(damped, right)
+            there = cost(code, p + step, data, weights, cut, place, out)
+            if there <= here:
+                better = True
+                break
+            damping = max(10.0 * damping, 1e-4)
+        if not better:
+            break
+        gain = here - there
+        p, here = p + step, there
+        damping *= 0.1
+        if gain <= 1e-4:  # of χ²: a hundredth of a σ
+            break
+    return p, here

@@ -1,0 +1,361 @@
+"""The target's attitude and spin: six numbers and their uncertainty.
+
+About a fixed axis, or tumbling free of torque with unknown ratios of its moments of inertia.
+"With the two vehicles at constant distance the attitude and rate calculation is entirely
+equivalent to the trajectory determination" (Cleghorn & Sternberg 1991): there the reference is
+the line of sight, which stands still. Where the chaser's own attitude is given, the reference is
+that in which it is given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from rendezview.pose import Array, Pose, minimal_rotation
+from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.rotation import rotations
+
+_LEAST_FRAMES = 6
+_CUT = 12.0  # c² of the robust weight over the variance of a frame
+_MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom
+_LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
+_STEPS = 25
+_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_State``
+_MOST_RATIO = 30.0
+_COMMON = 0.8  # of a frame's σ, what all have in common and what goes with time, as for segments
+_WORTH = 25.0  # χ² that a tumble must save over constant spin to be told
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spin:
+    """Attitude and angular velocity of a target at one time, and what follows from them."""
+
+    time_s: float  # of the numbers: the middle of what was fitted
+    rotation: Array  # (3, 3) reference_from_target
+    rate_rad_s: Array  # (3,) target axes
+    covariance: Array  # (6, 6) rotation vector, reference frame, on the left; rate, target axes
+    tumbling: bool
+    moments: Array  # (3,) principal moments over the first, on the target's axes
+    moments_sigma: Array | None  # (2,) of the second and third; None for constant spin
+    start_s: float
+    end_s: float
+    frames: int
+    scatter: float  # of the attitudes, over what they claim
+    roll_known: bool = True  # False where only directions were seen: roll is then a convention
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Size of the angular velocity."""
+        return float(np.linalg.norm(self.rate_rad_s))
+
+    @property
+    def speed_sigma_rad_s(self) -> float:
+        """One σ of it."""
+        axis = self.axis
+        return float(np.sqrt(axis @ self.covariance[3:, 3:] @ axis))
+
+    @property
+    def axis(self) -> Array:
+        """(3,) unit, target frame."""
+        return np.asarray(self.rate_rad_s / max(self.speed_rad_s, 1e-300))
+
+    @property
+    def axis_reference(self) -> Array:
+        """(3,) unit, reference frame."""
+        return np.asarray(self.rotation @ self.axis)
+
+    @property
+    def axis_sigma_rad(self) -> float:
+        """One σ of the axis, in its worse direction."""
+        across = np.eye(3) - np.outer(self.axis, self.axis)
+        spread = across @ self.covariance[3:, 3:] @ across
+        return float(np.sqrt(np.linalg.eigvalsh(spread)[-1])) / max(self.speed_rad_s, 1e-300)
+
+    def at(self, times_s: npt.ArrayLike) -> tuple[Array, Array]:
+        """Attitudes (N, 3, 3) reference_from_target and rates (N, 3), target axes, at times."""
+        times = np.atleast_1d(np.asarray(times_s, np.float64)) - self.time_s
+        order = np.argsort(times, kind="stable")
+        turned, rates = np.empty((len(times), 3, 3)), np.empty((len(times), 3))
+        rotations(self.moments, self.rotation, self.rate_rad_s, times[order], turned, rates)
+        back = np.argsort(order)
+        return turned[back], rates[back]
+
+
+def in_line_of_sight(pose: Pose, centre_m: npt.ArrayLike) -> Array:
+    """(3, 3) sight_from_target: the camera turned, by the least turn, to look at the centre."""
+    sight = pose.apply(np.asarray(centre_m, np.float64))
+    return np.asarray(minimal_rotation(sight, [0.0, 0.0, 1.0]) @ pose.rotation)
+
+
+def fit_spin(
+    times_s: npt.ArrayLike,
+    attitudes: npt.ArrayLike,
+    covariances: npt.ArrayLike | None = None,
+    *,
+    tumbling: bool | None = None,
+) -> Spin | Nothing:
+    """Spin from attitudes ``reference_from_target``.
+
+    Args:
+        times_s: (N,) rising.
+        attitudes: (N, 3, 3).
+        covariances: (N, 3, 3) rad², reference frame, rotation vector on the left.
+        tumbling: fit Euler's equations with unknown moments about the target's axes; False: a
+            fixed axis; None: tumble if it explains the attitudes better.
+    """
+    times, turned = np.asarray(times_s, np.float64), np.asarray(attitudes, np.float64)
+    trouble = _trouble(times, turned)
+    if trouble is not None:
+        return trouble
+    if covariances is None:
+        roots = np.tile(np.eye(3) / 1e-3, (len(times), 1, 1))
+    else:
+        given = np.asarray(covariances, np.float64)
+        if not np.isfinite(given).all():
+            return Nothing("a covariance is not finite")
+        values, vectors = np.linalg.eigh(given)
+        lengths = np.sqrt(np.maximum(values, _LEAST_RAD**2))
+        roots = (vectors / lengths[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    middle_s = 0.5 * (times[0] + times[-1])
+    near = int(np.argmin(np.abs(times - middle_s)))
+    turns = Rotation.from_matrix(turned[1:] @ np.swapaxes(turned[:-1], 1, 2)).as_rotvec()
+    body = np.einsum("nji,nj->ni", turned[:-1], turns) / np.diff(times)[:, None]
+    data = _Data(times - middle_s, turned, roots, None)
+    return _best(data, turned[near], np.median(body, axis=0), tumbling, middle_s)
+
+
+def fit_spin_of_directions(
+    times_s: npt.ArrayLike,
+    directions: npt.ArrayLike,
+    weights: npt.ArrayLike | None = None,
+    *,
+    tumbling: bool | None = None,
+    sigma_rad: float = 0.12,
+) -> Spin | Nothing:
+    """Spin from directions to the camera, target frame: the on nodes alone, range held.
+
+    The reference is the line of sight, its −z towards the camera. Roll about it is not seen: at
+    the middle the attitude is given as the least turn from the target's axes. A turn about the
+    line of sight shows only as far as the arc of the directions is curved.
+
+    Args:
+        times_s: (N,) never falling; nodes of one frame have one time.
+        directions: (N, 3), any length.
+        weights: (N,) trust in each.
+        sigma_rad: one σ of a direction, each axis.
+    """
+    times, seen = np.asarray(times_s, np.float64), np.asarray(directions, np.float64)
+    trust = np.ones(len(times)) if weights is None else np.asarray(weights, np.float64)
+    if not (np.isfinite(times).all() and np.isfinite(seen).all() and np.isfinite(trust).all()):
+        return Nothing("a time, direction or weight is not finite")
+    if len(times) == 0 or np.any(np.diff(times) < 0.0):
+        return Nothing("the times do not rise")
+    first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))
+    unit = seen / np.maximum(np.linalg.norm(seen, axis=1), 1e-300)[:, None]
+    mean = np.add.reduceat(trust[:, None] * unit, first)
+    length = np.linalg.norm(mean, axis=1)
+    if np.any(length < 1e-9):
+        return Nothing("the directions of a frame cancel each other")
+    mean /= length[:, None]
+    frames = times[first]
+    if len(frames) < _LEAST_FRAMES:
+        return Nothing(f"{len(frames)} frames: a spin needs {_LEAST_FRAMES}")
+    middle_s = 0.5 * (frames[0] + frames[-1])
+    start = mean[np.argmin(np.abs(frames - middle_s))]
+    # Rate across the sight: directions move by −ω × u in target axes, so ω = −u × u'.
+    slope = np.polyfit(frames - middle_s, mean, 1)[0]
+    rate = -np.cross(start, slope)
+    rotation = minimal_rotation(start, [0.0, 0.0, -1.0])
+    sigma = sigma_rad / np.sqrt(np.maximum(np.add.reduceat(trust, first), 1e-3))
+    roots = np.eye(3)[None] / sigma[:, None, None]
+    data = _Data(frames - middle_s, mean, roots, np.array([0.0, 0.0, -1.0]))
+    return _best(data, rotation, rate, bool(tumbling), middle_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    times: Array  # (N,) from the middle
+    seen: Array  # (N, 3, 3) attitudes, or (N, 3) unit directions in the target frame
+    roots: Array  # (N, 3, 3) root of the information
+    sight: Array | None  # (3,) of the directions, reference frame; None for attitudes
+
+    def misfits(self, rotation: Array, rate: Array, moments: Array) -> Array:
+        """(N, 3) in standard deviations."""
+        count = len(self.times)
+        turned, rates = np.empty((count, 3, 3)), np.empty((count, 3))
+        rotations(moments, rotation, rate, self.times, turned, rates)
+        if self.sight is None:
+            off = Rotation.from_matrix(turned @ np.swapaxes(self.seen, 1, 2)).as_rotvec()
+        else:
+            off = np.einsum("nji,j->ni", turned, self.sight) - self.seen
+        return np.asarray(np.einsum("nij,nj->ni", self.roots, off))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    rotation: Array
+    rate: Array
+    ratios: Array  # (2,) logarithms of Σ m y² and Σ m z² over Σ m x²: any belong to a body
+
+    @property
+    def moments(self) -> Array:
+        """(3,) over the first: I_x = Σ m (y² + z²) and so on."""
+        x, y, z = 1.0, *np.exp(self.ratios)
+        return np.array([1.0, (x + z) / (y + z), (x + y) / (y + z)])
+
+    def moved(self, step: Array) -> _State:
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        limit = np.log(_MOST_RATIO)
+        ratios = np.clip(self.ratios + step[6:], -limit, limit) if len(step) > 6 else self.ratios
+        return _State(turn @ self.rotation, self.rate + step[3:6], ratios)
+
+
+def _trouble(times: Array, turned: Array) -> Nothing | None:
+    if len(times) < _LEAST_FRAMES:
+        return Nothing(f"{len(times)} frames: a spin needs {_LEAST_FRAMES}")
+    if not (np.isfinite(times).all() and np.isfinite(turned).all()):
+        return Nothing("a time or attitude is not finite")
+    if np.any(np.diff(times) <= 0.0):
+        return Nothing("the times do not rise")
+    return None
+
+
+def _best(
+    data: _Data, rotation: Array, rate: Array, tumbling: bool | None, middle_s: float
+) -> Spin | Nothing:
+    still = _down(data, _State(rotation, rate, np.zeros(2)), 6, np.inf)
+    dof = 3 if data.sight is None else 2
+    variance = _variance(data, still, dof)
+    still = _down(data, still, 6, _CUT * variance)
+    if tumbling is False:
+        return _told(data, still, 6, dof, middle_s)
+    best, least = still, np.inf
+    cut = _CUT * _variance(data, still, dof)
+    for ratios in _STARTS:
+        state = _down(data, _State(still.rotation, still.rate, np.array(ratios)), 8, cut)
+        cost = _cost(data, state, cut)
+        if cost < least:
+            best, least = state, cost
+    variance = _variance(data, best, dof)
+    if tumbling is None and _cost(data, still, _CUT * variance) - least < _WORTH * variance:
+        return _told(data, still, 6, dof, middle_s)
+    best = _down(data, best, 8, _CUT * variance)
+    return _told(data, best, 8, dof, middle_s)
+
+
+def _variance(data: _Data, state: _State, dof: int) -> float:
+    misfits = data.misfits(state.rotation, state.rate, state.moments)
+    return max(float(np.median(np.sum(misfits**2, axis=1))) / _MEDIAN[dof], 1e-12)
+
+
+def _cost(data: _Data, state: _State, cut: float) -> float:
+    misfits = data.misfits(state.rotation, state.rate, state.moments)
+    squares = np.sum(misfits**2, axis=1)
+    return float(np.sum(squares / (1.0 + squares / cut)))
+
+
+def _slopes(data: _Data, state: _State, size: int) -> Array:
+    """(N, 3, size) by central differences."""
+    span = max(float(np.abs(data.times).max()), 1e-9)
+    steps = np.concatenate([np.full(3, 1e-5), np.full(3, 1e-5 / span), np.full(2, 1e-4)])
+    columns = []
+    for j in range(size):
+        step = np.zeros(size)
+        step[j] = steps[j]
+        ends = [state.moved(sign * step) for sign in (1.0, -1.0)]
+        after, before = (data.misfits(e.rotation, e.rate, e.moments) for e in ends)
+        columns.append((after - before) / (2.0 * steps[j]))
+    return np.stack(columns, axis=-1)
+
+
+def _normal(data: _Data, state: _State, size: int, cut: float) -> tuple[Array, Array, Array, Array]:
+    """Matrix, right side, slopes and weighted misfits of one robust Gauss–Newton step."""
+    misfits = data.misfits(state.rotation, state.rate, state.moments)
+    slopes = _slopes(data, state, size)
+    weights = 1.0 / (1.0 + np.sum(misfits**2, axis=1) / cut) ** 2
+    weighted = weights[:, None] * misfits
+    matrix = np.einsum("n,nia,nib->ab", weights, slopes, slopes)
+    return matrix, -np.einsum("nia,ni->a", slopes, weighted), slopes, weighted
+
+
+def _loose(data: _Data, size: int) -> Array:
+    """What is known beforehand: a radian, ten radians over the span, ratios to a factor of e.
+
+    It keeps what the data do not show (roll of directions, ratios of a slow tumble) finite.
+    """
+    span = max(float(np.abs(data.times).max()), 1e-9)
+    sigmas = np.concatenate([np.full(3, 1.0), np.full(3, 10.0 / span), np.full(2, 1.0)])
+    return np.diag(sigmas[:size] ** -2.0)
+
+
+def _down(data: _Data, state: _State, size: int, cut: float) -> _State:
+    """Levenberg–Marquardt down the robust cost."""
+    here = _cost(data, state, cut)
+    damping = 1e-4
+    for _ in range(_STEPS):
+        matrix, right, _, _ = _normal(data, state, size, cut)
+        improved = False
+        for _ in range(5):
+            damped = matrix + damping * np.diag(np.diag(matrix)) + 1e-6 * _loose(data, size)
+            trial = state.moved(np.asarray(np.linalg.solve(damped, right), np.float64))
+            there = _cost(data, trial, cut)
+            if there <= here:
+                improved = True
+                break
+            damping *= 10.0
+        if not improved:
+            break
+        gain, state, here = here - there, trial, there
+        damping = max(0.1 * damping, 1e-9)
+        if gain <= 1e-5 * here + 1e-9:
+            break
+    return state
+
+
+def _told(data: _Data, state: _State, size: int, dof: int, middle_s: float) -> Spin | Nothing:
+    """The answer with its covariance: scatter of the frames, and what they have in common."""
+    variance = _variance(data, state, dof)
+    matrix, _, slopes, weighted = _normal(data, state, size, _CUT * variance)
+    inverse = np.linalg.inv(matrix + variance * _loose(data, size))
+    frames = len(data.times)
+    scores = np.einsum("nia,ni->na", slopes, weighted)
+    square = float(np.sum(weighted**2))
+    alike = float(np.sum(weighted[1:] * weighted[:-1])) / square if square > 0.0 else 0.0
+    alike = min(max(alike, 0.0), 0.9)
+    spread = scores.T @ scores * frames / max(frames - size, 1) * (1.0 + alike) / (1.0 - alike)
+    covariance = inverse @ spread @ inverse + inverse @ (variance**2 * _loose(data, size)) @ inverse
+    along = data.times / max(float(np.abs(data.times).max()), 1e-9)
+    for slow in (np.ones(frames), along, 1.5 * along**2 - 0.5):
+        moved = inverse @ np.einsum("n,nia->ai", _COMMON * slow, slopes)
+        covariance += moved @ moved.T
+    if not np.isfinite(covariance).all():
+        return Nothing("the fit runs away: these attitudes belong to no such motion")
+    return Spin(
+        time_s=float(middle_s),
+        rotation=state.rotation,
+        rate_rad_s=state.rate,
+        covariance=covariance[:6, :6],
+        tumbling=size > 6,
+        moments=state.moments,
+        moments_sigma=_moments_sigma(state, covariance) if size > 6 else None,
+        start_s=float(middle_s + data.times[0]),
+        end_s=float(middle_s + data.times[-1]),
+        frames=frames,
+        scatter=float(np.sqrt(variance)),
+        roll_known=data.sight is None,
+    )
+
+
+def _moments_sigma(state: _State, covariance: Array) -> Array:
+    """(2,) one σ of the second and third moment over the first."""
+    slopes = np.empty((2, 2))
+    for j in range(2):
+        step = np.zeros(8)
+        step[6 + j] = 1e-5
+        change = state.moved(step).moments - state.moved(-step).moments
+        slopes[:, j] = change[1:] / 2e-5
+    return np.asarray(np.sqrt(np.diag(slopes @ covariance[6:, 6:] @ slopes.T)))

@@ -1,0 +1,103 @@
+"""Where a fit starts: closed-form answers of least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.pose import Array
+from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
+
+_PERIODS = 24  # of hops that are tried, from an eighth of the segment to twice it
+_PHASES = 8
+
+
+def first_guess(
+    code: int, times_s: Array, places_m: Array, weights: Array, mean_motion_rad_s: float
+) -> tuple[Array, Array] | Nothing:
+    """Base (3, 3) and parameters (P,) of a shape; times (N,) from the middle of the segment."""
+    if code <= SPIRAL:
+        return _around(code, times_s, places_m, weights)
+    matrix = basis(code, times_s, mean_motion_rad_s)
+    root = np.sqrt(weights)[:, None]
+    # Columns of one size, so that metres and metres a second weigh alike.
+    flat = (matrix * root[:, :, None]).reshape(-1, matrix.shape[2])
+    size = np.linalg.norm(flat, axis=0)
+    if not np.all(size > 0.0):
+        return Nothing("the points span no time")
+    answer = np.linalg.lstsq(flat / size, (places_m * root).reshape(-1), rcond=None)[0]
+    return np.eye(3), np.asarray(answer / size)
+
+
+def _around(
+    code: int, times_s: Array, places_m: Array, weights: Array
+) -> tuple[Array, Array] | Nothing:
+    """The plane through the centre nearest to all places, and the phase against time."""
+    far = np.linalg.norm(places_m, axis=1)
+    directions = places_m / far[:, None]
+    scatter = (weights[:, None] * directions).T @ directions
+    normal = np.linalg.eigh(scatter)[1][:, 0]
+    first = np.flatnonzero(np.concatenate([[True], np.diff(times_s) > 0.0]))
+    total = np.maximum(np.add.reduceat(weights, first), 1e-12)
+    mean = np.add.reduceat(weights[:, None] * directions, first) / total[:, None]
+    middle = mean[np.argmin(np.abs(times_s[first]))]
+    if np.linalg.norm(middle - (middle @ normal) * normal) < 1e-6:
+        return Nothing("the points lie on no path about the target")
+    base = frame_of(normal, middle)
+    phase = np.unwrap(np.arctan2(mean @ base[:, 1], mean @ base[:, 0]))
+    rate, offset = np.polyfit(times_s[first], phase, 1)
+    c, s = np.cos(offset), np.sin(offset)
+    base = base @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    climb, radius = np.polyfit(times_s, far, 1)
+    if code == SPIRAL:
+        return base, np.array([0.0, 0.0, 0.0, radius, rate, climb])
+    return base, np.array([0.0, 0.0, 0.0, float(np.median(far)), rate])
+
+
+def hops_of(times_s: Array, places_m: Array, weights: Array, closing: float) -> Array | None:
+    """(11,) parameters of a line with hops: the best of many periods and phases.
+
+    For each the line and the hop are linear: three basis functions, worked out for all three
+    axes together. None where no period has enough points.
+    """
+    span = float(times_s[-1] - times_s[0])
+    periods = span * np.geomspace(0.125, 2.0, _PERIODS)
+    found = _scan_hops(times_s, places_m, weights, closing, periods, _PHASES)
+    if not np.isfinite(found).all():
+        return None
+    return np.asarray(found)
+
+
+@njit(cache=True, nogil=True)
+def _scan_hops(times, places, weights, closing, periods, phases):  # type: ignore[no-untyped-def]
+    best = np.full(11, np.nan)
+    least = np.inf
+    matrix, right = np.empty((3, 3)), np.empty((3, 3))
+    row = np.empty(3)
+    for period in periods:
+        for step in range(phases):
+            phase = period * step / phases
+            matrix[:] = 0.0
+            right[:] = 0.0
+            total = 0.0
+            for k in range(len(times)):
+                t = times[k]
+                row[0] = 1.0
+                row[1] = t
+                row[2] = (1.0 - closing * t) * abs(np.sin(np.pi * (t - phase) / period))
+                w = weights[k]
+                for i in range(3):
+                    for j in range(3):
+                        matrix[i, j] += w * row[i] * row[j]
+                        right[i, j] += w * row[i] * places[k, j]
+                    total += w * places[k, i] * places[k, i]
+            for i in range(3):
+                matrix[i, i] *= 1.0 + 1e-9
+            answer = np.linalg.solve(matrix, right)
+            cost = total - np.sum(answer * right)
+            if cost < least:
+                least = cost
+                best[0:3], best[3:6], best[6:9] = answer[0], answer[1], answer[2]
+                best[9], best[10] = period, phase
+    return best

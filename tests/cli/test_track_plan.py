@@ -1,0 +1,107 @@
+"""``rendezview track --plan`` and what ``show`` makes of its log."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oem import OrbitEphemerisMessage
+
+from rendezview.appearance import ViewModel
+from rendezview.appearance.recognizer import Sighting
+from rendezview.appearance.status import Status
+from rendezview.cli.guide import Guide, chaser_attitudes
+from rendezview.cli.track import track
+from rendezview.errors import RendezviewError
+from rendezview.evaluation.show_command import show
+from rendezview.results import JsonLinesWriter
+from rendezview.simulation.trajectories import looking_at
+from rendezview.trajectory import Follower, Shape, load_plan
+from rendezview.trajectory.ccsds import parse_epoch
+
+PLAN = """
+[circular]
+radius_m = 30.0
+rate_rad_s = 0.05
+start = [1.0, 0.0, 0.0]
+towards = [0.0, 1.0, 0.0]
+"""
+COVARIANCE = np.diag([1e-7] * 3 + [1e-5] * 3)
+
+
+def sighting(time_s: float) -> Sighting:
+    """Of a camera on a circle a metre too wide."""
+    angle = 0.05 * time_s
+    place = 31.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    pose = looking_at(place, np.zeros(3), [0.0, 0.0, 1.0])
+    nodes = place + np.array([[1.0, 0.5, 2.0], [-1.0, -0.5, -2.0]])
+    return Sighting(Status.OK, pose=pose, covariance=COVARIANCE, weights=np.ones(2), points_m=nodes)
+
+
+def test_plan_to_words_messages_and_pictures(tmp_path: Path):
+    (tmp_path / "plan.toml").write_text(PLAN)
+    guide = Guide(Follower(np.zeros(3), plan=load_plan(tmp_path / "plan.toml")))
+    spoken = []
+    with JsonLinesWriter(tmp_path / "log.jsonl") as log:
+        for k in range(45):
+            told, words = guide.update(float(k), sighting(float(k)))
+            if words:
+                spoken.append(words)
+            seen = sighting(float(k))
+            frame = {"im_id": k, "time_s": float(k), "pose": seen.pose, "on_nodes": [1, 2]}
+            log.write(frame | {"points_m": seen.points_m, "trajectory": told})
+    assert len(spoken) == 2
+    assert "1.000 m off the plan" in spoken[0]
+    assert "Δv" in spoken[0]
+    assert "spin 2.86" in spoken[0]
+    guide.write(tmp_path / "path.oem", tmp_path / "turn.aem", parse_epoch("2020-01-01"), "sat")
+    states = OrbitEphemerisMessage.open(tmp_path / "path.oem").states
+    np.testing.assert_allclose(np.linalg.norm(states[-1].position), 0.031, rtol=1e-4)
+    assert "OBJECT_NAME = SAT" in (tmp_path / "turn.aem").read_text()
+    show(tmp_path / "log.jsonl", tmp_path / "pictures")
+    assert {p.name for p in (tmp_path / "pictures").iterdir()} == {
+        "curves.png", "cloud.png", "path.png", "rates.png",
+    }  # fmt: skip
+
+
+def test_wrong_options_are_said_in_words(tmp_path: Path):
+    model = tmp_path / "model.rvm"
+    with pytest.raises(RendezviewError, match="UTC date"):
+        track(model, tmp_path, tmp_path / "p.csv", epoch="noon")
+    with pytest.raises(RendezviewError, match="different files"):
+        track(model, tmp_path, tmp_path / "p.csv", oem=tmp_path / "p.csv")
+    guide = Guide(Follower(np.zeros(3), Shape.CIRCULAR))
+    for oem, aem in ((tmp_path / "a", None), (None, tmp_path / "a")):
+        with pytest.raises(RendezviewError, match="was fitted"):
+            guide.write(oem, aem, parse_epoch("2020-01-01"), "sat")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time,q\n", "header"),
+        ("time_s,qw,qx,qy,qz\n0,1,0,0,0\n", "two rows"),
+        ("time_s,qw,qx,qy,qz\n0,1,0,0,0\n0,1,0,0,0\n", "rise"),
+        ("time_s,qw,qx,qy,qz\n0,1,0,0,x\n1,1,0,0,0\n", "float"),
+        ("time_s,qw,qx,qy,qz\n0,0,0,0,0\n1,1,0,0,0\n", "norm"),
+    ],
+)
+def test_attitudes_of_the_chaser_are_checked(tmp_path: Path, text: str, words: str):
+    path = tmp_path / "chaser.csv"
+    path.write_text(text)
+    with pytest.raises(RendezviewError, match=words):
+        chaser_attitudes(path)
+
+
+def test_attitudes_of_the_chaser_must_reach(tmp_path: Path):
+    path = tmp_path / "chaser.csv"
+    path.write_text("time_s,qw,qx,qy,qz\n0,1,0,0,0\n10,0,1,0,0\n")
+    guide = Guide(Follower(np.zeros(3), Shape.CIRCULAR), chaser_attitudes(path))
+    guide.update(5.0, sighting(5.0))
+    with pytest.raises(RendezviewError, match="0 to 10 s"):
+        guide.update(11.0, sighting(11.0))
+
+
+def test_an_unknown_shape_is_refused():
+    model: ViewModel = object.__new__(ViewModel)
+    with pytest.raises(RendezviewError, match="circular, spiral"):
+        Guide.of(model, None, "square", None, True)

@@ -1,0 +1,202 @@
+"""Segments fitted to clouds of known paths."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from tests.trajectory.paths import RANGE_M, SPAN_S, TIMES, circle, nodes, off, refined
+
+from rendezview.pose import Pose
+from rendezview.trajectory import (
+    FitOptions,
+    Nothing,
+    PointCloud,
+    Segment,
+    Shape,
+    camera_place,
+    centre_place,
+    fit_segment,
+)
+from rendezview.trajectory.relative_orbit import push, transition
+from rendezview.trajectory.shapes import code_of
+from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex
+
+N = 0.0011
+
+
+def fitted(cloud, shape, **how) -> Segment:
+    segment = fit_segment(cloud, shape, **how)
+    assert isinstance(segment, Segment), segment
+    return segment
+
+
+@pytest.mark.parametrize(("shape", "climb"), [(Shape.CIRCULAR, 0.0), (Shape.SPIRAL, -0.03)])
+def test_circle_and_spiral_are_found_and_go_on(shape, climb):
+    rng = np.random.default_rng(2)
+    turn, first, second = circle(rng, climb)
+    segment = fitted(refined(first, rng), shape)
+    assert off(segment.places(TIMES), first) < 5e-4
+    assert off(segment.places(TIMES + SPAN_S), second) < 2e-3
+    assert segment.rate_rad_s == pytest.approx(1.0 / SPAN_S, rel=2e-3)
+    assert segment.frame[:, 2] @ turn[:, 2] > np.cos(2e-3)
+
+
+def test_cloud_of_on_nodes_with_outliers_gives_the_segment():
+    rng = np.random.default_rng(3)
+    _, first, _ = circle(rng)
+    segment = fitted(nodes(first, rng), Shape.CIRCULAR)
+    assert off(segment.places(TIMES), first) < 0.01
+
+
+def test_hops_are_found_where_there_are_some_and_only_there():
+    rng = np.random.default_rng(4)
+    distance = 50.0 - 0.05 * TIMES
+    flat = np.stack([0 * TIMES, distance, 0 * TIMES], axis=1)
+    high = 0.03 * distance * np.abs(np.sin(np.pi * (TIMES - 20.0) / 67.0))
+    hopping = flat + np.stack([high, 0 * high, 0 * high], axis=1)
+    segment = fitted(refined(hopping, rng), Shape.VBAR)
+    assert off(segment.places(TIMES), hopping) < 5e-4
+    assert segment.described()["hop_period_s"] == pytest.approx(67.0, rel=0.02)
+    straight = fitted(refined(flat, rng), Shape.VBAR)
+    assert "hop_period_s" not in straight.described()
+    assert off(straight.places(TIMES + SPAN_S), flat - [0.0, 10.0, 0.0]) < 1e-3
+
+
+@pytest.mark.parametrize("shape", [Shape.ORBIT, Shape.DRIFT])
+def test_relative_orbit_is_the_linear_answer(shape):
+    rng = np.random.default_rng(5)
+    state = np.array([5.0, 40.0, -3.0, 0.01, -0.05, 0.02])
+    pushed = np.array([0.0, -2e-5, 0.0]) if shape is Shape.DRIFT else np.zeros(3)
+    truth = np.array([(transition(N, t) @ state + push(N, t, pushed))[:3] for t in TIMES])
+    cloud = refined(truth, rng)
+    segment = fitted(cloud, shape, mean_motion_rad_s=N)
+    assert off(segment.places(TIMES), truth) < 3e-4
+    # Plain least squares of the same cloud, by numpy.
+    columns = []
+    for t in TIMES:
+        from_middle = t - segment.middle_s
+        row = [transition(N, from_middle)[:3]]
+        if shape is Shape.DRIFT:
+            row.append(np.stack([push(N, from_middle, axis)[:3] for axis in np.eye(3)], axis=1))
+        columns.append(np.hstack(row))
+    linear = np.linalg.lstsq(np.concatenate(columns), cloud.places_m.ravel(), rcond=None)[0]
+    sigmas = np.sqrt(np.diag(segment.covariance))
+    assert np.all(np.abs(segment.parameters - linear) < sigmas)
+
+
+def test_simplex_ends_where_scipys_does():
+    rng = np.random.default_rng(6)
+    _, first, _ = circle(rng)
+    cloud = refined(first, rng)
+    found = fitted(cloud, Shape.CIRCULAR)
+    assert found.gap_sigma < 0.3
+    data = (
+        TIMES - found.middle_s, found.base, found.constants, np.zeros_like(first),
+        cloud.points, cloud.whitening, cloud.by_node,
+    )  # fmt: skip
+    start = found.parameters + np.array([0.02, -0.02, 0.02, 0.5, 1e-4])
+    steps = np.array([0.02, 0.02, 0.02, 0.5, 1e-4])
+    code = code_of(Shape.CIRCULAR)
+    place, out = np.empty_like(first), np.empty((len(first), RESIDUALS))
+
+    def asked(p):
+        return cost(code, p, data, cloud.weights, 12.0, place, out)
+
+    ours, least, _ = downhill_simplex(code, start, steps, data, cloud.weights, 12.0, 4000, 1e-8)
+    corners = np.vstack([start, start + np.diag(steps)])
+    scipys = minimize(
+        asked, start, method="Nelder-Mead",
+        options={"initial_simplex": corners, "fatol": 1e-8, "xatol": np.inf, "maxfev": 4000},
+    )  # fmt: skip
+    assert least == pytest.approx(scipys.fun, rel=1e-6)
+    assert np.linalg.norm(ours - found.parameters) < 0.02
+
+
+def test_refit_from_the_last_frame_is_the_fit_from_nothing():
+    rng = np.random.default_rng(7)
+    _, first, _ = circle(rng, -0.02)
+    cloud = refined(first, rng)
+    before = fitted(cloud.since(0.0), Shape.SPIRAL)
+    later = cloud.since(20.0)
+    cold, warm = fitted(later, Shape.SPIRAL), fitted(later, Shape.SPIRAL, previous=before)
+    assert np.linalg.norm(cold.places(TIMES) - warm.places(TIMES), axis=1).max() < 0.003
+
+
+def test_covariance_of_the_place_covers_errors_that_all_frames_share():
+    squares = []
+    for seed in range(40):
+        rng = np.random.default_rng([8, seed])
+        _, first, _ = circle(rng)
+        common = 0.024 * rng.standard_normal(3)
+        segment = fitted(refined(first + common, rng), Shape.CIRCULAR)
+        miss = segment.places([100.0])[0] - first[50]
+        squares.append(miss @ np.linalg.solve(segment.place_covariance(100.0), miss))
+    assert 1.0 < np.mean(squares) < 6.0
+
+
+def test_a_carrier_takes_the_forced_part_of_a_path():
+    rng = np.random.default_rng(9)
+    _, first, _ = circle(rng)
+    drift = np.array([(transition(N, t) @ [0.2, -0.1, 0.1, 0.001, 0.002, 0.0])[:3] for t in TIMES])
+
+    def carrier(times):
+        return np.array([np.interp(times, TIMES, column) for column in first.T]).T
+
+    cloud = refined(first + drift, rng)
+    segment = fitted(cloud, Shape.ORBIT, mean_motion_rad_s=N, carrier=carrier)
+    assert off(segment.places(TIMES), first + drift) < 4e-4
+
+
+def test_camera_place_has_the_covariance_of_perturbed_poses():
+    rng = np.random.default_rng(10)
+    pose = Pose.from_quat_wxyz(rng.standard_normal(4), [0.5, -1.0, 30.0])
+    centre = np.array([0.3, 1.0, -2.0])
+    root = 1e-3 * rng.standard_normal((6, 6))
+    covariance = root @ root.T
+    steps = rng.multivariate_normal(np.zeros(6), covariance, size=4000)
+    for function, axes in ((camera_place, None), (centre_place, "camera")):
+        _, found = function(pose, covariance, centre)
+        moved = []
+        for step in steps:
+            other = pose.perturbed(step)
+            place = other.inverse().translation_m - centre
+            moved.append(place if axes is None else other.rotation @ place)
+        np.testing.assert_allclose(np.cov(np.array(moved).T), found, atol=0.08 * np.trace(found))
+
+
+def cloud_of(times, places) -> PointCloud:
+    return PointCloud.of_places(times, places)
+
+
+@pytest.mark.parametrize("shape", list(Shape))
+@pytest.mark.parametrize(
+    ("cloud", "words"),
+    [
+        (cloud_of(TIMES[:3], np.eye(3) * 30.0), "3 frames"),
+        (PointCloud.empty(), "0 frames"),
+        (cloud_of(TIMES, np.tile([30.0, 0.0, 0.0], (101, 1))), "one"),
+        (cloud_of(TIMES, np.full((101, 3), np.nan)), "not finite"),
+        (cloud_of(np.where(TIMES > 90, np.nan, TIMES), np.ones((101, 3))), "time"),
+        (cloud_of(TIMES[::-1], circle(np.random.default_rng(1))[1]), "do not rise"),
+        (PointCloud.of_nodes(TIMES, np.zeros((101, 3))), "not finite"),
+    ],
+)
+def test_nonsense_gets_a_reason_and_no_curve(shape, cloud, words):
+    found = fit_segment(cloud, shape)
+    assert isinstance(found, Nothing)
+    assert not found
+    assert words in found.reason
+
+
+def test_scattered_points_turn_about_nothing():
+    rng = np.random.default_rng(11)
+    cloud = cloud_of(TIMES, RANGE_M * np.array([1.0, 0, 0]) + rng.standard_normal((101, 3)))
+    found = fit_segment(cloud, Shape.CIRCULAR)
+    assert isinstance(found, Nothing)
+    assert "no turn" in found.reason
+
+
+def test_without_simplex_gauss_newton_stands_alone():
+    rng = np.random.default_rng(12)
+    _, first, _ = circle(rng)
+    options = FitOptions(simplex=False)
+    assert fitted(refined(first, rng), Shape.CIRCULAR, options=options).evaluations == 0
