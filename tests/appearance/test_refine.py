@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtr
 
 from rendezview.appearance import Recognizer, Status, Tracker
 from rendezview.appearance.bright_sky import find_bodies
-from rendezview.appearance.edges import grain, step_place
+from rendezview.appearance.edges import grain, strip_place
 from rendezview.appearance.refine import RefineOptions, Refiner, Sky
 from rendezview.appearance.silhouette import Missing
 from rendezview.camera import Camera
@@ -43,26 +44,73 @@ def shaded(mesh, camera, pose, seed, phase_deg=20.0, earth=None) -> np.ndarray:
     return render_frame(mesh, camera, pose, sun, options, rng)
 
 
+def placed(profile, start, depths, levels, sigma=0.85, held=True) -> float | None:
+    """Place of an edge in a profile whose place 0 is its pixel 10, sky 12."""
+    result = np.zeros(2)
+    found = strip_place(
+        profile, len(profile), 10, start, np.asarray(depths, float), np.asarray(levels, float),
+        len(depths), 12.0, held, sigma, 1.0, np.empty((4, 6)), result,
+    )  # fmt: skip
+    return float(result[0]) if found else None
+
+
+def blurred(place, depths, levels, sigma=0.85) -> np.ndarray:
+    x = np.arange(-10.0, 11.0)
+    return 12.0 + sum(
+        b * ndtr((place - x - d) / sigma) for d, b in zip(depths, levels, strict=True)
+    )
+
+
 @pytest.mark.parametrize(("sigma", "place"), [(0.7, 0.3), (0.85, -0.4), (1.2, 0.1)])
 def test_a_blurred_step_is_placed_to_a_hundredth_of_a_pixel(sigma, place):
-    from scipy.special import ndtr
+    profile = blurred(place, [0.0], [100.0], sigma)
+    assert placed(profile, np.rint(place), [0.0], [100.0], sigma) == pytest.approx(place, abs=0.01)
 
-    x = np.arange(-10.0, 11.0)
-    profile = 12.0 + 100.0 * ndtr((place - x) / sigma)
-    found = step_place(profile, len(x), 10, np.rint(place), 20.0, 12.0, sigma)
-    assert found == pytest.approx(place, abs=0.01)
+
+def test_a_step_twice_as_bright_as_expected_is_placed_all_the_same():
+    profile = blurred(0.3, [0.0], [200.0])
+    assert placed(profile, 0.0, [0.0], [100.0]) == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_bright_frame_around_a_dark_panel_does_not_shift_its_edge():
+    depths, levels = [0.0, 0.8], [150.0, -110.0]
+    profile = blurred(0.2, depths, levels)
+    assert placed(profile, 0.5, depths, levels) == pytest.approx(0.2, abs=0.02)
+    as_a_plain_step = placed(profile, 0.5, [0.0], [100.0])
+    assert as_a_plain_step is None or abs(as_a_plain_step - 0.2) > 0.1
+
+
+def test_an_edge_before_a_background_that_is_not_known_is_placed():
+    profile = blurred(-0.3, [0.0], [60.0]) + 70.0
+    assert placed(profile, 0.0, [0.0], [60.0], held=False) == pytest.approx(-0.3, abs=0.02)
 
 
 def test_a_thin_bar_is_placed_where_its_edge_is_and_not_where_the_slope_is_steepest():
-    from scipy.special import ndtr
+    depths, levels = [0.0, 1.0], [100.0, -100.0]
+    profile = blurred(0.2, depths, levels)
+    assert placed(profile, 0.7, depths, levels) == pytest.approx(0.2, abs=0.02)
+    steepest = np.arange(-10.0, 10.0)[np.argmin(np.diff(profile))] + 0.5
+    assert abs(steepest - 0.2) > 0.2
 
-    sigma, width, place = 0.85, 1.0, 0.2
-    x = np.arange(-10.0, 11.0)
-    profile = 12.0 + 100.0 * (ndtr((place - x) / sigma) - ndtr((place - width - x) / sigma))
-    found = step_place(profile, len(x), 10, 0.7, width, 12.0, sigma)
-    assert found == pytest.approx(place, abs=0.02)
-    steepest = x[:-1][np.argmin(np.diff(profile))] + 0.5
-    assert abs(steepest - place) > 0.2
+
+def test_the_light_of_a_frame_tells_lit_facets_from_unlit_ones(refining_model, bumpy_mesh, camera):
+    pose = random_pose(3)
+    sun = sun_at_phase(pose.translation_m, np.deg2rad(30.0), 1.0)
+    frame = render_frame(
+        bumpy_mesh, camera, pose, sun,
+        SceneOptions(sky_frame="camera", shading=ShadingOptions(samples=4, shadows=False)),
+        np.random.default_rng(3),
+    )  # fmt: skip
+    refiner = Refiner(refining_model, camera)
+    right = refiner.refine(frame, Sky.of(frame), pose)
+    told = refiner.refine(frame, Sky.of(frame, sun), pose)
+    wrong = refiner.refine(frame, Sky.of(frame, -sun), pose)
+    assert right is not None
+    assert told is not None
+    assert wrong is not None
+    assert right.light > 0.6
+    assert told.light > 0.6
+    assert wrong.light < told.light - 0.1
 
 
 @pytest.mark.parametrize("sigma", [1.0, 3.0, 6.0])

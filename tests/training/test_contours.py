@@ -11,6 +11,7 @@ from rendezview.training.contours import contour_points, faces_beside
 from rendezview.training.lit_views import lit_views, sun_maps
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry
+from rendezview.training.surface_palette import packed_surfaces, surface_palette
 from rendezview.training.symmetries import find_symmetries
 from rendezview.training.views import look_from
 
@@ -78,6 +79,36 @@ def test_a_thin_bar_has_short_runs_and_few_points():
     runs_m = view["run"][:, 0] * RUN_UNIT * geometry.target_radius_m
     assert np.all(runs_m[thin] < 0.03)
     assert np.median(runs_m[~thin]) > 0.1
+
+
+def test_strips_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body():
+    body = trimesh.util.concatenate(
+        [trimesh.creation.box((1.6, 1.0, 0.3)), trimesh.creation.box((2.6, 0.08, 0.3))]
+    )
+    mesh = as_mesh(body)
+    points, view, _ = points_of(mesh, [0.0, 0.0, 1.0])
+    surfaces = view["surfaces"].astype(float)
+    outline = view["kind"] == OUTLINE
+    plain = outline & (np.abs(points[:, 0]) < 0.7)
+    assert surfaces[plain, 0, 3] == pytest.approx(0.6 * 255.0, abs=2.0)
+    assert surfaces[plain, 0, 2] == pytest.approx(255.0, abs=2.0)  # faces the camera
+    spike = outline & ((np.abs(points[:, 0]) > 0.9) & (np.abs(points[:, 0]) < 1.25)
+    assert spike.sum() > 2
+    assert np.all(surfaces[spike, -1, 3] == 0.0)  # the strip has left the thin body
+
+
+def test_a_palette_has_every_surface_that_there_are_few_of():
+    rng = np.random.default_rng(0)
+    normals = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, 0.8]])
+    which = rng.integers(0, 3, 500)
+    albedo = np.where(rng.random(500) < 0.3, 0.2, 0.8)
+    albedo[:50] = 0.0
+    palette, kind = surface_palette(packed_surfaces(normals[which], albedo))
+    assert np.all((kind == 0) == (albedo == 0.0))
+    seen = kind > 0
+    assert palette[kind[seen], 3] == pytest.approx(albedo[seen], abs=0.005)
+    along = np.abs(np.einsum("ij,ij->i", palette[kind[seen], :3], normals[which][seen]))
+    assert along == pytest.approx(1.0, abs=1e-3)
 
 
 def test_faces_beside_share_an_edge():
