@@ -92,7 +92,7 @@ def test_strips_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body(
     plain = outline & (np.abs(points[:, 0]) < 0.7)
     assert surfaces[plain, 0, 3] == pytest.approx(0.6 * 255.0, abs=2.0)
     assert surfaces[plain, 0, 2] == pytest.approx(255.0, abs=2.0)  # faces the camera
-    spike = outline & ((np.abs(points[:, 0]) > 0.9) & (np.abs(points[:, 0]) < 1.25)
+    spike = outline & (np.abs(points[:, 0]) > 0.9) & (np.abs(points[:, 0]) < 1.25)
     assert spike.sum() > 2
     assert np.all(surfaces[spike, -1, 3] == 0.0)  # the strip has left the thin body
 
