@@ -83,7 +83,7 @@ def test_a_thin_bar_has_short_runs_and_few_points():
 
 def test_strips_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body():
     body = trimesh.util.concatenate(
-        [trimesh.creation.box((1.6, 1.0, 0.3)), trimesh.creation.box((2.6, 0.08, 0.3))]
+        [trimesh.creation.box((1.6, 1.0, 0.3)), trimesh.creation.box((2.6, 0.04, 0.3))]
     )
     mesh = as_mesh(body)
     points, view, _ = points_of(mesh, [0.0, 0.0, 1.0])

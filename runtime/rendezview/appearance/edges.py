@@ -126,7 +126,7 @@ def strip_place(  # type: ignore[no-untyped-def]
     for k in range(steps):
         height = max(height, abs(levels[k]))
     variance, seen, cost = 0.0, 0, 0.0
-    for step in range(5):
+    for step in range(4):
         first = max(0, int(np.ceil(place - _INSIDE_PX)) + zero)
         last = min(count - 1, int(np.floor(place + _OUTSIDE_PX)) + zero)
         seen = last - first + 1
@@ -192,7 +192,7 @@ def strip_place(  # type: ignore[no-untyped-def]
         base += scratch[3, 4] / scratch[3, 3]
         if gain <= 0.05:
             return False
-        if step > 0 and abs(move) < 0.005:
+        if step > 0 and abs(move) < 0.01:
             break
     if abs(place - start) > 1.5 or variance > 1e3:
         return False

@@ -18,7 +18,7 @@ from rendezview.geodesic import Geodesic
 _SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)
 _HALVINGS = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # of the way between those directions
 _LEAST_DEPTH_PX = 1.8  # nearer to an edge its blur reaches
-_LEAST_SAMPLES, _MOST_SAMPLES = 40, 600
+_LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
 _TOLERANCE = 0.1  # of the bright samples' level: what shading leaves unexplained
 _BEHIND = -0.3  # cosine to the camera of the last Sun that is tried
 

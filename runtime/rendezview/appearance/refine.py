@@ -43,7 +43,7 @@ Picture = npt.NDArray[np.uint8]
 _ROUGH = np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float)
 _COARSE = np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
 _FINE = np.array(
-    [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 3, 0], [4, 0.5, 1, 0, 3, 1, 4, 1]], float
+    [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 3, 0], [4, 0.5, 1, 0, 3, 1, 3, 1]], float
 )
 _CUT_PX = 1.25  # of the last stage
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
