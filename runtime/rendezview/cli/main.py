@@ -28,6 +28,7 @@ _SUMMARIES = {
     "track": "Recognise and track a target through a sequence of frames.",
     "stereo": "Track a target's lights with two or more cameras.",
     "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
+    "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
     "evaluate": "Compare results with the truth of their scene.",
     "show": "Draw a model, a scene or a log.",
     "export": "Print a model's decision trees.",

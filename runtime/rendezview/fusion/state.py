@@ -1,0 +1,289 @@
+"""The state of the filter and its two functions: `predict` and `update`.
+
+Error state, perturbation on the left in the camera frame as in every covariance here:
+attitude (rad), place of the target's origin (m), angular rate (rad/s), velocity (m/s); then the
+ring's radius (relative) and depth (m) where they are not known; then one block for each sensor,
+its lasting error in its own σ (Gauss–Markov of unit variance; Schmidt's bias, but estimated).
+The joint covariance remembers what of the pose came from which sensor, so that a hundred frames
+with one common error do not count as a hundred.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from rendezview.fusion.kernels import gain, predict_covariance, rotation_vector, turned
+from rendezview.fusion.measurements import Measurement, PoseMeasurement
+from rendezview.fusion.models import Expected, expected, gate_of, root_of_lasting
+from rendezview.fusion.options import FusionOptions, SensorOptions
+from rendezview.pose import Array, Pose
+
+MOTION = 12  # attitude, place, angular rate, velocity
+RADIUS, DEPTH = 12, 13  # of the ring
+FIRST_BIAS = 14
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """Where a sensor's lasting error stands in the state."""
+
+    sensor: str
+    start: int
+    size: int
+    lasting_s: float
+    lasting_range: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Relative pose and rates at a time, with what is known of the sensors' lasting errors."""
+
+    time_s: float
+    rotation: Array  # (3, 3) camera from target
+    translation_m: Array  # (3,)
+    rates: Array  # (6,) rotation vector rad/s, velocity of the target's origin m/s; camera frame
+    extras: Array  # (n - 12,) ring radius (relative error), ring depth (m), lasting errors (σ)
+    covariance: Array  # (n, n)
+    slots: tuple[Slot, ...] = ()
+
+    @property
+    def pose(self) -> Pose:
+        """camera_from_target."""
+        return Pose(self.rotation, self.translation_m)
+
+    @property
+    def motion_covariance(self) -> Array:
+        """(12, 12) of (rotation vector, translation, angular rate, velocity)."""
+        return self.covariance[:MOTION, :MOTION]
+
+    def slot(self, sensor: str) -> Slot | None:
+        """Where a sensor's lasting error stands; ``None`` before it was first heard."""
+        for slot in self.slots:
+            if slot.sensor == sensor:
+                return slot
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A measurement that was not taken, and why."""
+
+    sensor: str
+    nis: float  # squared distance in σ
+    size: int  # degrees of freedom
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Innovation:
+    """A measurement beside what was expected of it."""
+
+    residual: Array  # (m,) measured − expected
+    nis: float  # its squared distance in σ
+    log_volume: float  # ln|S|
+    white: Array  # (m, m) the part of its covariance that is new each time
+    total: Array  # (m, m) all of its covariance
+    updated: State  # the state if it is believed
+
+    @property
+    def size(self) -> int:
+        """Degrees of freedom."""
+        return len(self.residual)
+
+
+def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOptions:
+    """Those of the sensor's name, else of its kind."""
+    named = options.sensors.get(measurement.sensor)
+    if named is not None:
+        return named
+    if isinstance(measurement, PoseMeasurement):
+        return options.pose
+    return options.range if measurement.size == 1 else options.ring
+
+
+def begin(
+    measurement: PoseMeasurement, options: FusionOptions, rates: Array | None = None
+) -> State:
+    """The state at a first pose, whose lasting error is known to be in it.
+
+    Args:
+        rates: (6,) where they are known better than zero.
+    """
+    sensor = sensor_options(measurement, options)
+    motion = options.motion
+    covariance = np.zeros((FIRST_BIAS + 6, FIRST_BIAS + 6))
+    covariance[:6, :6] = sensor.inflation * measurement.covariance
+    for i in range(3):
+        covariance[6 + i, 6 + i] = motion.first_rate**2
+        covariance[9 + i, 9 + i] = motion.first_velocity**2
+    covariance[RADIUS, RADIUS] = options.ring_radius_sigma**2
+    covariance[DEPTH, DEPTH] = options.ring_depth_sigma_m**2
+    # The estimate is wrong by −(A b + white): what is in it of the lasting error b.
+    root = root_of_lasting(sensor.inflation * measurement.covariance, sensor)
+    bias = slice(FIRST_BIAS, FIRST_BIAS + 6)
+    covariance[bias, bias] = np.eye(6)
+    covariance[:6, bias], covariance[bias, :6] = -root, -root.T
+    slot = Slot(measurement.sensor, FIRST_BIAS, 6, sensor.lasting_s, sensor.lasting_range)
+    return State(
+        measurement.time_s,
+        np.array(measurement.pose.rotation),
+        np.array(measurement.pose.translation_m),
+        np.zeros(6) if rates is None else rates.copy(),
+        np.zeros(FIRST_BIAS - MOTION + 6),
+        covariance,
+        (slot,),
+    )
+
+
+def predict(state: State, dt_s: float, options: FusionOptions) -> State:
+    """The state ``dt_s`` later: rates go on, white accelerations widen it.
+
+    Raises:
+        ValueError: the step is negative or not finite.
+    """
+    if not 0.0 <= dt_s < math.inf:
+        raise ValueError(f"the filter goes forward only, not by {dt_s} s")
+    if dt_s == 0.0:
+        return state
+    motion = options.motion
+    arm = state.translation_m
+    moved = arm + dt_s * state.rates[3:]
+    fade = np.ones(len(state.extras))
+    if state.slots:
+        square = float(arm @ arm)
+        speed = abs(float(arm @ state.rates[3:])) / square if square > 0.0 else 0.0
+        for slot in state.slots:
+            away = dt_s * (1.0 / slot.lasting_s + speed / slot.lasting_range)
+            start = slot.start - MOTION
+            fade[start : start + slot.size] = math.exp(-away)
+    vector = dt_s * state.rates[:3]
+    covariance = predict_covariance(
+        state.covariance, turned(vector, _IDENTITY), arm, dt_s, motion.angular**2,
+        motion.linear**2, motion.pointing**2, fade,
+    )  # fmt: skip
+    # Radius and depth are constants: their factor is 1. A bias falls back to nothing known.
+    return State(
+        state.time_s + dt_s, turned(vector, state.rotation), moved, state.rates,
+        fade * state.extras, covariance, state.slots,
+    )  # fmt: skip
+
+
+def innovation(
+    state: State, measurement: Measurement, options: FusionOptions
+) -> Innovation | Rejected:
+    """A measurement beside the state at its time; rejected only where it cannot be compared.
+
+    Raises:
+        ValueError: the state is not at the time of the measurement.
+    """
+    if abs(state.time_s - measurement.time_s) > 1e-9:
+        raise ValueError(
+            f"{measurement.sensor}: predict the state from {state.time_s} s to "
+            f"{measurement.time_s} s first"
+        )
+    sensor = sensor_options(measurement, options)
+    heard = _with_slot(state, measurement, sensor)
+    slot = heard.slot(measurement.sensor)
+    assert slot is not None
+    n = len(heard.covariance)
+    bias = slice(slot.start, slot.start + slot.size)
+    seen = expected(heard, measurement, sensor)
+    if isinstance(seen, str):
+        return Rejected(measurement.sensor, math.inf, measurement.size, seen)
+    if seen.mixed:
+        seen = _mixture(heard, seen, bias)
+    size = len(seen.residual)
+    design = np.zeros((size, n))
+    design[:, :FIRST_BIAS] = seen.design
+    design[:, bias] = seen.lasting_root
+    residual = seen.residual - seen.lasting_root @ heard.extras[slot.start - MOTION :][: slot.size]
+    fits, nis, log_volume, step, covariance = gain(heard.covariance, design, seen.white, residual)
+    if not fits or not np.isfinite(step).all():
+        return Rejected(measurement.sensor, math.inf, size, "its covariance cannot be used")
+    updated = State(
+        heard.time_s,
+        turned(step[:3], heard.rotation),
+        heard.translation_m + step[3:6],
+        heard.rates + step[6:12],
+        heard.extras + step[12:],
+        covariance,
+        heard.slots,
+    )
+    total = seen.white + seen.lasting_root @ seen.lasting_root.T
+    return Innovation(residual, nis, log_volume, seen.white, total, updated)
+
+
+def update(state: State, measurement: Measurement, options: FusionOptions) -> State | Rejected:
+    """The state after a measurement at its time, if it passes the gate.
+
+    Raises:
+        ValueError: the state is not at the time of the measurement.
+    """
+    found = innovation(state, measurement, options)
+    if isinstance(found, Rejected):
+        return found
+    gate = gate_of(found.size, sensor_options(measurement, options).gate)
+    if found.nis > gate:
+        return Rejected(
+            measurement.sensor, found.nis, found.size,
+            f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}",
+        )  # fmt: skip
+    return found.updated
+
+
+def difference(one: State, other: State) -> Array:
+    """(6,) perturbation of the pose that leads from the other state to this one."""
+    turn = rotation_vector(one.rotation, other.rotation)
+    return np.concatenate([turn, one.translation_m - other.translation_m])
+
+
+_IDENTITY = np.eye(3)
+
+
+def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) -> State:
+    """With room for the lasting error of a sensor that is heard for the first time."""
+    if state.slot(measurement.sensor) is not None:
+        return state
+    n, size = len(state.covariance), measurement.size
+    covariance = np.zeros((n + size, n + size))
+    covariance[:n, :n] = state.covariance
+    covariance[n:, n:] = np.eye(size)
+    slot = Slot(measurement.sensor, n, size, sensor.lasting_s, sensor.lasting_range)
+    return State(
+        state.time_s, state.rotation, state.translation_m, state.rates,
+        np.concatenate([state.extras, np.zeros(size)]), covariance, (*state.slots, slot),
+    )  # fmt: skip
+
+
+def _mixture(state: State, seen: Expected, bias: slice) -> Expected:
+    """Two candidates as one measurement: mean and spread by how likely each is.
+
+    Where they are far apart one has all the weight. Where they are not (a ring seen face-on),
+    the spread says what the picture cannot: on which side of the line of sight the axis lies.
+    """
+    first, second = seen, seen.mixed
+    assert second is not None
+    logs = []
+    for one in (first, second):
+        design = np.zeros((len(one.residual), len(state.covariance)))
+        design[:, :FIRST_BIAS] = one.design
+        design[:, bias] = one.lasting_root
+        fits, nis, log_volume, _, _ = gain(state.covariance, design, one.white, one.residual)
+        logs.append(-0.5 * (nis + log_volume) if fits else -math.inf)
+    if not math.isfinite(max(logs)):
+        return Expected(first.residual, first.design, first.white, first.lasting_root)
+    weights = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    if weights.max() > 0.999:
+        best = first if weights[0] > weights[1] else second
+        return Expected(best.residual, best.design, best.white, best.lasting_root)
+    mean = weights[0] * first.residual + weights[1] * second.residual
+    white = weights[0] * first.white + weights[1] * second.white
+    for weight, one in zip(weights, (first, second), strict=True):
+        off = one.residual - mean
+        white = white + weight * np.outer(off, off)
+    nearest = first if weights[0] >= weights[1] else second
+    return Expected(mean, nearest.design, white, nearest.lasting_root)

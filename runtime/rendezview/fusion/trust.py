@@ -1,0 +1,129 @@
+"""Whether a sensor is believed: gate, lock-out, and the way back in.
+
+A sensor that is turned away several times in a row, or whose NIS stays too high although each
+measurement passes, is locked out. It is let in again when it agrees, and when its agreement says
+something: the forecast must be sharp, or the sensor must have left the place where it lied. A
+forecast that has coasted for long agrees with every lie.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rendezview.fusion.models import gate_of
+from rendezview.fusion.options import SensorOptions
+from rendezview.fusion.state import Innovation
+from rendezview.pose import Array
+
+_SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
+_FOLLOW = 0.5  # weight of the latest residual in the place of a lie
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trust:
+    """What is thought of one sensor; a value, replaced at each measurement."""
+
+    sensor: str
+    locked: bool = False
+    heard: int = 0  # measurements in all
+    accepted: int = 0
+    turned_away: int = 0  # in a row
+    agreed: int = 0  # in a row, while locked out
+    mean_nis: float = 1.0  # over degrees of freedom; 1 is as it should be
+    last_s: float = -math.inf  # when it last spoke
+    last_accepted_s: float = -math.inf
+    lie: Array | None = None  # (m,) where its residuals stood when it was turned away
+    lockouts: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What became of a measurement."""
+
+    sensor: str
+    time_s: float
+    accepted: bool
+    reason: str | None  # words, where it was not accepted or began something
+    nis: float | None = None  # squared distance in σ; None: not compared
+    size: int = 0  # its degrees of freedom
+    began: bool = False  # the filter began here, or began anew
+
+
+def judge(
+    trust: Trust, found: Innovation, time_s: float, options: SensorOptions
+) -> tuple[Trust, str | None]:
+    """The sensor's trust after a measurement, and why it is not taken (``None``: it is)."""
+    heard = replace(trust, heard=trust.heard + 1, last_s=time_s)
+    gate = gate_of(found.size, options.gate)
+    passes = found.nis <= gate
+    away = f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}"
+    if heard.locked:
+        return _locked(heard, found, passes, gate, time_s, options)
+    weight = 1.0 / min(heard.heard, options.window)
+    if not passes:
+        row = heard.turned_away + 1
+        heard = replace(heard, turned_away=row, lie=_followed(heard.lie, found.residual))
+        if row >= options.lock_after:
+            return _lock(heard), f"{away}, {row} times in a row: locked out"
+        return heard, away
+    level = heard.mean_nis + weight * (found.nis / found.size - heard.mean_nis)
+    heard = replace(heard, mean_nis=level, turned_away=0, lie=None)
+    if heard.heard > options.window and level > options.nis_limit:
+        return (
+            _lock(replace(heard, lie=found.residual)),
+            f"mean NIS {level:.1f} of a degree of freedom, at most {options.nis_limit:g}: "
+            "locked out",
+        )
+    return replace(heard, accepted=heard.accepted + 1, last_accepted_s=time_s), None
+
+
+def _lock(trust: Trust) -> Trust:
+    return replace(trust, locked=True, agreed=0, lockouts=trust.lockouts + 1)
+
+
+def _locked(
+    trust: Trust,
+    found: Innovation,
+    passes: bool,
+    gate: float,
+    time_s: float,
+    options: SensorOptions,
+) -> tuple[Trust, str | None]:
+    same = trust.lie is not None and _still(trust.lie, found) <= gate
+    sharp = found.log_volume - _log_volume(found.total) < _SHARP * found.size
+    if not passes or (same and not sharp):
+        lie = _followed(trust.lie if same else None, found.residual)
+        reason = "locked out, and still off" if not passes else (
+            "locked out: it agrees only because the forecast is wide"
+        )  # fmt: skip
+        return replace(trust, agreed=0, turned_away=trust.turned_away + 1, lie=lie), reason
+    agreed = trust.agreed + 1
+    if agreed < options.unlock_after:
+        told = f"locked out, agrees {agreed} of {options.unlock_after} times"
+        return replace(trust, agreed=agreed, turned_away=0), told
+    return (
+        replace(
+            trust, locked=False, agreed=0, turned_away=0, lie=None, mean_nis=1.0,
+            accepted=trust.accepted + 1, last_accepted_s=time_s,
+        ),
+        None,
+    )  # fmt: skip
+
+
+def _followed(lie: Array | None, residual: Array) -> Array:
+    return residual if lie is None else lie + _FOLLOW * (residual - lie)
+
+
+def _still(lie: Array, found: Innovation) -> float:
+    """Squared distance of a residual from where the sensor lied before."""
+    spread = 2.0 * found.white + 0.2 * (found.total - found.white)
+    away = found.residual - lie
+    return float(away @ np.linalg.lstsq(spread, away, rcond=None)[0])
+
+
+def _log_volume(matrix: Array) -> float:
+    sign, value = np.linalg.slogdet(matrix)
+    return float(value) if sign > 0 else -math.inf
