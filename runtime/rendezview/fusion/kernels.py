@@ -161,6 +161,37 @@ def predict_covariance(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def predicted(
+    rotation: Array,
+    translation: Array,
+    rates: Array,
+    extras: Array,
+    covariance: Array,
+    fading: Array,
+    dt: float,
+    angular: float,
+    linear: float,
+    pointing: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Rotation, translation, extras and covariance ``dt`` later.
+
+    ``fading`` (n - 12, 2) is how fast each of the extras is forgotten: by time (1/s), and by
+    change of the logarithm of the range.
+    """
+    square, along = 0.0, 0.0
+    for i in range(3):
+        square += translation[i] * translation[i]
+        along += translation[i] * rates[3 + i]
+    speed = abs(along) / square if square > 0.0 else 0.0
+    fade = np.empty(len(extras))
+    for i in range(len(extras)):
+        fade[i] = np.exp(-dt * (fading[i, 0] + speed * fading[i, 1]))
+    turn = turned(dt * rates[:3], np.eye(3))
+    out = predict_covariance(covariance, turn, translation, dt, angular, linear, pointing, fade)
+    return turned(dt * rates[:3], rotation), translation + dt * rates[3:], fade * extras, out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def gain(
     covariance: Array, design: Array, noise: Array, residual: Array
 ) -> tuple[bool, float, float, Array, Array]:
@@ -227,6 +258,195 @@ def gain(
             after[i, j] = s
             after[j, i] = s
     return True, nis, logarithm, correction, after
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def corrected(
+    rotation: Array,
+    translation: Array,
+    rates: Array,
+    extras: Array,
+    covariance: Array,
+    slope: Array,
+    root: Array,
+    start: int,
+    white: Array,
+    measured: Array,
+) -> tuple[bool, float, float, Array, Array, Array, Array, Array, Array]:
+    """The state after a measurement whose lasting error stands at ``start``.
+
+    Args:
+        slope: (m, 14) by motion, ring radius and depth.
+        root: (m, m) by the lasting error.
+        white: (m, m) covariance of what is new.
+        measured: (m,) measured − expected, the lasting error left out.
+
+    Returns:
+        Whether it can be used; NIS; ln|S|; (m,) residual less the lasting error; rotation,
+        translation, rates, extras and covariance after it.
+    """
+    m, n = len(measured), len(covariance)
+    design = np.zeros((m, n))
+    residual = measured.copy()
+    for i in range(m):
+        for j in range(slope.shape[1]):
+            design[i, j] = slope[i, j]
+        for j in range(m):
+            design[i, start + j] = root[i, j]
+            residual[i] -= root[i, j] * extras[start - 12 + j]
+    fits, nis, logarithm, step, after = gain(covariance, design, white, residual)
+    for i in range(n):
+        fits = fits and np.isfinite(step[i])
+    return (
+        fits, nis, logarithm, residual, turned(step[:3], rotation), translation + step[3:6],
+        rates + step[6:12], extras + step[12:], after,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def distance(
+    extras: Array,
+    covariance: Array,
+    slope: Array,
+    root: Array,
+    start: int,
+    white: Array,
+    measured: Array,
+) -> tuple[bool, float, float]:
+    """As `corrected`, but only whether it can be used, NIS and ln|S|."""
+    m, n = len(measured), len(covariance)
+    k = slope.shape[1]
+    both = np.zeros((m, n))
+    spread = white.copy()
+    residual = measured.copy()
+    for i in range(m):
+        for j in range(m):
+            residual[i] -= root[i, j] * extras[start - 12 + j]
+    for i in range(m):  # H P
+        for j in range(n):
+            s = 0.0
+            for c in range(k):
+                s += slope[i, c] * covariance[c, j]
+            for c in range(m):
+                s += root[i, c] * covariance[start + c, j]
+            both[i, j] = s
+    for i in range(m):
+        for j in range(m):
+            for c in range(k):
+                spread[i, j] += both[i, c] * slope[j, c]
+            for c in range(m):
+                spread[i, j] += both[i, start + c] * root[j, c]
+    lower = square_root(spread)
+    nis, logarithm = 0.0, 0.0
+    for i in range(m):
+        if not lower[i, i] > 0.0:
+            return False, np.inf, np.inf
+        s = residual[i]
+        for c in range(i):
+            s -= lower[i, c] * residual[c]
+        residual[i] = s / lower[i, i]
+        nis += residual[i] ** 2
+        logarithm += 2.0 * np.log(lower[i, i])
+    return True, nis, logarithm
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pose_model(
+    measured_rotation: Array,
+    measured_translation: Array,
+    covariance: Array,
+    rotation: Array,
+    translation: Array,
+    inflation: float,
+    lasting: float,
+) -> tuple[Array, Array, Array]:
+    """(6,) residual, (6, 6) white covariance and (6, 6) root of the lasting one, of a pose."""
+    residual = np.empty(6)
+    residual[:3] = rotation_vector(measured_rotation, rotation)
+    for i in range(3):
+        residual[3 + i] = measured_translation[i] - translation[i]
+    return (
+        residual, ((1.0 - lasting) * inflation) * covariance,
+        square_root((lasting * inflation) * covariance),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_model(
+    ring_centre: Array,
+    ring_axis: Array,
+    rotation: Array,
+    translation: Array,
+    radius: float,
+    depth: float,
+) -> tuple[Array, Array, Array, Array]:
+    """(3,) centre and (3,) axis expected, (3, 2) tangents of the axis, (5, 14) slope."""
+    arm, axis = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            arm[i] += rotation[i, j] * (ring_centre[j] + depth * ring_axis[j])
+            axis[i] += rotation[i, j] * ring_axis[j]
+    centre = (arm + translation) / radius
+    basis = np.zeros((3, 2))
+    across = 1 if abs(axis[0]) > 1.0 - 1e-6 else 0
+    basis[across, 0] = 1.0
+    for i in range(3):
+        basis[i, 0] -= axis[across] * axis[i]
+    basis[:, 0] /= np.sqrt(basis[0, 0] ** 2 + basis[1, 0] ** 2 + basis[2, 0] ** 2)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        basis[i, 1] = axis[j] * basis[k, 0] - axis[k] * basis[j, 0]
+    slope = np.zeros((5, 14))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        # w × arm: row i has w_j arm_k − w_k arm_j
+        slope[i, j], slope[i, k] = arm[k] / radius, -arm[j] / radius
+        slope[i, 3 + i] = 1.0 / radius
+        slope[i, 12] = -centre[i] / radius
+        slope[i, 13] = axis[i] / radius
+    for c in range(2):
+        for i in range(3):  # e · (w × n) = w · (n × e)
+            j, k = (i + 1) % 3, (i + 2) % 3
+            slope[3 + c, i] = axis[j] * basis[k, c] - axis[k] * basis[j, c]
+    return centre, axis, basis, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_look(
+    measured_centre: Array,
+    measured_axis: Array,
+    covariance: Array,
+    centre: Array,
+    axis: Array,
+    basis: Array,
+    inflation: float,
+    lasting: float,
+) -> tuple[Array, Array, Array]:
+    """(5,) residual, (5, 5) white covariance and (5, 5) root of the lasting one, of a circle."""
+    facing = 0.0
+    for i in range(3):
+        facing += measured_axis[i] * axis[i]
+    sign = 1.0 if facing >= 0.0 else -1.0  # a circle has no front
+    flat = np.zeros((5, 6))
+    residual = np.zeros(5)
+    for i in range(3):
+        flat[i, i] = 1.0
+        residual[i] = measured_centre[i] - centre[i]
+        for c in range(2):
+            flat[3 + c, 3 + i] = sign * basis[i, c]
+            residual[3 + c] += sign * basis[i, c] * measured_axis[i]
+    half = np.zeros((5, 6))
+    whole = np.zeros((5, 5))
+    for i in range(5):
+        for j in range(6):
+            for k in range(6):
+                half[i, j] += flat[i, k] * covariance[k, j]
+    for i in range(5):
+        for j in range(5):
+            for k in range(6):
+                whole[i, j] += half[i, k] * flat[j, k]
+            whole[i, j] *= inflation
+    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtri
 
-from rendezview.fusion.kernels import rotation_vector, square_root
+from rendezview.fusion.kernels import pose_model, ring_look, ring_model, square_root
 from rendezview.fusion.measurements import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
-    RingCandidate,
     RingMeasurement,
 )
 from rendezview.fusion.options import SensorOptions
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from rendezview.fusion.state import State
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth
-_RADIUS, _DEPTH = 12, 13
 _GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
 
 
@@ -36,7 +34,7 @@ class Expected:
     """A measurement linearised at a state."""
 
     residual: Array  # (m,) measured − expected, the lasting error left out
-    design: Array  # (m, 14) slope by motion, ring radius and depth
+    slope: Array  # (m, 14) slope by motion, ring radius and depth
     white: Array  # (m, m) covariance of what is new each time
     lasting_root: Array  # (m, m) slope by the lasting error, which has unit variance
     mixed: Expected | None = None  # the other candidate
@@ -64,60 +62,36 @@ def expected(state: State, measurement: Measurement, sensor: SensorOptions) -> E
 
 def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> Expected:
     pose = measurement.pose
-    residual = np.empty(6)
-    residual[:3] = rotation_vector(pose.rotation, state.rotation)
-    residual[3:] = pose.translation_m - state.translation_m
-    covariance = sensor.inflation * measurement.covariance
-    return Expected(
-        residual, _POSE_DESIGN, (1.0 - sensor.lasting) * covariance,
-        root_of_lasting(covariance, sensor),
+    residual, white, root = pose_model(
+        pose.rotation, pose.translation_m, measurement.covariance, state.rotation,
+        state.translation_m, sensor.inflation, sensor.lasting,
     )  # fmt: skip
+    return Expected(residual, _POSE_SLOPE, white, root)
 
 
 def _ring(state: State, measurement: RingMeasurement, sensor: SensorOptions) -> Expected | str:
     ring = measurement.ring
-    axis = state.rotation @ ring.axis
-    # The radius that the sensor takes is too small by (1 + radius): so is its centre's distance.
-    size = 1.0 + float(state.extras[_RADIUS - 12])
-    depth = float(state.extras[_DEPTH - 12])
-    if size <= 0.1:
+    # The radius that the sensor takes is too small by this factor: so is its centre's distance.
+    radius = 1.0 + float(state.extras[0])
+    if radius <= 0.1:
         return "the ring's radius is lost"
-    arm = state.rotation @ (ring.centre_m + depth * ring.axis)
-    centre = (arm + state.translation_m) / size
+    centre, axis, basis, slope = ring_model(
+        ring.centre_m, ring.axis, state.rotation, state.translation_m, radius,
+        float(state.extras[1]),
+    )  # fmt: skip
     if not centre[2] > 0.0:
         return "the ring would be behind the camera"
-    basis = tangents(axis)
-    design = np.zeros((5, _COLUMNS))
-    design[:3, :3] = -_cross(arm) / size
-    design[:3, 3:6] = np.eye(3) / size
-    design[:3, _RADIUS] = -centre / size
-    design[:3, _DEPTH] = axis / size
-    design[3:, :3] = -basis.T @ _cross(axis)
-    looks = [_look(c, centre, axis, basis, design, sensor) for c in measurement.candidates[:2]]
+    looks = []
+    for candidate in measurement.candidates[:2]:
+        residual, white, root = ring_look(
+            candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
+            sensor.inflation, sensor.lasting,
+        )  # fmt: skip
+        looks.append(Expected(residual, slope, white, root))
     if len(looks) == 1:
         return looks[0]
     first, second = looks
-    return Expected(first.residual, design, first.white, first.lasting_root, second)
-
-
-def _look(
-    candidate: RingCandidate,
-    centre: Array,
-    axis: Array,
-    basis: Array,
-    design: Array,
-    sensor: SensorOptions,
-) -> Expected:
-    sign = 1.0 if candidate.axis @ axis >= 0.0 else -1.0  # a circle has no front
-    residual = np.empty(5)
-    residual[:3] = candidate.centre_m - centre
-    residual[3:] = basis.T @ (sign * candidate.axis)
-    flat = np.zeros((5, 6))
-    flat[:3, :3], flat[3:, 3:] = np.eye(3), sign * basis.T
-    covariance = sensor.inflation * (flat @ candidate.covariance @ flat.T)
-    return Expected(
-        residual, design, (1.0 - sensor.lasting) * covariance, root_of_lasting(covariance, sensor)
-    )
+    return Expected(first.residual, slope, first.white, first.lasting_root, second)
 
 
 def _range(state: State, measurement: RangeMeasurement) -> Expected | str:
@@ -130,24 +104,28 @@ def _range(state: State, measurement: RangeMeasurement) -> Expected | str:
     distance = float(normal @ (state.rotation @ surface.point_m + from_origin)) / slant
     if not distance > 0.0:
         return "the surface would be behind the ranger"
-    design = np.zeros((1, _COLUMNS))
+    slope = np.zeros((1, _COLUMNS))
     # d(n·(p − o)/(n·d)), with n and p − t turned by w: n × (t − o − distance d) over n·d.
     away = from_origin - distance * beam
-    design[0, 0] = (normal[1] * away[2] - normal[2] * away[1]) / slant
-    design[0, 1] = (normal[2] * away[0] - normal[0] * away[2]) / slant
-    design[0, 2] = (normal[0] * away[1] - normal[1] * away[0]) / slant
-    design[0, 3:6] = normal / slant
+    slope[0, 0] = (normal[1] * away[2] - normal[2] * away[1]) / slant
+    slope[0, 1] = (normal[2] * away[0] - normal[0] * away[2]) / slant
+    slope[0, 2] = (normal[0] * away[1] - normal[1] * away[0]) / slant
+    slope[0, 3:6] = normal / slant
     return Expected(
         np.array([measurement.range_m - distance]),
-        design,
+        slope,
         np.array([[measurement.sigma_m**2]]),
         np.array([[surface.relief_m]]),
     )
 
 
 def tangents(axis: Array) -> Array:
-    """(3, 2) unit vectors across an axis, right-handed with it, the first from the x axis."""
-    first = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    """(3, 2) unit vectors e₁, e₂ across an axis n, as in logs of rings (docs/files.md).
+
+    e₁ is camera x less its part along n, normalised (camera y where n is along x); e₂ = n × e₁.
+    """
+    along_x = abs(axis[0]) > 1.0 - 1e-6
+    first = np.array([0.0, 1.0, 0.0]) if along_x else np.array([1.0, 0.0, 0.0])
     first = first - (first @ axis) * axis
     first /= np.sqrt(first @ first)
     second = np.array(
@@ -160,15 +138,4 @@ def tangents(axis: Array) -> Array:
     return np.column_stack([first, second])
 
 
-def _cross(vector: Array) -> Array:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _pose_design() -> Array:
-    design = np.zeros((6, _COLUMNS))
-    design[:, :6] = np.eye(6)
-    return design
-
-
-_POSE_DESIGN = _pose_design()
+_POSE_SLOPE = np.hstack([np.eye(6), np.zeros((6, _COLUMNS - 6))])

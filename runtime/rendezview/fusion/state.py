@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.kernels import gain, predict_covariance, rotation_vector, turned
+from rendezview.fusion.kernels import corrected, distance, predicted, rotation_vector
 from rendezview.fusion.measurements import Measurement, PoseMeasurement
 from rendezview.fusion.models import Expected, expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
@@ -24,6 +24,7 @@ from rendezview.pose import Array, Pose
 MOTION = 12  # attitude, place, angular rate, velocity
 RADIUS, DEPTH = 12, 13  # of the ring
 FIRST_BIAS = 14
+_DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +48,7 @@ class State:
     rates: Array  # (6,) rotation vector rad/s, velocity of the target's origin m/s; camera frame
     extras: Array  # (n - 12,) ring radius (relative error), ring depth (m), lasting errors (σ)
     covariance: Array  # (n, n)
+    fading: Array  # (n - 12, 2) how fast the extras are forgotten: 1/s, and per ln of the range
     slots: tuple[Slot, ...] = ()
 
     @property
@@ -85,13 +87,18 @@ class Innovation:
     nis: float  # its squared distance in σ
     log_volume: float  # ln|S|
     white: Array  # (m, m) the part of its covariance that is new each time
-    total: Array  # (m, m) all of its covariance
+    lasting_root: Array  # (m, m) root of the part that lasts
     updated: State  # the state if it is believed
 
     @property
     def size(self) -> int:
         """Degrees of freedom."""
         return len(self.residual)
+
+    @property
+    def lasting(self) -> Array:
+        """(m, m) the part of its covariance that lasts."""
+        return self.lasting_root @ self.lasting_root.T
 
 
 def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOptions:
@@ -134,6 +141,7 @@ def begin(
         np.zeros(6) if rates is None else rates.copy(),
         np.zeros(FIRST_BIAS - MOTION + 6),
         covariance,
+        np.vstack([np.zeros((2, 2)), _fading(slot)]),  # radius and depth are constants
         (slot,),
     )
 
@@ -149,25 +157,13 @@ def predict(state: State, dt_s: float, options: FusionOptions) -> State:
     if dt_s == 0.0:
         return state
     motion = options.motion
-    arm = state.translation_m
-    moved = arm + dt_s * state.rates[3:]
-    fade = np.ones(len(state.extras))
-    if state.slots:
-        square = float(arm @ arm)
-        speed = abs(float(arm @ state.rates[3:])) / square if square > 0.0 else 0.0
-        for slot in state.slots:
-            away = dt_s * (1.0 / slot.lasting_s + speed / slot.lasting_range)
-            start = slot.start - MOTION
-            fade[start : start + slot.size] = math.exp(-away)
-    vector = dt_s * state.rates[:3]
-    covariance = predict_covariance(
-        state.covariance, turned(vector, _IDENTITY), arm, dt_s, motion.angular**2,
-        motion.linear**2, motion.pointing**2, fade,
+    rotation, translation, extras, covariance = predicted(
+        state.rotation, state.translation_m, state.rates, state.extras, state.covariance,
+        state.fading, dt_s, motion.angular**2, motion.linear**2, motion.pointing**2,
     )  # fmt: skip
-    # Radius and depth are constants: their factor is 1. A bias falls back to nothing known.
     return State(
-        state.time_s + dt_s, turned(vector, state.rotation), moved, state.rates,
-        fade * state.extras, covariance, state.slots,
+        state.time_s + dt_s, rotation, translation, state.rates, extras, covariance, state.fading,
+        state.slots,
     )  # fmt: skip
 
 
@@ -188,32 +184,23 @@ def innovation(
     heard = _with_slot(state, measurement, sensor)
     slot = heard.slot(measurement.sensor)
     assert slot is not None
-    n = len(heard.covariance)
-    bias = slice(slot.start, slot.start + slot.size)
     seen = expected(heard, measurement, sensor)
     if isinstance(seen, str):
         return Rejected(measurement.sensor, math.inf, measurement.size, seen)
-    if seen.mixed:
-        seen = _mixture(heard, seen, bias)
-    size = len(seen.residual)
-    design = np.zeros((size, n))
-    design[:, :FIRST_BIAS] = seen.design
-    design[:, bias] = seen.lasting_root
-    residual = seen.residual - seen.lasting_root @ heard.extras[slot.start - MOTION :][: slot.size]
-    fits, nis, log_volume, step, covariance = gain(heard.covariance, design, seen.white, residual)
-    if not fits or not np.isfinite(step).all():
-        return Rejected(measurement.sensor, math.inf, size, "its covariance cannot be used")
+    if seen.mixed is not None:
+        seen = _mixture(heard, seen, slot)
+    fits, nis, log_volume, residual, rotation, place, rates, extras, covariance = corrected(
+        heard.rotation, heard.translation_m, heard.rates, heard.extras, heard.covariance,
+        seen.slope, seen.lasting_root, slot.start, seen.white, seen.residual,
+    )  # fmt: skip
+    if not fits:
+        return Rejected(
+            measurement.sensor, math.inf, measurement.size, "its covariance cannot be used"
+        )
     updated = State(
-        heard.time_s,
-        turned(step[:3], heard.rotation),
-        heard.translation_m + step[3:6],
-        heard.rates + step[6:12],
-        heard.extras + step[12:],
-        covariance,
-        heard.slots,
+        heard.time_s, rotation, place, rates, extras, covariance, heard.fading, heard.slots
     )
-    total = seen.white + seen.lasting_root @ seen.lasting_root.T
-    return Innovation(residual, nis, log_volume, seen.white, total, updated)
+    return Innovation(residual, nis, log_volume, seen.white, seen.lasting_root, updated)
 
 
 def update(state: State, measurement: Measurement, options: FusionOptions) -> State | Rejected:
@@ -240,9 +227,6 @@ def difference(one: State, other: State) -> Array:
     return np.concatenate([turn, one.translation_m - other.translation_m])
 
 
-_IDENTITY = np.eye(3)
-
-
 def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) -> State:
     """With room for the lasting error of a sensor that is heard for the first time."""
     if state.slot(measurement.sensor) is not None:
@@ -254,11 +238,16 @@ def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) ->
     slot = Slot(measurement.sensor, n, size, sensor.lasting_s, sensor.lasting_range)
     return State(
         state.time_s, state.rotation, state.translation_m, state.rates,
-        np.concatenate([state.extras, np.zeros(size)]), covariance, (*state.slots, slot),
+        np.concatenate([state.extras, np.zeros(size)]), covariance,
+        np.vstack([state.fading, _fading(slot)]), (*state.slots, slot),
     )  # fmt: skip
 
 
-def _mixture(state: State, seen: Expected, bias: slice) -> Expected:
+def _fading(slot: Slot) -> Array:
+    return np.tile([1.0 / slot.lasting_s, 1.0 / slot.lasting_range], (slot.size, 1))
+
+
+def _mixture(state: State, seen: Expected, slot: Slot) -> Expected:
     """Two candidates as one measurement: mean and spread by how likely each is.
 
     Where they are far apart one has all the weight. Where they are not (a ring seen face-on),
@@ -268,22 +257,22 @@ def _mixture(state: State, seen: Expected, bias: slice) -> Expected:
     assert second is not None
     logs = []
     for one in (first, second):
-        design = np.zeros((len(one.residual), len(state.covariance)))
-        design[:, :FIRST_BIAS] = one.design
-        design[:, bias] = one.lasting_root
-        fits, nis, log_volume, _, _ = gain(state.covariance, design, one.white, one.residual)
+        fits, nis, log_volume = distance(
+            state.extras, state.covariance, one.slope, one.lasting_root, slot.start, one.white,
+            one.residual,
+        )  # fmt: skip
         logs.append(-0.5 * (nis + log_volume) if fits else -math.inf)
-    if not math.isfinite(max(logs)):
-        return Expected(first.residual, first.design, first.white, first.lasting_root)
-    weights = np.exp(np.array(logs) - max(logs))
-    weights /= weights.sum()
-    if weights.max() > 0.999:
-        best = first if weights[0] > weights[1] else second
-        return Expected(best.residual, best.design, best.white, best.lasting_root)
-    mean = weights[0] * first.residual + weights[1] * second.residual
-    white = weights[0] * first.white + weights[1] * second.white
-    for weight, one in zip(weights, (first, second), strict=True):
-        off = one.residual - mean
-        white = white + weight * np.outer(off, off)
-    nearest = first if weights[0] >= weights[1] else second
-    return Expected(mean, nearest.design, white, nearest.lasting_root)
+    lead = logs[0] - logs[1]
+    if not abs(lead) < _DECIDED:  # also where neither can be used
+        return first if lead >= 0.0 else second
+    share = 1.0 / (1.0 + math.exp(-lead))
+    apart = first.residual - second.residual
+    nearest = first if lead >= 0.0 else second
+    return Expected(
+        share * first.residual + (1.0 - share) * second.residual,
+        nearest.slope,
+        share * first.white
+        + (1.0 - share) * second.white
+        + share * (1.0 - share) * np.outer(apart, apart),
+        nearest.lasting_root,
+    )

@@ -46,21 +46,22 @@ class Snapshot:
 
 def useless(state: State, options: FusionOptions) -> str | None:
     """Why a forecast says nothing any more; ``None`` while it does."""
-    covariance = state.covariance
-    place_m = math.sqrt(_largest(covariance[3:6, 3:6]))
-    range_m = float(np.sqrt(state.translation_m @ state.translation_m))
-    if not place_m < options.lost_range_fraction * range_m:
-        return f"the place is known to {place_m:.2g} m only"
-    attitude = math.sqrt(_largest(covariance[:3, :3]))
-    if not attitude < options.lost_rad:
-        return f"the attitude is known to {math.degrees(attitude):.2g}° only"
+    place = state.covariance[3:6, 3:6]
+    limit_m = options.lost_range_fraction * math.sqrt(state.translation_m @ state.translation_m)
+    if not _within(place, limit_m):
+        return f"the place is known to {math.sqrt(np.linalg.eigvalsh(place)[-1]):.2g} m only"
+    attitude = state.covariance[:3, :3]
+    if not _within(attitude, options.lost_rad):
+        sigma_deg = math.degrees(math.sqrt(np.linalg.eigvalsh(attitude)[-1]))
+        return f"the attitude is known to {sigma_deg:.2g}° only"
     return None
 
 
-def _largest(block: Array) -> float:
-    """Largest eigenvalue; the trace, above it, decides nearly always."""
-    trace = float(block[0, 0] + block[1, 1] + block[2, 2])
-    return trace if trace < 1e-4 else float(np.linalg.eigvalsh(block)[-1])
+def _within(block: Array, sigma: float) -> bool:
+    """Whether the largest σ of a (3, 3) covariance is below a limit."""
+    if block[0, 0] + block[1, 1] + block[2, 2] < sigma**2:  # the trace is above it
+        return True
+    return bool(np.linalg.eigvalsh(block)[-1] < sigma**2)
 
 
 def step(
@@ -69,29 +70,29 @@ def step(
     """The filter after a measurement that is not earlier than those before."""
     name, time_s = measurement.sensor, measurement.time_s
     recent = {**before.recent, name: measurement}
-    before = replace(before, recent=recent)
     if before.state is None:
-        return _first(before, measurement, options)
+        return _first(replace(before, recent=recent), measurement, options)
     state = predict(before.state, max(time_s - before.state.time_s, 0.0), options)
     if isinstance(measurement, PoseMeasurement):
         why = useless(state, options)
         if why is not None:
-            return _start(before, measurement, options, f"begun anew: {why}")
+            return _start(
+                replace(before, recent=recent), measurement, options, f"begun anew: {why}"
+            )
     trust = before.trusts.get(name) or Trust(name)
     found = innovation(state, measurement, options)
     if isinstance(found, Rejected):
         heard = replace(trust, heard=trust.heard + 1, last_s=time_s)
-        after = replace(before, state=state, trusts={**before.trusts, name: heard})
+        trusts = {**before.trusts, name: heard}
+        after = replace(before, state=state, trusts=trusts, recent=recent)
         return after, Verdict(name, time_s, False, found.reason, None, found.size)
     trust, reason = judge(trust, found, time_s, sensor_options(measurement, options))
     trusts = {**before.trusts, name: trust}
     if reason is None:
         agreed = before.agreed + (1 if found.size > 1 else 0)
-        after = replace(
-            before, state=found.updated, trusts=trusts, agreed=agreed, last_accepted_s=time_s
-        )
+        after = Snapshot(found.updated, trusts, recent, agreed, time_s, before.starts)
         return after, Verdict(name, time_s, True, None, found.nis, found.size)
-    after = replace(before, state=state, trusts=trusts)
+    after = replace(before, state=state, trusts=trusts, recent=recent)
     if before.agreed < options.start_with and isinstance(measurement, PoseMeasurement):
         return _start(
             after, measurement, options, f"begun anew, the start was not borne out: {reason}"

@@ -56,28 +56,33 @@ def judge(
     trust: Trust, found: Innovation, time_s: float, options: SensorOptions
 ) -> tuple[Trust, str | None]:
     """The sensor's trust after a measurement, and why it is not taken (``None``: it is)."""
-    heard = replace(trust, heard=trust.heard + 1, last_s=time_s)
     gate = gate_of(found.size, options.gate)
     passes = found.nis <= gate
-    away = f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}"
+    count = trust.heard + 1
+    level = trust.mean_nis + (found.nis / found.size - trust.mean_nis) / min(count, options.window)
+    if passes and not trust.locked and not (count > options.window and level > options.nis_limit):
+        return (
+            Trust(
+                trust.sensor, False, count, trust.accepted + 1, 0, 0, level, time_s, time_s,
+                lockouts=trust.lockouts,
+            ),
+            None,
+        )  # fmt: skip
+    heard = replace(trust, heard=count, last_s=time_s)
     if heard.locked:
         return _locked(heard, found, passes, gate, time_s, options)
-    weight = 1.0 / min(heard.heard, options.window)
-    if not passes:
-        row = heard.turned_away + 1
-        heard = replace(heard, turned_away=row, lie=_followed(heard.lie, found.residual))
-        if row >= options.lock_after:
-            return _lock(heard), f"{away}, {row} times in a row: locked out"
-        return heard, away
-    level = heard.mean_nis + weight * (found.nis / found.size - heard.mean_nis)
-    heard = replace(heard, mean_nis=level, turned_away=0, lie=None)
-    if heard.heard > options.window and level > options.nis_limit:
+    if passes:
         return (
-            _lock(replace(heard, lie=found.residual)),
+            _lock(replace(heard, mean_nis=level, lie=found.residual)),
             f"mean NIS {level:.1f} of a degree of freedom, at most {options.nis_limit:g}: "
             "locked out",
         )
-    return replace(heard, accepted=heard.accepted + 1, last_accepted_s=time_s), None
+    row = heard.turned_away + 1
+    heard = replace(heard, turned_away=row, lie=_followed(heard.lie, found.residual))
+    away = f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}"
+    if row >= options.lock_after:
+        return _lock(heard), f"{away}, {row} times in a row: locked out"
+    return heard, away
 
 
 def _lock(trust: Trust) -> Trust:
@@ -93,7 +98,8 @@ def _locked(
     options: SensorOptions,
 ) -> tuple[Trust, str | None]:
     same = trust.lie is not None and _still(trust.lie, found) <= gate
-    sharp = found.log_volume - _log_volume(found.total) < _SHARP * found.size
+    total = found.white + found.lasting
+    sharp = found.log_volume - _log_volume(total) < _SHARP * found.size
     if not passes or (same and not sharp):
         lie = _followed(trust.lie if same else None, found.residual)
         reason = "locked out, and still off" if not passes else (
@@ -119,7 +125,7 @@ def _followed(lie: Array | None, residual: Array) -> Array:
 
 def _still(lie: Array, found: Innovation) -> float:
     """Squared distance of a residual from where the sensor lied before."""
-    spread = 2.0 * found.white + 0.2 * (found.total - found.white)
+    spread = 2.0 * found.white + 0.2 * found.lasting
     away = found.residual - lie
     return float(away @ np.linalg.lstsq(spread, away, rcond=None)[0])
 
