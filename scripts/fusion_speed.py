@@ -42,7 +42,7 @@ def measurements(seed: int) -> dict[str, list[Measurement]]:
     rotation = Rotation.from_rotvec([0.0, -0.5 * np.pi, 0.0]).as_matrix()
     truth = Pose(rotation, np.array([0.1, -0.2, 12.0]))
     sigma = np.array([2e-3, 2e-3, 1e-3, 5e-3, 5e-3, 2e-2])
-    surface = Surface.of_ring(ring)
+    surface = Surface(ring.centre_m, ring.axis)
     normal = rotation @ ring.axis
     distance = float(normal @ truth.apply(ring.centre_m)) / float(normal[2])
     found: dict[str, list[Measurement]] = {"pose": [], "ring": [], "range": []}
@@ -60,7 +60,7 @@ def measurements(seed: int) -> dict[str, list[Measurement]]:
         )
         found["ring"].append(RingMeasurement(t, "ring", candidates, ring))
         echo = distance + 0.02 * rng.standard_normal()
-        found["range"].append(RangeMeasurement(t, "laser", echo, 0.02, surface))
+        found["range"].append(RangeMeasurement(t, "laser", echo, 0.02, (surface,)))
     return found
 
 

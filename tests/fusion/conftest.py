@@ -18,6 +18,7 @@ from rendezview.pose import Array, Pose
 from rendezview.target import DockingRing
 
 RING = DockingRing(np.array([-1.68, 0.1, -0.2]), np.array([-1.0, 0.0, 0.0]), 0.6)
+PLANE = Surface(RING.centre_m, RING.axis)
 SIGMA = np.array([4e-3, 5e-3, 2e-3, 0.01, 0.01, 0.05])
 MOVE = np.array([0.01, -0.02, -0.2])  # m/s
 TURN = np.array([1e-3, -2e-3, 1.5e-3])  # rad/s
@@ -26,7 +27,7 @@ TURN = np.array([1e-3, -2e-3, 1.5e-3])  # rad/s
 class World:
     """Truth and noisy sensors; every draw from one seed."""
 
-    ring_of_target, sigma, move, turn = RING, SIGMA, MOVE, TURN
+    ring_of_target, plane, sigma, move, turn = RING, PLANE, SIGMA, MOVE, TURN
 
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -78,7 +79,7 @@ class World:
         normal = truth.rotation @ RING.axis
         distance = float(normal @ truth.apply(RING.centre_m)) / float(normal[2])
         noisy = distance + sigma_m * self.rng.standard_normal()
-        return RangeMeasurement(time_s, "laser", noisy, sigma_m, Surface.of_ring(RING))
+        return RangeMeasurement(time_s, "laser", noisy, sigma_m, (PLANE,))
 
 
 @pytest.fixture

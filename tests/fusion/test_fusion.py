@@ -185,7 +185,7 @@ def test_a_clock_that_is_late_is_noticed(make_world):
         fusion.add(world.pose(0.5 * k))
         fusion.add(world.ring(0.5 * k))
         stale = world.range(0.5 * k - 2.0)  # 0.4 m behind the truth
-        fusion.add(type(stale)(0.5 * k, "laser", stale.range_m, stale.sigma_m, stale.surface))
+        fusion.add(type(stale)(0.5 * k, "laser", stale.range_m, stale.sigma_m, stale.surfaces))
     assert fusion.trusts["laser"].locked
     assert away(fusion, world, 60.0) < 30.0
 
@@ -201,6 +201,6 @@ def test_an_error_that_each_gate_passes_is_noticed_by_the_mean_of_nis(world):
         draw = np.clip(3.0 * world.rng.standard_normal(), -3.5, 3.5)
         fusion.add(world.ring(0.5 * k))
         one = world.range(0.5 * k, 1e-9)
-        fusion.add(type(one)(0.5 * k, "laser", one.range_m + 0.02 * draw, 0.02, one.surface))
+        fusion.add(type(one)(0.5 * k, "laser", one.range_m + 0.02 * draw, 0.02, one.surfaces))
     assert fusion.trusts["laser"].lockouts >= 1
     assert fusion.trusts["camera"].lockouts == 0

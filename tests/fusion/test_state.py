@@ -64,7 +64,13 @@ def test_a_slope_of_a_slanting_beam_is_the_derivative(world):
     state = begin(world.pose(0.0), QUIET)
     surface = Surface(np.array([0.2, 0.5, -0.3]), np.array([0.8, 0.6, 0.0]))
     measurement = RangeMeasurement(
-        0.0, "laser", 30.0, 0.02, surface, np.array([0.4, -0.3, 0.1]), np.array([0.05, 0.02, 1.0])
+        0.0,
+        "laser",
+        30.0,
+        0.02,
+        (surface,),
+        np.array([0.4, -0.3, 0.1]),
+        np.array([0.05, 0.02, 1.0]),
     )
     here = expected(state, measurement, WHITE)
     for k in range(6):
@@ -230,7 +236,7 @@ def test_a_sensor_mounted_elsewhere_says_the_same(world):
         ),
         world.ring_of_target,
     )
-    beam = RangeMeasurement(0.0, "laser", 29.0, 0.02, Surface.of_ring(world.ring_of_target))
+    beam = RangeMeasurement(0.0, "laser", 29.0, 0.02, (world.plane,))
     direct = replace(
         beam, origin_m=camera_from_sensor.translation_m,
         direction=camera_from_sensor.rotation @ np.array([0.0, 0.0, 1.0]),
@@ -258,6 +264,25 @@ def test_a_beam_along_the_surface_or_a_ring_behind_the_camera_cannot_be_compared
     assert isinstance(innovation(state, along, QUIET), Rejected)
     behind = replace(state, translation_m=np.array([0.0, 0.0, -5.0]))
     assert isinstance(innovation(behind, world.ring(0.0), QUIET), Rejected)
+
+
+def test_a_spot_beyond_the_surface_says_nothing(world):
+    state = begin(world.pose(0.0), QUIET)
+    beam = world.range(0.0)
+    spot = state.pose.inverse().apply(
+        [0.0, 0.0, float(world.start.apply(world.ring_of_target.centre_m)[2])]
+    )
+    away_m = float(np.linalg.norm(spot - world.ring_of_target.centre_m))
+    for inner_m, outer_m, says in ((0.0, 0.5, False), (0.0, 5.0, True), (3.0, 5.0, False)):
+        assert inner_m <= away_m <= outer_m or not says
+        surface = replace(world.plane, inner_m=inner_m, outer_m=outer_m)
+        found = innovation(state, replace(beam, surfaces=(surface,)), QUIET)
+        assert isinstance(found, Rejected) is not says
+    # The next surface stands in.
+    narrow = replace(world.plane, outer_m=0.1)
+    other = replace(world.plane, relief_m=0.3)
+    found = innovation(state, replace(beam, surfaces=(narrow, other)), QUIET)
+    assert found.lasting == pytest.approx(0.09)
 
 
 def test_wrong_arguments_are_named(world):

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Fusion, FusionOptions, Surface
+from rendezview.fusion import Fusion, FusionOptions
 from rendezview.fusion.fusion import Estimate, Status
 from rendezview.fusion.logs import (
     LogContext,
@@ -20,6 +20,7 @@ from rendezview.fusion.logs import (
     read_log,
     read_mount,
     read_options,
+    read_surfaces,
     sensor_name,
 )
 from rendezview.fusion.trust import Verdict
@@ -44,10 +45,12 @@ def fuse(
         list[str] | None,
         typer.Option(help="NAME=FILE.json: sensor_from_camera of a sensor; repeat for several."),
     ] = None,
-    surface_depth_m: Annotated[
-        float, typer.Option(help="Of what a ranger's beam meets, behind the ring's plane.")
-    ] = 0.0,
-    relief_m: Annotated[float, typer.Option(min=0.0, help="How uneven that surface is (σ).")] = 0.1,
+    surfaces: Annotated[
+        Path | None,
+        typer.Option(
+            help="JSON list of what a ranger's beam may meet; not given: about the ring's plane."
+        ),
+    ] = None,
     options: Annotated[
         Path | None, typer.Option(help="JSON file of options, as docs/fusion.md lists them.")
     ] = None,
@@ -73,8 +76,9 @@ def fuse(
     if output.resolve() in [path.resolve() for _, path in named]:
         raise RendezviewError(f"{output}: the state must not overwrite a log")
     ring = Target.load(target).docking_ring if target else None
-    surface = None if ring is None else Surface.of_ring(ring, surface_depth_m, relief_m)
-    context = LogContext(ring, surface, _mounts(mount or [], names))
+    context = LogContext(
+        ring, read_surfaces(surfaces) if surfaces else (), _mounts(mount or [], names)
+    )
     fusion = Fusion(read_options(options) if options else FusionOptions())
     read = [read_log(path, name, context) for name, path in named]
     measurements = merged(read)

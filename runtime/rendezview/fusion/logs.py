@@ -32,13 +32,15 @@ from rendezview.pose import Pose
 from rendezview.results import read_json_lines
 from rendezview.target import DockingRing
 
+_RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogContext:
     """What the lines of a log leave open."""
 
     ring: DockingRing | None = None  # for rings, and for ranges unless a surface is given
-    surface: Surface | None = None  # that a ranger's beam meets
+    surfaces: tuple[Surface, ...] = ()  # that a ranger's beam may meet
     mounts: Mapping[str, Pose] = field(default_factory=dict)  # sensor_from_camera by name
 
 
@@ -94,6 +96,21 @@ def read_options(path: StrPath) -> FusionOptions:
     return checked(TypeAdapter(FusionOptions), read_json(path, "fusion options"), str(path))
 
 
+def read_surfaces(path: StrPath) -> tuple[Surface, ...]:
+    """What a beam may meet, from a JSON list; keys are those of `Surface`.
+
+    Raises:
+        RendezviewError: missing, no list of such, or a wrong value.
+    """
+    content = read_json(path, "surfaces")
+    try:
+        if not isinstance(content, list) or not content:
+            raise ValueError("a list of surfaces is needed")
+        return tuple(Surface(**one) for one in content)
+    except (ValueError, TypeError) as error:
+        raise RendezviewError(f"{path}: no surfaces: {error}") from error
+
+
 def read_mount(path: StrPath) -> Pose:
     """``sensor_from_camera`` of a JSON file with ``quat_wxyz`` and ``translation_m``.
 
@@ -113,10 +130,10 @@ Reader = Callable[[dict[str, Any], str, LogContext], Measurement | None]
 
 def _kind(record: dict[str, Any], path: str, context: LogContext) -> tuple[str, Reader]:
     if "range_m" in record:
-        if context.surface is None and context.ring is None:
+        if not context.surfaces and context.ring is None:
             raise RendezviewError(
-                f"{path}: a range needs to know what the beam meets: give --target with a docking "
-                "ring"
+                f"{path}: a range needs to know what the beam meets: give --surfaces, or "
+                "--target with a docking ring"
             )
         return "range", _range_of
     if "ellipses" in record:
@@ -173,17 +190,17 @@ def _range_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measu
     distance = record["range_m"]
     if distance is None:
         return None
-    surface = context.surface
-    if surface is None:
+    surfaces = context.surfaces
+    if not surfaces:
         assert context.ring is not None
-        surface = Surface.of_ring(context.ring)
+        surfaces = (Surface(context.ring.centre_m, context.ring.axis, _RELIEF_M),)
     sigma_m = float(record["sigma_m"])
     origin = np.array(record.get("origin_m", [0.0, 0.0, 0.0]), dtype=np.float64)
     direction = np.array(record.get("direction", [0.0, 0.0, 1.0]), dtype=np.float64)
     if not (isinstance(distance, int | float) and math.isfinite(distance)):
         raise ValueError(f"range_m must be a number or null, not {distance!r}")
     return RangeMeasurement(
-        _time(record), sensor, float(distance), sigma_m, surface, origin, direction
+        _time(record), sensor, float(distance), sigma_m, surfaces, origin, direction
     )
 
 

@@ -116,31 +116,49 @@ class RingMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """What a ranger's beam meets: a plane of the target, and how uneven it is."""
+    """What a ranger's beam may meet: a plane of the target, where it ends, how uneven it is.
+
+    Raises:
+        ValueError: no unit normal, or a length is negative.
+    """
 
     point_m: Array  # (3,) target frame
     normal: Array  # (3,) unit, target frame
     relief_m: float = 0.0  # σ of the real surface about the plane; lasts while the spot stays
+    inner_m: float = 0.0  # distance from the point where it begins: a nozzle in its middle
+    outer_m: float = math.inf  # … and where it ends
 
-    @classmethod
-    def of_ring(cls, ring: DockingRing, depth_m: float = 0.0, relief_m: float = 0.0) -> Surface:
-        """The plane of a ring, or one that lies ``depth_m`` behind it."""
-        return cls(ring.centre_m - depth_m * ring.axis, ring.axis, relief_m)
+    def __post_init__(self) -> None:
+        point, normal = (np.array(v, dtype=np.float64) for v in (self.point_m, self.normal))
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise ValueError(f"point_m must be three finite numbers, not {self.point_m}")
+        if normal.shape != (3,) or not 0.0 < float(np.linalg.norm(normal)) < math.inf:
+            raise ValueError(f"normal must be a vector (3,), not {self.normal}")
+        if not (0.0 <= self.relief_m < math.inf and 0.0 <= self.inner_m < self.outer_m):
+            raise ValueError(
+                f"relief_m must not be negative, outer_m beyond inner_m: {self.relief_m}, "
+                f"{self.inner_m}, {self.outer_m}"
+            )
+        object.__setattr__(self, "point_m", point)
+        object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeMeasurement:
-    """A distance along a beam to a surface of the target.
+    """A distance along a beam to the target.
+
+    Of several surfaces the first counts on which the spot is expected for sure. Where there is
+    none the range says nothing; a last surface without ends and with much relief says something.
 
     Raises:
-        ValueError: a number is not finite, the range or σ not positive, or no direction.
+        ValueError: a number is not finite, the range or σ not positive, no direction, no surface.
     """
 
     time_s: float
     sensor: str
     range_m: float
     sigma_m: float
-    surface: Surface
+    surfaces: tuple[Surface, ...]
     origin_m: Array = field(default_factory=lambda: np.zeros(3))  # (3,) camera frame
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit
 
@@ -152,6 +170,8 @@ class RangeMeasurement:
             raise ValueError(
                 f"{self.sensor}: range and σ must be positive: {self.range_m}, {self.sigma_m}"
             )
+        if not self.surfaces:
+            raise ValueError(f"{self.sensor}: a range needs a surface that the beam may meet")
         origin = np.array(self.origin_m, dtype=np.float64)
         direction = np.array(self.direction, dtype=np.float64)
         if origin.shape != (3,) or not np.isfinite(origin).all():
@@ -165,7 +185,7 @@ class RangeMeasurement:
         """The same said in the camera frame."""
         camera_from_sensor = sensor_from_camera.inverse()
         return RangeMeasurement(
-            self.time_s, self.sensor, self.range_m, self.sigma_m, self.surface,
+            self.time_s, self.sensor, self.range_m, self.sigma_m, self.surfaces,
             camera_from_sensor.apply(self.origin_m), camera_from_sensor.rotation @ self.direction,
         )  # fmt: skip
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rendezview.fusion.state import State
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth
+_SURELY = 3.0  # σ of the place by which a spot must lie within its surface
 _GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
 
 
@@ -95,28 +96,42 @@ def _ring(state: State, measurement: RingMeasurement, sensor: SensorOptions) -> 
 
 
 def _range(state: State, measurement: RangeMeasurement) -> Expected | str:
-    surface, beam = measurement.surface, measurement.direction
-    normal = state.rotation @ surface.normal
-    slant = float(normal @ beam)
-    if abs(slant) < _GRAZING:
-        return "the beam grazes the surface"
+    beam = measurement.direction
     from_origin = state.translation_m - measurement.origin_m
-    distance = float(normal @ (state.rotation @ surface.point_m + from_origin)) / slant
-    if not distance > 0.0:
-        return "the surface would be behind the ranger"
-    slope = np.zeros((1, _COLUMNS))
-    # d(n·(p − o)/(n·d)), with n and p − t turned by w: n × (t − o − distance d) over n·d.
-    away = from_origin - distance * beam
-    slope[0, 0] = (normal[1] * away[2] - normal[2] * away[1]) / slant
-    slope[0, 1] = (normal[2] * away[0] - normal[0] * away[2]) / slant
-    slope[0, 2] = (normal[0] * away[1] - normal[1] * away[0]) / slant
-    slope[0, 3:6] = normal / slant
-    return Expected(
-        np.array([measurement.range_m - distance]),
-        slope,
-        np.array([[measurement.sigma_m**2]]),
-        np.array([[surface.relief_m]]),
-    )
+    told = "no surface"
+    for surface in measurement.surfaces:
+        normal = state.rotation @ surface.normal
+        arm = state.rotation @ surface.point_m
+        slant = float(normal @ beam)
+        if abs(slant) < _GRAZING:
+            told = "the beam grazes the surface"
+            continue
+        distance = float(normal @ (arm + from_origin)) / slant
+        if not distance > 0.0:
+            told = "the surface would be behind the ranger"
+            continue
+        if surface.inner_m > 0.0 or surface.outer_m < np.inf:
+            spot = distance * beam - from_origin - arm
+            from_point = float(np.sqrt(spot @ spot))
+            # Only where the spot is surely on it.
+            margin_m = _SURELY * float(np.sqrt(max(state.covariance[3, 3], state.covariance[4, 4])))
+            if not surface.inner_m + margin_m <= from_point <= surface.outer_m - margin_m:
+                told = f"the beam may miss the surface: {from_point:.2g} m from its middle"
+                continue
+        slope = np.zeros((1, _COLUMNS))
+        # d(n·(p − o)/(n·d)), with n and p − t turned by w: n × (t − o − distance d) over n·d.
+        away = from_origin - distance * beam
+        slope[0, 0] = (normal[1] * away[2] - normal[2] * away[1]) / slant
+        slope[0, 1] = (normal[2] * away[0] - normal[0] * away[2]) / slant
+        slope[0, 2] = (normal[0] * away[1] - normal[1] * away[0]) / slant
+        slope[0, 3:6] = normal / slant
+        return Expected(
+            np.array([measurement.range_m - distance]),
+            slope,
+            np.array([[measurement.sigma_m**2]]),
+            np.array([[surface.relief_m]]),
+        )
+    return told
 
 
 def tangents(axis: Array) -> Array:
