@@ -44,7 +44,7 @@ def test_the_predicted_covariance_is_that_of_dense_matrices():
     covariance = random_covariance(rng, n)
     arm, fade = rng.standard_normal(3), rng.uniform(0.2, 1.0, n - 12)
     turn = Rotation.from_rotvec([0.1, 0.2, -0.3]).as_matrix()
-    angular, linear, pointing = 0.3, 0.2, 0.5
+    angular, linear, along, pointing = 0.3, 0.2, 0.4, 0.5
     step = np.eye(n)
     step[:3, :3] = turn
     step[:6, 6:12] = dt * np.eye(6)
@@ -53,11 +53,12 @@ def test_the_predicted_covariance_is_that_of_dense_matrices():
     swing = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # w × arm = −[arm]× w
     drive = np.vstack([np.eye(3), swing])
     density = np.diag([angular] * 3 + [linear] * 3) + pointing * drive @ drive.T
+    density[3:, 3:] += along * np.outer(arm, arm) / (arm @ arm)
     noise = np.zeros((n, n))
     noise[:6, :6], noise[6:12, 6:12] = density * dt**3 / 3.0, density * dt
     noise[:6, 6:12] = noise[6:12, :6] = density * dt**2 / 2.0
     noise[12:, 12:] = np.diag(1.0 - fade**2)
-    out = predict_covariance(covariance, turn, arm, dt, angular, linear, pointing, fade)
+    out = predict_covariance(covariance, turn, arm, dt, angular, linear, along, pointing, fade)
     assert np.allclose(out, step @ covariance @ step.T + noise, atol=1e-12)
 
 

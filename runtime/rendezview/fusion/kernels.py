@@ -102,6 +102,7 @@ def predict_covariance(
     dt: float,
     angular: float,
     linear: float,
+    along: float,
     pointing: float,
     fade: Array,
 ) -> Array:
@@ -110,7 +111,7 @@ def predict_covariance(
     Args:
         turn: (3, 3) rotation of the step: the old attitude error turns with the body.
         arm: (3,) translation, round which the camera's own turning swings the target.
-        angular, linear, pointing: squared densities of the accelerations.
+        angular, linear, along, pointing: squared densities of the accelerations.
         fade: (n - 12,) factors towards a variance of 1; 1 for a constant.
     """
     n = len(covariance)
@@ -146,8 +147,11 @@ def predict_covariance(
         noise[3 + i, 3 + i] = linear
         for j in range(3):
             noise[3 + i, j] = noise[j, 3 + i] = pointing * swing[i, j]
+    square = arm[0] ** 2 + arm[1] ** 2 + arm[2] ** 2
     for i in range(3):
         for j in range(3):
+            if square > 0.0:
+                noise[3 + i, 3 + j] += along * arm[i] * arm[j] / square
             for k in range(3):
                 noise[3 + i, 3 + j] += pointing * swing[i, k] * swing[j, k]
     for i in range(6):
@@ -171,6 +175,7 @@ def predicted(
     dt: float,
     angular: float,
     linear: float,
+    along: float,
     pointing: float,
 ) -> tuple[Array, Array, Array, Array]:
     """Rotation, translation, extras and covariance ``dt`` later.
@@ -178,16 +183,18 @@ def predicted(
     ``fading`` (n - 12, 2) is how fast each of the extras is forgotten: by time (1/s), and by
     change of the logarithm of the range.
     """
-    square, along = 0.0, 0.0
+    square, inwards = 0.0, 0.0
     for i in range(3):
         square += translation[i] * translation[i]
-        along += translation[i] * rates[3 + i]
-    speed = abs(along) / square if square > 0.0 else 0.0
+        inwards += translation[i] * rates[3 + i]
+    speed = abs(inwards) / square if square > 0.0 else 0.0
     fade = np.empty(len(extras))
     for i in range(len(extras)):
         fade[i] = np.exp(-dt * (fading[i, 0] + speed * fading[i, 1]))
     turn = turned(dt * rates[:3], np.eye(3))
-    out = predict_covariance(covariance, turn, translation, dt, angular, linear, pointing, fade)
+    out = predict_covariance(
+        covariance, turn, translation, dt, angular, linear, along, pointing, fade
+    )
     return turned(dt * rates[:3], rotation), translation + dt * rates[3:], fade * extras, out
 
 

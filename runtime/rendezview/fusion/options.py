@@ -19,6 +19,7 @@ class MotionOptions:
 
     angular: float = 3e-4  # rad/s² √s, of the target
     linear: float = 1e-3  # m/s² √s, of one craft against the other
+    along: float = 0.0  # m/s² √s, more along the line of sight: a chaser brakes there
     pointing: float = 1e-4  # rad/s² √s, of the camera: turns the target and swings it round
     first_rate: float = 0.01  # rad/s, σ of the unknown first rates
     first_velocity: float = 0.5  # m/s

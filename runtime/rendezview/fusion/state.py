@@ -159,7 +159,8 @@ def predict(state: State, dt_s: float, options: FusionOptions) -> State:
     motion = options.motion
     rotation, translation, extras, covariance = predicted(
         state.rotation, state.translation_m, state.rates, state.extras, state.covariance,
-        state.fading, dt_s, motion.angular**2, motion.linear**2, motion.pointing**2,
+        state.fading, dt_s, motion.angular**2, motion.linear**2, motion.along**2,
+        motion.pointing**2,
     )  # fmt: skip
     return State(
         state.time_s + dt_s, rotation, translation, state.rates, extras, covariance, state.fading,
