@@ -64,6 +64,14 @@ def _within(block: Array, sigma: float) -> bool:
     return bool(np.linalg.eigvalsh(block)[-1] < sigma**2)
 
 
+def _blind(state: State) -> bool:
+    """Whether not even a contradiction would say something: begin where the first pose is."""
+    covariance = state.covariance
+    place = covariance[3, 3] + covariance[4, 4] + covariance[5, 5]
+    attitude = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
+    return bool(attitude > 1.0 or place > state.translation_m @ state.translation_m)
+
+
 def step(
     before: Snapshot, measurement: Measurement, options: FusionOptions
 ) -> tuple[Snapshot, Verdict]:
@@ -73,12 +81,10 @@ def step(
     if before.state is None:
         return _first(replace(before, recent=recent), measurement, options)
     state = predict(before.state, max(time_s - before.state.time_s, 0.0), options)
-    if isinstance(measurement, PoseMeasurement):
-        why = useless(state, options)
-        if why is not None:
-            return _start(
-                replace(before, recent=recent), measurement, options, f"begun anew: {why}"
-            )
+    why = useless(state, options) if isinstance(measurement, PoseMeasurement) else None
+    if why is not None and _blind(state):
+        assert isinstance(measurement, PoseMeasurement)
+        return _start(replace(before, recent=recent), measurement, options, f"begun anew: {why}")
     trust = before.trusts.get(name) or Trust(name)
     found = innovation(state, measurement, options)
     if isinstance(found, Rejected):
@@ -86,6 +92,9 @@ def step(
         trusts = {**before.trusts, name: heard}
         after = replace(before, state=state, trusts=trusts, recent=recent)
         return after, Verdict(name, time_s, False, found.reason, None, found.size)
+    if why is not None and found.nis <= _gate(measurement, options):
+        # A forecast that is lost believes every pose that it does not contradict.
+        trust = replace(trust, locked=False, turned_away=0, lie=None)
     trust, reason = judge(trust, found, time_s, sensor_options(measurement, options))
     trusts = {**before.trusts, name: trust}
     if reason is None:
@@ -97,6 +106,8 @@ def step(
         return _start(
             after, measurement, options, f"begun anew, the start was not borne out: {reason}"
         )
+    if why is not None and trust.locked and isinstance(measurement, PoseMeasurement):
+        return _start(after, measurement, options, f"begun anew: {why}")
     overruled = _overruled(after, state, options)
     if overruled is not None:
         pose, told = overruled
@@ -183,4 +194,8 @@ def _fits(trial: State, measurement: Measurement, options: FusionOptions) -> boo
     found = innovation(moved, measurement, options)
     if isinstance(found, Rejected):
         return False
-    return found.nis <= gate_of(found.size, sensor_options(measurement, options).gate)
+    return found.nis <= _gate(measurement, options)
+
+
+def _gate(measurement: Measurement, options: FusionOptions) -> float:
+    return gate_of(measurement.size, sensor_options(measurement, options).gate)
