@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rendezview.ring import RingPrior
+from rendezview.ring.run import follow as follow_ring
+from rendezview.ring.run import record as ring_record
 from scipy.spatial.transform import Rotation
 
 from rendezview.appearance import Status, ViewModel
@@ -25,6 +28,7 @@ from rendezview.fusion import (
     Measurement,
     MotionOptions,
     PoseMeasurement,
+    RingCandidate,
     RingMeasurement,
     SensorOptions,
     Surface,
@@ -34,6 +38,7 @@ from rendezview.fusion import (
 )
 from rendezview.fusion.kernels import rotation_vector
 from rendezview.fusion.logs import LogContext, merged, read_log
+from rendezview.fusion.models import tangents
 from rendezview.pose import Array, Pose
 from rendezview.results import JsonLinesWriter, read_json_lines
 from rendezview.sequences import BopSceneWriter, Frame, Sequence, open_sequence
@@ -140,7 +145,41 @@ def make_run(folder: Path, seed: int, model: ViewModel | None, *, keep_frames: b
 
 
 def ring_run(folder: Path) -> None:
-    """The ring detector's log, as `rendezview ring -o` writes it."""
+    """The ring detector's log, as `rendezview ring -o` writes it.
+
+    What it is told before a frame is what the filter forecasts, as on board: the filter runs along,
+    with the recognizer, the ranger, and the ring as it is found.
+    """
+    if (folder / "ring.jsonl").exists():
+        return
+    ring = ring_of_client()
+    context = LogContext(ring, SURFACES)
+    others = [read_log(folder / f"{name}.jsonl", name, context) for name in ("appearance", "laser")]
+    pending = merged(others)
+    fusion = Fusion(OPTIONS)
+    done = 0
+
+    def prior(frame: Frame) -> RingPrior | None:
+        nonlocal done
+        assert frame.time_s is not None
+        while done < len(pending) and pending[done].time_s <= frame.time_s:
+            fusion.add(pending[done])
+            done += 1
+        pose = fusion.state_at(frame.time_s).pose
+        if pose is None:
+            return None
+        return RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
+
+    with JsonLinesWriter(folder / "ring.jsonl") as writer:
+        for frame, _, reading in follow_ring(scene_of(folder), ring.radius_m, prior=prior):
+            writer.write(ring_record(frame, reading))
+            circles = tuple(
+                RingCandidate.of_tangent(c.centre_m, c.axis, c.covariance, tangents(c.axis))
+                for c in reading.poses
+                if c.covariance is not None and np.isfinite(c.covariance).all()
+            )
+            if circles and frame.time_s is not None:
+                fusion.add(RingMeasurement(frame.time_s, "ring", circles, ring))
 
 
 def scene_of(folder: Path) -> Sequence:

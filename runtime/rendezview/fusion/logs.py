@@ -174,7 +174,9 @@ def _ring_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measur
     assert context.ring is not None
     candidates = []
     for pose in record["poses"]:
-        covariance = np.array(pose["covariance"], dtype=np.float64)
+        covariance = np.array(pose["covariance"], dtype=np.float64)  # null becomes NaN
+        if not np.isfinite(covariance).all():
+            continue  # its error is not known: no measurement
         if covariance.shape != (5, 5):
             raise ValueError("covariance must be (5, 5)")
         axis = np.array(pose["axis"], dtype=np.float64)
