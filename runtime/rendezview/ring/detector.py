@@ -88,6 +88,8 @@ class RingDetector:
             [camera.fx, camera.fy, camera.cx, camera.cy, *distortion, float(camera.is_distorted)]
         )
         self._filters = step_filters(self.options.blur_px)
+        self._number = np.zeros((camera.height, camera.width), dtype=np.int32)
+        self._power = np.empty((camera.height, camera.width), dtype=np.float32)
         self._basis = step_basis(self.options.blur_px)
 
     def detect(self, image: npt.ArrayLike) -> Detection:
@@ -109,7 +111,7 @@ class RingDetector:
 
         found = find_edges(grey, o.least_contrast_grey, o.edge_sigmas)
         lap("edges")
-        points, starts, closed = link(found.dx, found.dy, found.edges)
+        points, starts, closed = link(found.dx, found.dy, found.low, found.high, self._number, self._power)
         lap("chains")
         if len(points) == 0:
             return Detection((), found.noise_grey, "no edges in the picture", stage_ms)

@@ -1,4 +1,7 @@
-"""Directed chains of edge points: Canny's pixels, placed along the gradient, linked by direction.
+"""Directed chains of edge points: crests of the gradient, placed along it, linked by direction.
+
+Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept too,
+by chain: one that is nowhere strong is dropped.
 
 A chain runs with the bright side on its right as the picture is seen, so that it turns one way
 along a convex outline, and two edges that touch are not joined against their gradients.
@@ -20,19 +23,20 @@ Ints = npt.NDArray[np.int32]
 
 BLUR_PX = 1.0  # σ of the smoothing before the gradient
 _KERNEL = (5, 5)
+_BLOCK = 16  # pixels of a row that are passed over at once
 SOBEL = 8.0  # of Sobel's weights, to grey levels a pixel
 _GRADIENT_SHARE = 1.05  # noise of one Sobel component over the pixels' σ, after the smoothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeMap:
-    """Gradients of a frame and its edge pixels."""
+    """Gradients of a frame, and from where on they are an edge."""
 
     dx: Gradient
     dy: Gradient
-    edges: Grey  # 255 where an edge is
     noise_grey: float  # σ of a pixel
-    low: float  # least gradient of an edge, Sobel units
+    low: float  # least gradient of an edge pixel, Sobel units
+    high: float  # least gradient that an edge has somewhere
 
 
 @njit(cache=True, nogil=True)
@@ -71,65 +75,105 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
     dx, dy = cv2.spatialGradient(smooth)
     # A step of contrast c, blurred to σ ≈ 1.5 px, has the slope 0.27 c.
     high = max(0.27 * SOBEL * least_contrast_grey, sigmas * _GRADIENT_SHARE * noise)
-    low = 0.6 * high
-    edges = cv2.Canny(dx, dy, low, high, L2gradient=True)
-    return EdgeMap(dx, dy, np.asarray(edges, np.uint8), noise, low)  # type: ignore[arg-type]
+    low = 0.75 * high
+    return EdgeMap(dx, dy, noise, low, high)  # type: ignore[arg-type]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _powers(dx, dy, line, peaks):  # type: ignore[no-untyped-def]
+    """Squared gradients of a row, and the largest of every block of it."""
+    width = line.shape[0]
+    for column in range(width):
+        a, b = np.float32(dx[column]), np.float32(dy[column])
+        line[column] = a * a + b * b
+    for block in range(peaks.shape[0]):
+        most = np.float32(0.0)
+        for column in range(block * _BLOCK, min((block + 1) * _BLOCK, width)):
+            most = max(most, line[column])
+        peaks[block] = most
 
 
 @njit(cache=True, nogil=True)
-def link(dx, dy, edges):  # type: ignore[no-untyped-def]
-    """Edge pixels as chains.
+def _crest(dx, dy, power, row, column, here, out):  # type: ignore[no-untyped-def]
+    """Place x, y, direction and size of the crest at a pixel, into ``out``; False where none is."""
+    gx, gy = np.float32(dx[row, column]), np.float32(dy[row, column])
+    # Two neighbours on the gradient's line, each between two pixels.
+    if abs(gx) >= abs(gy):
+        step = 1 if gx > 0 else -1
+        side = 1 if gy > 0 else -1
+        t = abs(gy / gx)
+        p00, p01 = power[row, column + step], power[row + side, column + step]
+        p10, p11 = power[row, column - step], power[row - side, column - step]
+    else:
+        step = 1 if gy > 0 else -1
+        side = 1 if gx > 0 else -1
+        t = abs(gx / gy)
+        p00, p01 = power[row + step, column], power[row + step, column + side]
+        p10, p11 = power[row - step, column], power[row - step, column - side]
+    rest = np.float32(1.0) - t
+    if rest * p00 + t * p01 >= here or rest * p10 + t * p11 > here:
+        return False
+    size = np.sqrt(here)
+    a = rest * np.sqrt(p00) + t * np.sqrt(p01)
+    b = rest * np.sqrt(p10) + t * np.sqrt(p11)
+    curve = a + b - 2.0 * size
+    shift = 0.5 * (b - a) / curve if curve < -1e-9 else 0.0
+    shift = min(max(shift, -0.6), 0.6) * np.sqrt(1.0 + t * t)
+    ux, uy = gx / size, gy / size
+    out[0], out[1], out[2], out[3], out[4] = column + shift * ux, row + shift * uy, ux, uy, size
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _crests(dx, dy, low, number, power):  # type: ignore[no-untyped-def]
+    """All crests (N, 5) and their pixels (N, 2); ``number`` gets 1 + their index."""
+    height, width = dx.shape
+    room = 8192
+    found = np.empty((room, 5))
+    place = np.empty((room, 2), dtype=np.int32)
+    square = np.float32(low * low)
+    total = 0
+    blocks = (width + _BLOCK - 1) // _BLOCK
+    peaks = np.empty((2, blocks), dtype=np.float32)  # of this row and the next
+    for below in range(2, height - 2):
+        _powers(dx[below], dy[below], power[below], peaks[below % 2])
+        row = below - 1
+        if row < 3:
+            continue
+        line = power[row]
+        if total + width > room:
+            room = 2 * room + width
+            more, places = np.empty((room, 5)), np.empty((room, 2), dtype=np.int32)
+            more[:total], places[:total] = found[:total], place[:total]
+            found, place = more, places
+        for block in range(blocks):
+            if peaks[row % 2, block] < square:
+                continue
+            for column in range(max(3, block * _BLOCK), min((block + 1) * _BLOCK, width - 3)):
+                here = line[column]
+                if here >= square and _crest(dx, dy, power, row, column, here, found[total]):
+                    place[total, 0], place[total, 1] = column, row
+                    total += 1
+                    number[row, column] = total
+    return found[:total], place[:total]
+
+
+@njit(cache=True, nogil=True)
+def link(dx, dy, low, high, number, power):  # type: ignore[no-untyped-def]
+    """Crests of the gradient as chains.
+
+    Args:
+        dx, dy: (H, W) Sobel gradients.
+        low, high: a crest's least gradient, and the least that its chain has somewhere.
+        number: (H, W) int32 of zeros, for use and reuse: left as it was.
+        power: (H, W) float32, for use and reuse.
 
     Returns:
         points: (N, 4) x, y (px, sub-pixel), unit gradient x, y, in the order of the chains;
         starts: (C + 1,) where each chain begins; closed: (C,) whether it ends where it began.
     """
-    height, width = edges.shape
-    number = np.zeros((height, width), dtype=np.int32)
-    total = 0
-    for row in range(2, height - 2):
-        line = edges[row]
-        for column in range(2, width - 2):
-            if line[column] != 0:
-                total += 1
-                number[row, column] = total
-    found = np.empty((total, 4))
-    k = 0
-    place = np.empty((total, 2), dtype=np.int32)
-    for row in range(2, height - 2):
-        line = number[row]
-        for column in range(2, width - 2):
-            if line[column] == 0:
-                continue
-            place[k, 0], place[k, 1] = column, row
-            gx, gy = float(dx[row, column]), float(dy[row, column])
-            size = np.sqrt(gx * gx + gy * gy) + 1e-9
-            ux, uy = gx / size, gy / size
-            # The gradient's size one step to either side along the gradient, between two pixels.
-            if abs(ux) >= abs(uy):
-                step = 1 if ux > 0.0 else -1
-                t = abs(uy / ux)
-                side = 1 if uy > 0.0 else -1
-                a = _size(dx, dy, row, column + step) * (1.0 - t)
-                a += _size(dx, dy, row + side, column + step) * t
-                b = _size(dx, dy, row, column - step) * (1.0 - t)
-                b += _size(dx, dy, row - side, column - step) * t
-                far = 1.0 / abs(ux)
-            else:
-                step = 1 if uy > 0.0 else -1
-                t = abs(ux / uy)
-                side = 1 if ux > 0.0 else -1
-                a = _size(dx, dy, row + step, column) * (1.0 - t)
-                a += _size(dx, dy, row + step, column + side) * t
-                b = _size(dx, dy, row - step, column) * (1.0 - t)
-                b += _size(dx, dy, row - step, column - side) * t
-                far = 1.0 / abs(uy)
-            bend = a + b - 2.0 * size
-            shift = 0.5 * (b - a) / bend if bend < -1e-9 else 0.0
-            shift = min(max(shift, -0.6), 0.6) * far
-            found[k, 0], found[k, 1] = column + shift * ux, row + shift * uy
-            found[k, 2], found[k, 3] = ux, uy
-            k += 1
+    found, place = _crests(dx, dy, low, number, power)
+    total = found.shape[0]
     follower = np.full(total, -1, dtype=np.int32)
     leader = np.full(total, -1, dtype=np.int32)
     quality = np.zeros(total)
@@ -166,6 +210,8 @@ def link(dx, dy, edges):  # type: ignore[no-untyped-def]
             leader[at] = i
             quality[at] = best
             follower[i] = at
+    for i in range(total):
+        number[place[i, 1], place[i, 0]] = 0
     points = np.empty((total, 4))
     starts = np.empty(total + 1, dtype=np.int32)
     closed = np.zeros(total, dtype=np.bool_)
@@ -177,22 +223,18 @@ def link(dx, dy, edges):  # type: ignore[no-untyped-def]
                 continue
             starts[chains] = filled
             j = i
+            strongest = 0.0
             while j >= 0 and not used[j]:
                 used[j] = True
+                strongest = max(strongest, found[j, 4])
                 for c in range(4):
                     points[filled, c] = found[j, c]
                 filled += 1
                 j = follower[j]
-            if filled - starts[chains] < 8:  # too short to bend
+            if filled - starts[chains] < 8 or strongest < high:  # too short to bend; noise
                 filled = starts[chains]
                 continue
             closed[chains] = ring == 1
             chains += 1
     starts[chains] = filled
     return points[:filled], starts[: chains + 1], closed[:chains]
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _size(dx, dy, row, column):  # type: ignore[no-untyped-def]
-    a, b = float(dx[row, column]), float(dy[row, column])
-    return np.sqrt(a * a + b * b)
