@@ -66,6 +66,11 @@ class RingEdge:
     family: int  # number of the set of concentric circles it belongs to
     rms_px: float  # of the edge places about the ellipse
 
+    @property
+    def arc_deg(self) -> float:
+        """`arc_rad` in degrees, as the log has it."""
+        return math.degrees(self.arc_rad)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
