@@ -26,6 +26,7 @@ _SUMMARIES = {
     "train": "Train a view model of a target.",
     "simulate": "Render camera frames of a target with the truth of every one.",
     "track": "Recognise and track a target through a sequence of frames.",
+    "ring": "Find a docking ring: its ellipses, and with its radius its pose.",
     "stereo": "Track a target's lights with two or more cameras.",
     "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
     "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
