@@ -365,6 +365,8 @@ def pose_model(
     rotation: Array,
     translation: Array,
     inflation: float,
+    floor_rad: float,
+    floor_range: float,
     lasting: float,
 ) -> tuple[Array, Array, Array]:
     """(6,) residual, (6, 6) white covariance and (6, 6) root of the lasting one, of a pose."""
@@ -372,10 +374,21 @@ def pose_model(
     residual[:3] = rotation_vector(measured_rotation, rotation)
     for i in range(3):
         residual[3 + i] = measured_translation[i] - translation[i]
-    return (
-        residual, ((1.0 - lasting) * inflation) * covariance,
-        square_root((lasting * inflation) * covariance),
-    )  # fmt: skip
+    whole = pose_covariance(measured_translation, covariance, inflation, floor_rad, floor_range)
+    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pose_covariance(
+    translation: Array, covariance: Array, inflation: float, floor_rad: float, floor_range: float
+) -> Array:
+    """(6, 6) what a pose's covariance is taken for."""
+    whole = inflation * covariance
+    square = translation[0] ** 2 + translation[1] ** 2 + translation[2] ** 2
+    for i in range(3):
+        whole[i, i] += floor_rad**2
+        whole[3 + i, 3 + i] += floor_range**2 * square
+    return whole
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -427,6 +440,8 @@ def ring_look(
     axis: Array,
     basis: Array,
     inflation: float,
+    floor_rad: float,
+    floor_range: float,
     lasting: float,
 ) -> tuple[Array, Array, Array]:
     """(5,) residual, (5, 5) white covariance and (5, 5) root of the lasting one, of a circle."""
@@ -453,6 +468,11 @@ def ring_look(
             for k in range(6):
                 whole[i, j] += half[i, k] * flat[j, k]
             whole[i, j] *= inflation
+    square = measured_centre[0] ** 2 + measured_centre[1] ** 2 + measured_centre[2] ** 2
+    for i in range(3):
+        whole[i, i] += floor_range**2 * square
+    for i in range(3, 5):
+        whole[i, i] += floor_rad**2
     return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
 
 

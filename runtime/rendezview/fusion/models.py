@@ -65,7 +65,8 @@ def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> 
     pose = measurement.pose
     residual, white, root = pose_model(
         pose.rotation, pose.translation_m, measurement.covariance, state.rotation,
-        state.translation_m, sensor.inflation, sensor.lasting,
+        state.translation_m, sensor.inflation, sensor.floor_rad, sensor.floor_range,
+        sensor.lasting,
     )  # fmt: skip
     return Expected(residual, _POSE_SLOPE, white, root)
 
@@ -86,7 +87,7 @@ def _ring(state: State, measurement: RingMeasurement, sensor: SensorOptions) -> 
     for candidate in measurement.candidates[:2]:
         residual, white, root = ring_look(
             candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
-            sensor.inflation, sensor.lasting,
+            sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting,
         )  # fmt: skip
         looks.append(Expected(residual, slope, white, root))
     if len(looks) == 1:

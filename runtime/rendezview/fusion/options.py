@@ -41,6 +41,8 @@ class SensorOptions:
     __pydantic_config__ = _FORBID
 
     inflation: float = 1.0  # of the variance that the sensor gives
+    floor_rad: float = 0.0  # σ that its attitude or axis has besides, whatever it says
+    floor_range: float = 0.0  # … and its place, over the range
     lasting: float = 0.8  # share of the variance that lasts
     lasting_s: float = 30.0  # for so long (1/e)
     lasting_range: float = 0.5  # … and over so much change of the logarithm of the range
@@ -56,6 +58,8 @@ class SensorOptions:
                 f"inflation must be positive and lasting from 0 to below 1: "
                 f"{self.inflation}, {self.lasting}"
             )
+        if not (0.0 <= self.floor_rad < math.inf and 0.0 <= self.floor_range < math.inf):
+            raise ValueError("floor_rad and floor_range must not be negative")
         if not (self.lasting_s > 0.0 and self.lasting_range > 0.0 and self.nis_limit > 0.0):
             raise ValueError("lasting_s, lasting_range and nis_limit must be positive")
         if not 0.0 < self.gate < 1.0:

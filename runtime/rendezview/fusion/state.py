@@ -15,7 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.kernels import corrected, distance, predicted, rotation_vector
+from rendezview.fusion.kernels import (
+    corrected,
+    distance,
+    pose_covariance,
+    predicted,
+    rotation_vector,
+)
 from rendezview.fusion.measurements import Measurement, PoseMeasurement
 from rendezview.fusion.models import Expected, expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
@@ -122,14 +128,18 @@ def begin(
     sensor = sensor_options(measurement, options)
     motion = options.motion
     covariance = np.zeros((FIRST_BIAS + 6, FIRST_BIAS + 6))
-    covariance[:6, :6] = sensor.inflation * measurement.covariance
+    first = pose_covariance(
+        measurement.pose.translation_m, measurement.covariance, sensor.inflation,
+        sensor.floor_rad, sensor.floor_range,
+    )  # fmt: skip
+    covariance[:6, :6] = first
     for i in range(3):
         covariance[6 + i, 6 + i] = motion.first_rate**2
         covariance[9 + i, 9 + i] = motion.first_velocity**2
     covariance[RADIUS, RADIUS] = options.ring_radius_sigma**2
     covariance[DEPTH, DEPTH] = options.ring_depth_sigma_m**2
     # The estimate is wrong by −(A b + white): what is in it of the lasting error b.
-    root = root_of_lasting(sensor.inflation * measurement.covariance, sensor)
+    root = root_of_lasting(first, sensor)
     bias = slice(FIRST_BIAS, FIRST_BIAS + 6)
     covariance[bias, bias] = np.eye(6)
     covariance[:6, bias], covariance[bias, :6] = -root, -root.T
