@@ -21,9 +21,12 @@ from rendezview.ring.support import (
     COLUMNS,
     CONTRAST,
     OFFSET,
+    PX,
+    PY,
     WEIGHT,
     correlation_factor,
     gradient_support,
+    near_shape,
     sense_of,
     step_basis,
     step_filters,
@@ -243,8 +246,32 @@ def _verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # 
             count += 1
         kept[at] = shape
         value[at] = share
-    order = np.argsort(-value[:count])
-    return kept[:count][order]
+    return _exclusive(dx, dy, low, lens, kept[np.argsort(-value[:count])], least_arc)
+
+
+@njit(cache=True, nogil=True)
+def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped-def]
+    """Shapes (M, 5), best first, less those that live on the edges of better ones."""
+    n = _SUPPORT_SAMPLES
+    samples = np.zeros((n, COLUMNS))
+    kept = np.empty_like(shapes)
+    count = 0
+    for k in range(shapes.shape[0]):
+        gradient_support(dx, dy, low, lens, shapes[k], n, 1.5, samples)
+        _one_sense(samples, n)
+        own = 0
+        for i in range(n):
+            if samples[i, WEIGHT] > 0.0:
+                free = True
+                for j in range(count):
+                    if near_shape(kept[j], samples[i, PX], samples[i, PY], 2.0):
+                        free = False
+                        break
+                own += free
+        if own * 2.0 * np.pi / n >= 0.8 * least_arc:
+            kept[count] = shapes[k]
+            count += 1
+    return kept[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -359,7 +386,7 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
                 weight += 1.0
                 contrast += samples[i, CONTRAST]
         arc = _covered(samples, n, scale)
-        if used < 20:
+        if used < 20 or arc < 0.8 * least_arc:
             continue
         update = shape.copy()
         if update_shape(samples, n, 3.0 * scale, update, normal) < 0.0:

@@ -65,6 +65,17 @@ def _frame(shape, u0, u1):  # type: ignore[no-untyped-def]
     return shape[0] + a * u0 + b * u1, shape[1] + b * u0 + c * u1, n0 / size, n1 / size
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def near_shape(shape, x, y, near_px):  # type: ignore[no-untyped-def]
+    """Whether a point lies within ``near_px`` of an ellipse, to first order."""
+    a, b, c = shape[2], shape[3], shape[4]
+    ex, ey = x - shape[0], y - shape[1]
+    determinant = a * c - b * b
+    v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
+    g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
+    return abs(v0 * v0 + v1 * v1 - 1.0) < 2.0 * np.sqrt(g0 * g0 + g1 * g1) * near_px
+
+
 @njit(cache=True, nogil=True)
 def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: ignore[no-untyped-def]
     """Edges near an ellipse at ``count`` even angles of its circle; returns how many there are.
@@ -229,14 +240,7 @@ def step_support(  # type: ignore[no-untyped-def]
         row[WEIGHT] = 0.0
         crowded = False
         for k in range(others.shape[0]):
-            o = others[k]
-            ex, ey = x - o[0], y - o[1]
-            determinant = o[2] * o[4] - o[3] * o[3]
-            v0, v1 = (o[4] * ex - o[3] * ey) / determinant, (o[2] * ey - o[3] * ex) / determinant
-            square = v0 * v0 + v1 * v1
-            # Gradient of |A⁻¹ e|²: 2 A⁻¹ v
-            g0, g1 = (o[4] * v0 - o[3] * v1) / determinant, (o[2] * v1 - o[3] * v0) / determinant
-            if abs(square - 1.0) < 2.0 * np.sqrt(g0 * g0 + g1 * g1) * (REACH + 1.2):
+            if near_shape(others[k], x, y, REACH + 1.2):
                 crowded = True
                 break
         if crowded:
@@ -272,7 +276,6 @@ def step_support(  # type: ignore[no-untyped-def]
         if left > 6.0 * allowed + 4.0:
             continue
         # A round body's blurred edge lies inside the true one by σ²/2ρ.
-        curvature = long * short / max(along, 1e-9) ** 3 * (long * short)
         curvature = long * short / max(along, 1e-9) ** 3
         row[OFFSET] = place + 0.5 * blur_px * blur_px * curvature
         variance = spread * (noise * noise + 0.1) / (contrast * contrast) + 4e-4
