@@ -13,9 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rendezview.ring import RingPrior
-from rendezview.ring.run import follow as follow_ring
-from rendezview.ring.run import record as ring_record
 from scipy.spatial.transform import Rotation
 
 from rendezview.appearance import Status, ViewModel
@@ -41,6 +38,9 @@ from rendezview.fusion.logs import LogContext, merged, read_log
 from rendezview.fusion.models import tangents
 from rendezview.pose import Array, Pose
 from rendezview.results import JsonLinesWriter, read_json_lines
+from rendezview.ring import RingPrior
+from rendezview.ring.run import follow as follow_ring
+from rendezview.ring.run import record as ring_record
 from rendezview.sequences import BopSceneWriter, Frame, Sequence, open_sequence
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.approach import ApproachOptions, approach, echo
@@ -190,11 +190,15 @@ def scene_of(folder: Path) -> Sequence:
 # Chosen on seeds 100 to 109; tables are of seeds 0 to 49.
 OPTIONS = FusionOptions(
     # The wander of ApproachOptions; along has the braking, which the filter is not told.
-    motion=MotionOptions(angular=1.7e-4, linear=6e-4, along=2e-3, pointing=6e-5),
+    motion=MotionOptions(angular=1.7e-4, linear=6e-4, along=5e-3, pointing=6e-5),
     pose=SensorOptions(inflation=1.5, lasting=0.94, lasting_s=60.0, lasting_range=0.35),
-    ring=SensorOptions(inflation=1.5, lasting=0.8, lasting_s=60.0, lasting_range=0.35),
+    ring=SensorOptions(
+        inflation=9.0, floor_rad=math.radians(1.2), floor_range=5e-4, lasting=0.8,
+        lasting_s=60.0, lasting_range=0.35, gate=1e-3,
+    ),
     range=SensorOptions(lasting_s=10.0, lasting_range=0.5),
-)
+    ring_radius_sigma=1e-3,  # the ring's edge as drawn has 72 corners
+)  # fmt: skip
 
 
 def ring_of_client() -> DockingRing:

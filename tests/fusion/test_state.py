@@ -33,6 +33,7 @@ QUIET = FusionOptions(
     pose=WHITE,
     ring=WHITE,
     range=WHITE,
+    ring_other_edge=0.0,
 )
 
 
@@ -172,6 +173,22 @@ def test_of_two_circles_the_one_that_is_expected_counts(world):
         alone = innovation(state, true, QUIET)
         assert both.nis == pytest.approx(alone.nis, rel=1e-6)
         assert np.allclose(both.updated.rotation, alone.updated.rotation, atol=1e-9)
+
+
+def test_a_wrong_edge_counts_for_its_bearing_only(world):
+    options = replace(QUIET, ring_other_edge=0.1)
+    state = begin(world.pose(0.0), options)
+    true = world.ring(0.0)
+    one = true.candidates[0]
+    inner = replace(one, centre_m=1.07 * one.centre_m)  # 7 % smaller, taken for the ring
+    found = innovation(state, replace(true, candidates=(inner,)), options)
+    assert found.loose
+    assert found.nis < 10.0
+    off_m = found.updated.translation_m - state.translation_m
+    assert abs(off_m[2]) < 0.01
+    assert not innovation(state, true, options).loose
+    beside = replace(one, centre_m=one.centre_m + np.array([3.0, 0.0, 0.0]))
+    assert innovation(state, replace(true, candidates=(beside,)), options).nis > 40.0
 
 
 def test_two_circles_as_likely_turn_nothing_and_say_that_they_do_not_know(world):

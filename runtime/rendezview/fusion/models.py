@@ -5,7 +5,7 @@ Slopes are of the error state: R_true = exp([w]×) R, t_true = t + v (docs/conve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from rendezview.fusion.state import State
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth
-_SURELY = 3.0  # σ of the place by which a spot must lie within its surface
+_SURELY = 2.0  # σ of the place by which a spot must lie within its surface
+# Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad). Wide,
+# because the same edge is taken again and again.
+_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD = 0.01, 0.1, 0.5
 _GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
 
 
@@ -38,7 +41,9 @@ class Expected:
     slope: Array  # (m, 14) slope by motion, ring radius and depth
     white: Array  # (m, m) covariance of what is new each time
     lasting_root: Array  # (m, m) slope by the lasting error, which has unit variance
-    mixed: Expected | None = None  # the other candidate
+    log_chance: float = 0.0  # of this candidate before it is compared
+    loose: bool = False  # it says little: another edge than the ring's was taken
+    others: tuple[Expected, ...] = ()  # the other candidates
 
 
 @cache
@@ -52,12 +57,14 @@ def root_of_lasting(covariance: Array, sensor: SensorOptions) -> Array:
     return np.asarray(square_root(sensor.lasting * covariance))
 
 
-def expected(state: State, measurement: Measurement, sensor: SensorOptions) -> Expected | str:
+def expected(
+    state: State, measurement: Measurement, sensor: SensorOptions, other_edge: float = 0.0
+) -> Expected | str:
     """The measurement beside the state; words where the two cannot be compared."""
     if isinstance(measurement, PoseMeasurement):
         return _pose(state, measurement, sensor)
     if isinstance(measurement, RingMeasurement):
-        return _ring(state, measurement, sensor)
+        return _ring(state, measurement, sensor, other_edge)
     return _range(state, measurement)
 
 
@@ -71,7 +78,9 @@ def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> 
     return Expected(residual, _POSE_SLOPE, white, root)
 
 
-def _ring(state: State, measurement: RingMeasurement, sensor: SensorOptions) -> Expected | str:
+def _ring(
+    state: State, measurement: RingMeasurement, sensor: SensorOptions, other_edge: float
+) -> Expected | str:
     ring = measurement.ring
     # The radius that the sensor takes is too small by this factor: so is its centre's distance.
     radius = 1.0 + float(state.extras[0])
@@ -84,16 +93,29 @@ def _ring(state: State, measurement: RingMeasurement, sensor: SensorOptions) -> 
     if not centre[2] > 0.0:
         return "the ring would be behind the camera"
     looks = []
+    chance = (1.0 - other_edge) / len(measurement.candidates[:2])
     for candidate in measurement.candidates[:2]:
         residual, white, root = ring_look(
             candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
             sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting,
         )  # fmt: skip
-        looks.append(Expected(residual, slope, white, root))
-    if len(looks) == 1:
-        return looks[0]
-    first, second = looks
-    return Expected(first.residual, slope, first.white, first.lasting_root, second)
+        looks.append(Expected(residual, slope, white, root, float(np.log(chance))))
+    if other_edge > 0.0:
+        # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
+        place = measurement.candidates[0].centre_m
+        distance = float(np.sqrt(place @ place))
+        sight = place / distance
+        white = np.zeros((5, 5))
+        white[:3, :3] = (_OTHER_BEARING * distance) ** 2 * np.eye(3) + (
+            _OTHER_RANGE * distance
+        ) ** 2 * np.outer(sight, sight)
+        white[3, 3] = white[4, 4] = _OTHER_RAD**2
+        looks.append(
+            Expected(
+                looks[0].residual, slope, white, np.zeros((5, 5)), float(np.log(other_edge)), True
+            )
+        )
+    return replace(looks[0], others=tuple(looks[1:]))
 
 
 def _range(state: State, measurement: RangeMeasurement) -> Expected | str:

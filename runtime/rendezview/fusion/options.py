@@ -81,6 +81,8 @@ class FusionOptions:
     sensors: Mapping[str, SensorOptions] = field(default_factory=dict)  # by name; wins
     ring_radius_sigma: float = 0.0  # relative, of the ring's radius; 0: it is known
     ring_depth_sigma_m: float = 0.0  # of the ring's place along its axis; 0: it is known
+    ring_other_edge: float = 0.1  # chance that an edge near the ring's was taken for it; then
+    # only its bearing says something
     start_with: int = 3  # poses that must agree before the state is believed
     history_s: float = 10.0  # late measurements are still taken in for so long
     history_most: int = 1000  # measurements

@@ -95,6 +95,7 @@ class Innovation:
     white: Array  # (m, m) the part of its covariance that is new each time
     lasting_root: Array  # (m, m) root of the part that lasts
     updated: State  # the state if it is believed
+    loose: bool = False  # a ring, of which another edge was taken: only its bearing counts
 
     @property
     def size(self) -> int:
@@ -195,10 +196,10 @@ def innovation(
     heard = _with_slot(state, measurement, sensor)
     slot = heard.slot(measurement.sensor)
     assert slot is not None
-    seen = expected(heard, measurement, sensor)
+    seen = expected(heard, measurement, sensor, options.ring_other_edge)
     if isinstance(seen, str):
         return Rejected(measurement.sensor, math.inf, measurement.size, seen)
-    if seen.mixed is not None:
+    if seen.others:
         seen = _mixture(heard, seen, slot)
     fits, nis, log_volume, residual, rotation, place, rates, extras, covariance = corrected(
         heard.rotation, heard.translation_m, heard.rates, heard.extras, heard.covariance,
@@ -211,7 +212,7 @@ def innovation(
     updated = State(
         heard.time_s, rotation, place, rates, extras, covariance, heard.fading, heard.slots
     )
-    return Innovation(residual, nis, log_volume, seen.white, seen.lasting_root, updated)
+    return Innovation(residual, nis, log_volume, seen.white, seen.lasting_root, updated, seen.loose)
 
 
 def update(state: State, measurement: Measurement, options: FusionOptions) -> State | Rejected:
@@ -259,31 +260,33 @@ def _fading(slot: Slot) -> Array:
 
 
 def _mixture(state: State, seen: Expected, slot: Slot) -> Expected:
-    """Two candidates as one measurement: mean and spread by how likely each is.
+    """Several candidates as one measurement: mean and spread by how likely each is.
 
     Where they are far apart one has all the weight. Where they are not (a ring seen face-on),
     the spread says what the picture cannot: on which side of the line of sight the axis lies.
     """
-    first, second = seen, seen.mixed
-    assert second is not None
-    logs = []
-    for one in (first, second):
+    looks = (seen, *seen.others)
+    logs = np.full(len(looks), -np.inf)
+    for k, one in enumerate(looks):
         fits, nis, log_volume = distance(
             state.extras, state.covariance, one.slope, one.lasting_root, slot.start, one.white,
             one.residual,
         )  # fmt: skip
-        logs.append(-0.5 * (nis + log_volume) if fits else -math.inf)
-    lead = logs[0] - logs[1]
-    if not abs(lead) < _DECIDED:  # also where neither can be used
-        return first if lead >= 0.0 else second
-    share = 1.0 / (1.0 + math.exp(-lead))
-    apart = first.residual - second.residual
-    nearest = first if lead >= 0.0 else second
-    return Expected(
-        share * first.residual + (1.0 - share) * second.residual,
-        nearest.slope,
-        share * first.white
-        + (1.0 - share) * second.white
-        + share * (1.0 - share) * np.outer(apart, apart),
-        nearest.lasting_root,
-    )
+        if fits:
+            logs[k] = one.log_chance - 0.5 * (nis + log_volume)
+    best = int(np.argmax(logs))
+    likely = looks[best]
+    if not np.isfinite(logs[best]):
+        return likely
+    near = [k for k in range(len(looks)) if logs[k] > logs[best] - _DECIDED]
+    if len(near) == 1:
+        return likely
+    weights = np.exp(logs[near] - logs[best])
+    weights /= weights.sum()
+    mean = sum(w * looks[k].residual for w, k in zip(weights, near, strict=True))
+    white, lasting = np.zeros_like(likely.white), np.zeros_like(likely.white)
+    for weight, k in zip(weights, near, strict=True):
+        off = looks[k].residual - mean
+        white += weight * (looks[k].white + np.outer(off, off))
+        lasting += weight * looks[k].lasting_root
+    return Expected(np.asarray(mean), likely.slope, white, lasting, loose=likely.loose)

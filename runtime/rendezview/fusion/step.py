@@ -28,7 +28,8 @@ from rendezview.fusion.trust import Trust, Verdict, judge
 from rendezview.pose import Array
 
 _VOTES = 2  # sensors that must agree against the state to overrule it
-_DOUBT = 2  # times in a row that a sensor was turned away, to have a vote
+_DOUBT = 2  # times in a row that a sensor was turned away, or not taken whole, to have a vote
+_LOOSE = "another edge than the ring's: for its bearing only"
 _WIDER = 4.0  # variance of the rates that are taken over into a new start
 
 
@@ -98,9 +99,10 @@ def step(
     trust, reason = judge(trust, found, time_s, sensor_options(measurement, options))
     trusts = {**before.trusts, name: trust}
     if reason is None:
-        agreed = before.agreed + (1 if found.size > 1 else 0)
+        agreed = before.agreed + (1 if found.size > 1 and not found.loose else 0)
         after = Snapshot(found.updated, trusts, recent, agreed, time_s, before.starts)
-        return after, Verdict(name, time_s, True, None, found.nis, found.size)
+        told = _LOOSE if found.loose else None
+        return after, Verdict(name, time_s, True, told, found.nis, found.size)
     after = replace(before, state=state, trusts=trusts, recent=recent)
     if before.agreed < options.start_with and isinstance(measurement, PoseMeasurement):
         return _start(
@@ -136,7 +138,7 @@ def _start(
     state = _trial(pose, old, options) if old is not None else begin(pose, options)
     trust = before.trusts.get(pose.sensor) or Trust(pose.sensor)
     trusts = {
-        name: replace(t, locked=False, turned_away=0, agreed=0, lie=None, mean_nis=1.0)
+        name: replace(t, locked=False, turned_away=0, agreed=0, lie=None, mean_nis=1.0, loose=0)
         for name, t in {**before.trusts, pose.sensor: trust}.items()
     }
     own = trusts[pose.sensor]
@@ -165,7 +167,8 @@ def _overruled(
     doubting = [
         name
         for name, t in before.trusts.items()
-        if (t.locked or t.turned_away >= _DOUBT) and state.time_s - t.last_s <= options.recent_s
+        if (t.locked or max(t.turned_away, t.loose) >= _DOUBT)
+        and state.time_s - t.last_s <= options.recent_s
     ]
     if len(doubting) < _VOTES:
         return None
@@ -194,7 +197,7 @@ def _fits(trial: State, measurement: Measurement, options: FusionOptions) -> boo
     found = innovation(moved, measurement, options)
     if isinstance(found, Rejected):
         return False
-    return found.nis <= _gate(measurement, options)
+    return found.nis <= _gate(measurement, options) and not found.loose
 
 
 def _gate(measurement: Measurement, options: FusionOptions) -> float:

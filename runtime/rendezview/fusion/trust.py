@@ -37,6 +37,7 @@ class Trust:
     last_accepted_s: float = -math.inf
     lie: Array | None = None  # (m,) where its residuals stood when it was turned away
     lockouts: int = 0
+    loose: int = 0  # taken for a bearing only, in a row
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ def judge(
         return (
             Trust(
                 trust.sensor, False, count, trust.accepted + 1, 0, 0, level, time_s, time_s,
-                lockouts=trust.lockouts,
+                lockouts=trust.lockouts, loose=trust.loose + 1 if found.loose else 0,
             ),
             None,
         )  # fmt: skip
