@@ -53,12 +53,12 @@ def by_attitude(
     poses: Sequence[CirclePose], axis: npt.ArrayLike, source: str = "the prior attitude"
 ) -> Choice:
     """The pose whose axis is nearer to a known one (3,), camera frame."""
-    alone = only_one(poses)
-    if alone is not None:
-        return alone
     known = np.asarray(axis, dtype=np.float64)
     angles = [angle_between(pose.axis, known) for pose in poses]
     best = int(np.argmin(angles))
+    alone = only_one(poses)
+    if alone is not None:
+        return Choice(best, alone.reason)
     told = f"{math.degrees(angles[best]):.1f}° from {source}, the other {math.degrees(max(angles)):.1f}°"
     if max(angles) < _MARGIN * angles[best]:
         return Choice(None, f"{source} does not tell the poses apart: {told}")

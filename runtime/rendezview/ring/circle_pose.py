@@ -19,6 +19,7 @@ from rendezview.ring.ellipse import Ellipse
 
 Array = npt.NDArray[np.float64]
 
+RADIUS_SHARE = 3e-4  # σ of a known radius: facets of a CAD ring, warmth, tolerances
 _FIXED_POINT_STEPS = 12
 _LARGEST_ANGLE_RAD = 1.0  # of an axis' standard deviation: beyond it nothing is known
 
@@ -149,13 +150,16 @@ def circles_of_picture(camera, shape, radius, centres, axes):  # type: ignore[no
     return 1 if first < 1e-9 else 2
 
 
-def circle_poses(camera: Camera, ellipse: Ellipse, radius_m: float) -> tuple[CirclePose, ...]:
+def circle_poses(
+    camera: Camera, ellipse: Ellipse, radius_m: float, radius_share: float = RADIUS_SHARE
+) -> tuple[CirclePose, ...]:
     """Both poses of a ring of known radius; one where the ellipse is seen exactly head-on.
 
     Args:
         camera: only its matrix is used: the ellipse is without lens distortion.
         ellipse: with ``shape_covariance`` the poses have theirs.
         radius_m: of the ring's edge that the ellipse is.
+        radius_share: error of that radius (one σ), as a share of it; in the covariance.
 
     Returns:
         The poses, that with the axis nearer to the camera's own (-z) first.
@@ -169,6 +173,7 @@ def circle_poses(camera: Camera, ellipse: Ellipse, radius_m: float) -> tuple[Cir
         pose = CirclePose(centre, axis, radius_m)
         if ellipse.shape_covariance is not None:
             covariance = pose_covariance(camera, pose, ellipse.shape_covariance)
+            covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
             pose = CirclePose(centre, axis, radius_m, covariance)
         poses.append(pose)
     return tuple(sorted(poses, key=lambda pose: float(pose.axis[2])))

@@ -25,13 +25,14 @@ from rendezview.ring.support import (
     PY,
     WEIGHT,
     correlation_factor,
+    distance,
     gradient_support,
-    near_shape,
     sense_of,
     step_basis,
     step_filters,
     step_support,
     update_shape,
+    waviness_factor,
 )
 
 Array = npt.NDArray[np.float64]
@@ -264,7 +265,7 @@ def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped
             if samples[i, WEIGHT] > 0.0:
                 free = True
                 for j in range(count):
-                    if near_shape(kept[j], samples[i, PX], samples[i, PY], 2.0):
+                    if abs(distance(kept[j], samples[i, PX], samples[i, PY])) < 2.0:
                         free = False
                         break
                 own += free
@@ -395,6 +396,7 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
         for j in range(5):
             normal[j, j] += 1e-12 * trace
         spread = max(chi / max(used - 5, 1), 0.5) * correlation_factor(samples, n)
+        spread = max(spread, waviness_factor(samples, n))
         fitted[count] = update
         covariances[count] = np.linalg.inv(normal) * spread
         facts[count, 0], facts[count, 1] = arc, contrast / weight

@@ -8,6 +8,8 @@ The ellipse is in pixels without lens distortion; every place read goes through 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -17,6 +19,7 @@ Array = npt.NDArray[np.float64]
 
 REACH = 3  # px to either side of the step fit
 TAPS = 2 * REACH + 1
+LEAST_GAP = 2.2  # px between two edges that can still be told apart
 # Columns of samples
 ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
 COLUMNS = 11
@@ -66,14 +69,15 @@ def _frame(shape, u0, u1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def near_shape(shape, x, y, near_px):  # type: ignore[no-untyped-def]
-    """Whether a point lies within ``near_px`` of an ellipse, to first order."""
+def distance(shape, x, y):  # type: ignore[no-untyped-def]
+    """Distance of a point from an ellipse, outside positive; exact for circles, else first order."""
     a, b, c = shape[2], shape[3], shape[4]
     ex, ey = x - shape[0], y - shape[1]
     determinant = a * c - b * b
     v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
     g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
-    return abs(v0 * v0 + v1 * v1 - 1.0) < 2.0 * np.sqrt(g0 * g0 + g1 * g1) * near_px
+    size = np.sqrt(v0 * v0 + v1 * v1)
+    return (size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300)
 
 
 @njit(cache=True, nogil=True)
@@ -191,6 +195,50 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def normal_cdf(z):  # type: ignore[no-untyped-def]
+    """The normal distribution function."""
+    return 0.5 * math.erfc(-0.7071067811865476 * z)
+
+
+@njit(cache=True, nogil=True)
+def _crowded(profile, inner, outer, blur_px, solved):  # type: ignore[no-untyped-def]
+    """Fit a profile by the step at 0 together with those of the edges at ``inner`` and ``outer``.
+
+    ``solved`` gets level, contrast, contrast × place, and the contrasts of the outer and the inner
+    edge. Returns the variance of the third for unit noise, negative where there is no solution.
+    """
+    system = np.zeros((5, 7))  # normal equations, right side, unit vector of the third
+    row = np.empty(5)
+    for k in range(TAPS):
+        d = float(k - REACH)
+        z = d / blur_px
+        row[0], row[1] = 1.0, normal_cdf(z)
+        row[2] = -np.exp(-0.5 * z * z) / (2.5066282746310002 * blur_px)
+        row[3] = normal_cdf((d - outer) / blur_px)
+        row[4] = normal_cdf((d - inner) / blur_px) - 1.0  # 0 where the edge is out of reach
+        for i in range(5):
+            system[i, 5] += row[i] * profile[k]
+            for j in range(5):
+                system[i, j] += row[i] * row[j]
+    system[2, 6] = 1.0
+    for i in range(5):
+        system[i, i] += 1e-4 if i < 3 else 1e-2  # an edge out of reach has no contrast
+    for i in range(5):
+        if not system[i, i] > 1e-9:
+            return -1.0
+        for j in range(5):
+            if j == i:
+                continue
+            share = system[j, i] / system[i, i]
+            for k in range(i, 7):
+                system[j, k] -= share * system[i, k]
+    for i in range(5):
+        solved[i] = system[i, 5] / system[i, i]
+    solved[0] -= solved[4]  # the inner step was written from its far side
+    return system[2, 6] / system[2, 2]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def step_support(  # type: ignore[no-untyped-def]
     image, lens, shape, spacing_px, sense, noise, filters, basis, blur_px, others, samples,
 ):  # fmt: skip
@@ -202,12 +250,14 @@ def step_support(  # type: ignore[no-untyped-def]
         sense: 1 where the edge gets brighter outwards, -1 where darker; 0 takes both.
         noise: σ of a pixel, grey.
         filters, basis: of `step_filters` and `step_basis`; ``blur_px`` their σ.
-        others: (K, 5) shapes of other edges; samples that come near to one are left out.
+        others: (K, 5) shapes of other edges: their steps are part of the fit where they are near,
+            and where they are nearer than LEAST_GAP there is no sample.
         samples: (≥ count, COLUMNS) out. WEIGHT is 1/σ² (px⁻²) of the place, 0 where there is no
             step, -1 outside of the picture; ARC the angle a sample stands for.
     """
     height, width = image.shape
     profile = np.empty(TAPS)
+    solved = np.zeros(5)
     spread = 0.0
     for k in range(TAPS):
         spread += filters[2, k] * filters[2, k]
@@ -238,12 +288,18 @@ def step_support(  # type: ignore[no-untyped-def]
         ):
             continue
         row[WEIGHT] = 0.0
-        crowded = False
+        # The nearest other edge on either side, along the normal.
+        inner, outer = -_NO, _NO
         for k in range(others.shape[0]):
-            if near_shape(others[k], x, y, REACH + 1.2):
-                crowded = True
-                break
-        if crowded:
+            away = -distance(others[k], x, y)  # how far outwards the other edge lies
+            o = others[k]
+            if (x - o[0]) * nx + (y - o[1]) * ny < 0.0:
+                away = -away
+            if away >= 0.0:
+                outer = min(outer, away)
+            else:
+                inner = max(inner, away)
+        if outer < LEAST_GAP or -inner < LEAST_GAP:
             continue
         bent = lens[12] != 0.0
         for k in range(TAPS):
@@ -261,15 +317,25 @@ def step_support(  # type: ignore[no-untyped-def]
             level += filters[0, k] * profile[k]
             contrast += filters[1, k] * profile[k]
             shifted += filters[2, k] * profile[k]
+        taken, room = spread, _NO
+        if outer < REACH + 2.0 * blur_px or -inner < REACH + 2.0 * blur_px:
+            taken = _crowded(profile, inner, outer, blur_px, solved)
+            if taken < 0.0:
+                continue
+            level, contrast, shifted = solved[0], solved[1], solved[2]
+            room = 0.6 * min(outer, -inner)
         row[CONTRAST] = contrast
         if contrast * sense < 0.0 or abs(contrast) < 2.5 * noise + 2.0:
             continue
         place = shifted / contrast
-        if abs(place) > 1.6:
+        if abs(place) > min(1.6, room):
             continue
         left = 0.0
         for k in range(TAPS):
             e = profile[k] - level - contrast * basis[1, k] - shifted * basis[2, k]
+            if room < _NO:
+                e -= solved[3] * normal_cdf((k - REACH - outer) / blur_px)
+                e -= solved[4] * normal_cdf((k - REACH - inner) / blur_px)
             left += e * e
         # What is left beyond noise is another edge, a shade or a curve of the step's own.
         allowed = (TAPS - 3) * noise * noise + (0.08 * contrast) ** 2
@@ -278,9 +344,31 @@ def step_support(  # type: ignore[no-untyped-def]
         # A round body's blurred edge lies inside the true one by σ²/2ρ.
         curvature = long * short / max(along, 1e-9) ** 3
         row[OFFSET] = place + 0.5 * blur_px * blur_px * curvature
-        variance = spread * (noise * noise + 0.1) / (contrast * contrast) + 4e-4
+        variance = taken * (noise * noise + 0.1) / (contrast * contrast) + 4e-4
         row[WEIGHT] = 1.0 / variance
     return count
+
+
+@njit(cache=True, nogil=True)
+def waviness_factor(samples, count):  # type: ignore[no-untyped-def]
+    """How much more the means of 36 stretches scatter than independent samples' would, ≥ 1.
+
+    Facets of a CAD ring, shadows, or an edge that is none show here: their errors go together over
+    long stretches.
+    """
+    sums, weights = np.zeros(36), np.zeros(36)
+    for i in range(count):
+        w = samples[i, WEIGHT]
+        if w > 0.0:
+            k = min(int(samples[i, ANGLE] * (36.0 / (2.0 * np.pi))), 35)
+            sums[k] += w * samples[i, OFFSET]
+            weights[k] += w
+    total, used = 0.0, 0
+    for k in range(36):
+        if weights[k] > 0.0:
+            total += sums[k] * sums[k] / weights[k]
+            used += 1
+    return max(total / max(used - 5, 2), 1.0)
 
 
 @njit(cache=True, nogil=True)

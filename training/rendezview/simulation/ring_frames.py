@@ -150,7 +150,7 @@ def random_scene(
         start = rng.uniform(0.0, _TAU)
         plates.append(
             Plate(centre + 0.02 * r * axis, axis, across, float(rng.uniform(5.0, 110.0)),
-                  radii_m=(0.0, 4.0 * r), sector_rad=(start, _TAU - arc))
+                  radii_m=(0.0, 60.0 * r), sector_rad=(start, _TAU - arc))
         )  # fmt: skip
     return RingScene(camera, tuple(plates), tuple(circles), float(rng.uniform(5, 20)), arc)
 
