@@ -8,8 +8,9 @@ silent, adds a constant offset, or gives what it saw 0.5 s ago the present time.
 same in the sensor's own words for all seeds: pose 0.2 m, −0.15 m, 0.4 m and 3° about an axis across
 the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m; --size multiplies them.
 
-Diverged is a run that ends without a state, or in whose last 5 s the place of the ring's centre is
-wrong by more than 2 % of range + 20 mm, although the fault is over or other sensors see the ring.
+Diverged is a run whose state in its last 5 s is wrong beyond its own 99.99 % bound (six degrees of
+freedom), or that has no state then although the fault is over. Where the fault lasts to the end and
+no other sensor sees the ring, the filter coasts: its error grows, and so must its covariance.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from fusion_trials import OPTIONS, Flight, Run, fly, load_run
 from rendezview.fusion import (
@@ -104,7 +106,8 @@ def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
     first_s = begun[0].time_s if begun else np.inf
     without = sum(np.isnan(s.fused[0]) for s in flight.samples if s.time_s >= first_s)
     last = [s for s in flight.samples if s.time_s >= end_s - END_S]
-    bad = [not np.isfinite(s.fused[0]) or s.fused[0] > 0.02 * s.range_m + 0.02 for s in last]
+    bound = chdtri(6, 1e-4)
+    bad = [s.nees > bound if np.isfinite(s.nees) else third < 2 for s in last]
     return Outcome(
         max(during, default=np.nan), max(after, default=np.nan), without, flight.starts,
         any(flight.lockouts.get(name, 0) > 0 for name in sensors), any(bad),

@@ -284,7 +284,7 @@ def corrected(
 
     Args:
         slope: (m, 14) by motion, ring radius and depth.
-        root: (m, m) by the lasting error.
+        root: (m, b) by the lasting error.
         white: (m, m) covariance of what is new.
         measured: (m,) measured − expected, the lasting error left out.
 
@@ -298,7 +298,7 @@ def corrected(
     for i in range(m):
         for j in range(slope.shape[1]):
             design[i, j] = slope[i, j]
-        for j in range(m):
+        for j in range(root.shape[1]):
             design[i, start + j] = root[i, j]
             residual[i] -= root[i, j] * extras[start - 12 + j]
     fits, nis, logarithm, step, after = gain(covariance, design, white, residual)
@@ -322,26 +322,26 @@ def distance(
 ) -> tuple[bool, float, float]:
     """As `corrected`, but only whether it can be used, NIS and ln|S|."""
     m, n = len(measured), len(covariance)
-    k = slope.shape[1]
+    k, b = slope.shape[1], root.shape[1]
     both = np.zeros((m, n))
     spread = white.copy()
     residual = measured.copy()
     for i in range(m):
-        for j in range(m):
+        for j in range(b):
             residual[i] -= root[i, j] * extras[start - 12 + j]
     for i in range(m):  # H P
         for j in range(n):
             s = 0.0
             for c in range(k):
                 s += slope[i, c] * covariance[c, j]
-            for c in range(m):
+            for c in range(b):
                 s += root[i, c] * covariance[start + c, j]
             both[i, j] = s
     for i in range(m):
         for j in range(m):
             for c in range(k):
                 spread[i, j] += both[i, c] * slope[j, c]
-            for c in range(m):
+            for c in range(b):
                 spread[i, j] += both[i, start + c] * root[j, c]
     lower = square_root(spread)
     nis, logarithm = 0.0, 0.0

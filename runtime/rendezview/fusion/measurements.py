@@ -31,7 +31,7 @@ class PoseMeasurement:
     pose: Pose  # camera_from_target
     covariance: Array  # (6, 6) rotation vector, translation; on the left, camera frame
 
-    size = 6
+    size = lasting_size = 6
 
     def __post_init__(self) -> None:
         _check_time(self.time_s, self.sensor)
@@ -93,6 +93,7 @@ class RingMeasurement:
     ring: DockingRing  # what it is of the target, target frame
 
     size = 5
+    lasting_size = 10  # of the ring's edge, and of another that was taken for it
 
     def __post_init__(self) -> None:
         _check_time(self.time_s, self.sensor)
@@ -162,7 +163,7 @@ class RangeMeasurement:
     origin_m: Array = field(default_factory=lambda: np.zeros(3))  # (3,) camera frame
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit
 
-    size = 1
+    size = lasting_size = 1
 
     def __post_init__(self) -> None:
         _check_time(self.time_s, self.sensor)

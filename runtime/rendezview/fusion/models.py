@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth
 _SURELY = 2.0  # σ of the place by which a spot must lie within its surface
-# Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad). Wide,
-# because the same edge is taken again and again.
-_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD = 0.01, 0.1, 0.5
+# Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same
+# edge is taken again and again, so that most of it lasts.
+_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_LASTING = 0.005, 0.1, 0.5, 0.9
 _GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
 
 
@@ -40,7 +40,7 @@ class Expected:
     residual: Array  # (m,) measured − expected, the lasting error left out
     slope: Array  # (m, 14) slope by motion, ring radius and depth
     white: Array  # (m, m) covariance of what is new each time
-    lasting_root: Array  # (m, m) slope by the lasting error, which has unit variance
+    lasting_root: Array  # (m, b) slope by the lasting error, which has unit variance
     log_chance: float = 0.0  # of this candidate before it is compared
     loose: bool = False  # it says little: another edge than the ring's was taken
     others: tuple[Expected, ...] = ()  # the other candidates
@@ -99,22 +99,24 @@ def _ring(
             candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
             sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting,
         )  # fmt: skip
-        looks.append(Expected(residual, slope, white, root, float(np.log(chance))))
+        both = np.zeros((5, 10))
+        both[:, :5] = root
+        looks.append(Expected(residual, slope, white, both, float(np.log(chance))))
     if other_edge > 0.0:
         # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
         place = measurement.candidates[0].centre_m
         distance = float(np.sqrt(place @ place))
         sight = place / distance
-        white = np.zeros((5, 5))
-        white[:3, :3] = (_OTHER_BEARING * distance) ** 2 * np.eye(3) + (
+        whole = np.zeros((5, 5))
+        whole[:3, :3] = (_OTHER_BEARING * distance) ** 2 * np.eye(3) + (
             _OTHER_RANGE * distance
         ) ** 2 * np.outer(sight, sight)
-        white[3, 3] = white[4, 4] = _OTHER_RAD**2
-        looks.append(
-            Expected(
-                looks[0].residual, slope, white, np.zeros((5, 5)), float(np.log(other_edge)), True
-            )
-        )
+        whole[3, 3] = whole[4, 4] = _OTHER_RAD**2
+        both = np.zeros((5, 10))
+        both[:, 5:] = square_root(_OTHER_LASTING * whole)
+        white = (1.0 - _OTHER_LASTING) * whole
+        residual = looks[0].residual
+        looks.append(Expected(residual, slope, white, both, float(np.log(other_edge)), True))
     return replace(looks[0], others=tuple(looks[1:]))
 
 

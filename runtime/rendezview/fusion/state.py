@@ -93,7 +93,7 @@ class Innovation:
     nis: float  # its squared distance in σ
     log_volume: float  # ln|S|
     white: Array  # (m, m) the part of its covariance that is new each time
-    lasting_root: Array  # (m, m) root of the part that lasts
+    lasting_root: Array  # (m, b) root of the part that lasts
     updated: State  # the state if it is believed
     loose: bool = False  # a ring, of which another edge was taken: only its bearing counts
 
@@ -243,7 +243,7 @@ def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) ->
     """With room for the lasting error of a sensor that is heard for the first time."""
     if state.slot(measurement.sensor) is not None:
         return state
-    n, size = len(state.covariance), measurement.size
+    n, size = len(state.covariance), measurement.lasting_size
     covariance = np.zeros((n + size, n + size))
     covariance[:n, :n] = state.covariance
     covariance[n:, n:] = np.eye(size)
@@ -284,7 +284,7 @@ def _mixture(state: State, seen: Expected, slot: Slot) -> Expected:
     weights = np.exp(logs[near] - logs[best])
     weights /= weights.sum()
     mean = sum(w * looks[k].residual for w, k in zip(weights, near, strict=True))
-    white, lasting = np.zeros_like(likely.white), np.zeros_like(likely.white)
+    white, lasting = np.zeros_like(likely.white), np.zeros_like(likely.lasting_root)
     for weight, k in zip(weights, near, strict=True):
         off = looks[k].residual - mean
         white += weight * (looks[k].white + np.outer(off, off))
