@@ -48,6 +48,7 @@ class SensorOptions:
     lasting_range: float = 0.5  # … and over so much change of the logarithm of the range
     gate: float = 1e-4  # chance that a good measurement is turned away
     lock_after: int = 3  # turned away in a row: locked out
+    loose_after: int = 8  # a ring's other edges in a row: locked out
     unlock_after: int = 3  # in agreement in a row: let in again
     window: int = 20  # measurements over which NIS is averaged
     nis_limit: float = 3.0  # mean NIS over its degrees of freedom at which a sensor is locked out
@@ -64,8 +65,8 @@ class SensorOptions:
             raise ValueError("lasting_s, lasting_range and nis_limit must be positive")
         if not 0.0 < self.gate < 1.0:
             raise ValueError(f"gate must be a probability, not {self.gate}")
-        if min(self.lock_after, self.unlock_after, self.window) < 1:
-            raise ValueError("lock_after, unlock_after and window must be at least 1")
+        if min(self.lock_after, self.loose_after, self.unlock_after, self.window) < 1:
+            raise ValueError("lock_after, loose_after, unlock_after and window must be at least 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -89,7 +89,8 @@ class Rejected:
 class Innovation:
     """A measurement beside what was expected of it."""
 
-    residual: Array  # (m,) measured − expected
+    residual: Array  # (m,) measured − expected, less the lasting error as it is known
+    raw: Array  # (m,) with it
     nis: float  # its squared distance in σ
     log_volume: float  # ln|S|
     white: Array  # (m, m) the part of its covariance that is new each time
@@ -212,7 +213,10 @@ def innovation(
     updated = State(
         heard.time_s, rotation, place, rates, extras, covariance, heard.fading, heard.slots
     )
-    return Innovation(residual, nis, log_volume, seen.white, seen.lasting_root, updated, seen.loose)
+    return Innovation(
+        residual, seen.residual, nis, log_volume, seen.white, seen.lasting_root, updated,
+        seen.loose,
+    )  # fmt: skip
 
 
 def update(state: State, measurement: Measurement, options: FusionOptions) -> State | Rejected:

@@ -61,25 +61,30 @@ def judge(
     passes = found.nis <= gate
     count = trust.heard + 1
     level = trust.mean_nis + (found.nis / found.size - trust.mean_nis) / min(count, options.window)
-    if passes and not trust.locked and not (count > options.window and level > options.nis_limit):
+    loose = trust.loose + 1 if found.loose else 0
+    noisy = count > options.window and level > options.nis_limit
+    if passes and not trust.locked and not noisy and loose < options.loose_after:
         return (
             Trust(
                 trust.sensor, False, count, trust.accepted + 1, 0, 0, level, time_s, time_s,
-                lockouts=trust.lockouts, loose=trust.loose + 1 if found.loose else 0,
+                lockouts=trust.lockouts, loose=loose,
             ),
             None,
         )  # fmt: skip
     heard = replace(trust, heard=count, last_s=time_s)
     if heard.locked:
-        return _locked(heard, found, passes, gate, time_s, options)
+        return _locked(heard, found, passes and not found.loose, gate, time_s, options)
+    if passes and loose >= options.loose_after:
+        told = f"another edge than the ring's, {loose} times in a row: locked out"
+        return _lock(replace(heard, lie=found.raw, loose=0)), told
     if passes:
         return (
-            _lock(replace(heard, mean_nis=level, lie=found.residual)),
+            _lock(replace(heard, mean_nis=level, lie=found.raw)),
             f"mean NIS {level:.1f} of a degree of freedom, at most {options.nis_limit:g}: "
             "locked out",
         )
     row = heard.turned_away + 1
-    heard = replace(heard, turned_away=row, lie=_followed(heard.lie, found.residual))
+    heard = replace(heard, turned_away=row, lie=_followed(heard.lie, found.raw))
     away = f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}"
     if row >= options.lock_after:
         return _lock(heard), f"{away}, {row} times in a row: locked out"
@@ -102,7 +107,7 @@ def _locked(
     total = found.white + found.lasting
     sharp = found.log_volume - _log_volume(total) < _SHARP * found.size
     if not passes or (same and not sharp):
-        lie = _followed(trust.lie if same else None, found.residual)
+        lie = _followed(trust.lie if same else None, found.raw)
         reason = "locked out, and still off" if not passes else (
             "locked out: it agrees only because the forecast is wide"
         )  # fmt: skip
@@ -127,7 +132,7 @@ def _followed(lie: Array | None, residual: Array) -> Array:
 def _still(lie: Array, found: Innovation) -> float:
     """Squared distance of a residual from where the sensor lied before."""
     spread = 2.0 * found.white + 0.2 * found.lasting
-    away = found.residual - lie
+    away = found.raw - lie
     return float(away @ np.linalg.lstsq(spread, away, rcond=None)[0])
 
 
