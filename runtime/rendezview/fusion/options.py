@@ -48,7 +48,7 @@ class SensorOptions:
     lasting_range: float = 0.5  # … and over so much change of the logarithm of the range
     gate: float = 1e-4  # chance that a good measurement is turned away
     lock_after: int = 3  # turned away in a row: locked out
-    loose_after: int = 8  # a ring's other edges in a row: locked out
+    loose_after: int = 8  # edges beside the ring in a row: locked out
     unlock_after: int = 3  # in agreement in a row: let in again
     window: int = 20  # measurements over which NIS is averaged
     nis_limit: float = 3.0  # mean NIS over its degrees of freedom at which a sensor is locked out

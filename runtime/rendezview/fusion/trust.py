@@ -19,6 +19,8 @@ from rendezview.fusion.state import Innovation
 from rendezview.pose import Array
 
 _SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
+_WHOLE = 6  # degrees of freedom of a pose
+_BESIDE = 3.0  # squared distance of a place, in σ of another edge
 _FOLLOW = 0.5  # weight of the latest residual in the place of a lie
 
 
@@ -37,7 +39,7 @@ class Trust:
     last_accepted_s: float = -math.inf
     lie: Array | None = None  # (m,) where its residuals stood when it was turned away
     lockouts: int = 0
-    loose: int = 0  # taken for a bearing only, in a row
+    loose: int = 0  # in a row: neither the ring's edge nor about it
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ def judge(
     passes = found.nis <= gate
     count = trust.heard + 1
     level = trust.mean_nis + (found.nis / found.size - trust.mean_nis) / min(count, options.window)
-    loose = trust.loose + 1 if found.loose else 0
+    loose = trust.loose + 1 if found.loose and _beside(found) else 0
     noisy = count > options.window and level > options.nis_limit
     if passes and not trust.locked and not noisy and loose < options.loose_after:
         return (
@@ -73,9 +75,9 @@ def judge(
         )  # fmt: skip
     heard = replace(trust, heard=count, last_s=time_s)
     if heard.locked:
-        return _locked(heard, found, passes and not found.loose, gate, time_s, options)
+        return _locked(heard, found, passes and not found.loose, time_s, options)
     if passes and loose >= options.loose_after:
-        told = f"another edge than the ring's, {loose} times in a row: locked out"
+        told = f"an edge beside the ring, {loose} times in a row: locked out"
         return _lock(replace(heard, lie=found.raw, loose=0)), told
     if passes:
         return (
@@ -99,12 +101,11 @@ def _locked(
     trust: Trust,
     found: Innovation,
     passes: bool,
-    gate: float,
     time_s: float,
     options: SensorOptions,
 ) -> tuple[Trust, str | None]:
-    same = trust.lie is not None and _still(trust.lie, found) <= gate
     total = found.white + found.lasting
+    same = trust.lie is not None and _still(trust.lie, found, total, options)
     sharp = found.log_volume - _log_volume(total) < _SHARP * found.size
     if not passes or (same and not sharp):
         lie = _followed(trust.lie if same else None, found.raw)
@@ -129,11 +130,26 @@ def _followed(lie: Array | None, residual: Array) -> Array:
     return residual if lie is None else lie + _FOLLOW * (residual - lie)
 
 
-def _still(lie: Array, found: Innovation) -> float:
-    """Squared distance of a residual from where the sensor lied before."""
-    spread = 2.0 * found.white + 0.2 * found.lasting
-    away = found.raw - lie
-    return float(away @ np.linalg.lstsq(spread, away, rcond=None)[0])
+def _beside(found: Innovation) -> bool:
+    """Whether another edge than the ring's is not even about the ring: then it is no edge."""
+    total = found.white + found.lasting
+    place = found.raw[:3]
+    return bool(place @ np.linalg.solve(total[:3, :3], place) > _BESIDE)
+
+
+def _still(lie: Array, found: Innovation, total: Array, options: SensorOptions) -> bool:
+    """Whether a residual is where the sensor lied before.
+
+    A whole pose that lies by a constant is there to within its noise. Of a ring or a range the lie
+    wanders with what is taken for them: it is left when the residual at once falls by half. A
+    forecast that drifts towards a lie takes many measurements for that, and the lie is followed.
+    """
+    if found.size == _WHOLE:
+        away = found.raw - lie
+        spread = 2.0 * found.white + 0.2 * found.lasting
+        return bool(away @ np.linalg.pinv(spread) @ away <= gate_of(found.size, options.gate))
+    weight = np.linalg.pinv(total)
+    return bool(found.raw @ weight @ found.raw > 0.25 * (lie @ weight @ lie))
 
 
 def _log_volume(matrix: Array) -> float:
