@@ -24,7 +24,7 @@ from rendezview.fusion.state import (
     predict,
     sensor_options,
 )
-from rendezview.fusion.trust import Trust, Verdict, judge
+from rendezview.fusion.trust import Trust, Verdict, is_sharp, judge
 from rendezview.pose import Array
 
 _VOTES = 2  # sensors that must agree against the state to overrule it
@@ -110,6 +110,14 @@ def step(
         )
     if why is not None and trust.locked and isinstance(measurement, PoseMeasurement):
         return _start(after, measurement, options, f"begun anew: {why}")
+    if (
+        isinstance(measurement, PoseMeasurement)
+        and trust.locked
+        and trust.returned
+        and not is_sharp(found)
+    ):
+        told = f"begun anew: the sensor was silent and the forecast is not sharp, {reason}"
+        return _start(after, measurement, options, told)
     overruled = _overruled(after, state, options)
     if overruled is not None:
         pose, told = overruled
@@ -138,7 +146,16 @@ def _start(
     state = _trial(pose, old, options) if old is not None else begin(pose, options)
     trust = before.trusts.get(pose.sensor) or Trust(pose.sensor)
     trusts = {
-        name: replace(t, locked=False, turned_away=0, agreed=0, lie=None, mean_nis=1.0, loose=0)
+        name: replace(
+            t,
+            locked=False,
+            turned_away=0,
+            agreed=0,
+            lie=None,
+            mean_nis=1.0,
+            loose=0,
+            returned=False,
+        )
         for name, t in {**before.trusts, pose.sensor: trust}.items()
     }
     own = trusts[pose.sensor]

@@ -19,6 +19,7 @@ from rendezview.fusion.state import Innovation
 from rendezview.pose import Array
 
 _SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
+_SILENT_S = 5.0  # of a sensor, before its next word
 _WHOLE = 6  # degrees of freedom of a pose
 _BESIDE = 3.0  # squared distance of a place, in σ of another edge
 _FOLLOW = 0.5  # weight of the latest residual in the place of a lie
@@ -39,6 +40,7 @@ class Trust:
     last_accepted_s: float = -math.inf
     lie: Array | None = None  # (m,) where its residuals stood when it was turned away
     lockouts: int = 0
+    returned: bool = False  # it was silent before, so that the forecast may be what is wrong
     loose: int = 0  # in a row: neither the ring's edge nor about it
 
 
@@ -73,7 +75,8 @@ def judge(
             ),
             None,
         )  # fmt: skip
-    heard = replace(trust, heard=count, last_s=time_s)
+    returned = trust.returned or time_s - trust.last_s > _SILENT_S
+    heard = replace(trust, heard=count, last_s=time_s, returned=returned)
     if heard.locked:
         return _locked(heard, found, passes and not found.loose, time_s, options)
     if passes and loose >= options.loose_after:
@@ -106,7 +109,7 @@ def _locked(
 ) -> tuple[Trust, str | None]:
     total = found.white + found.lasting
     same = trust.lie is not None and _still(trust.lie, found, total, options)
-    sharp = found.log_volume - _log_volume(total) < _SHARP * found.size
+    sharp = is_sharp(found)
     if not passes or (same and not sharp):
         lie = _followed(trust.lie if same else None, found.raw)
         reason = "locked out, and still off" if not passes else (
@@ -119,7 +122,7 @@ def _locked(
         return replace(trust, agreed=agreed, turned_away=0), told
     return (
         replace(
-            trust, locked=False, agreed=0, turned_away=0, lie=None, mean_nis=1.0,
+            trust, locked=False, agreed=0, turned_away=0, lie=None, mean_nis=1.0, returned=False,
             accepted=trust.accepted + 1, last_accepted_s=time_s,
         ),
         None,
@@ -128,6 +131,12 @@ def _locked(
 
 def _followed(lie: Array | None, residual: Array) -> Array:
     return residual if lie is None else lie + _FOLLOW * (residual - lie)
+
+
+def is_sharp(found: Innovation) -> bool:
+    """Whether the forecast knows nearly as much as the sensor says."""
+    total = found.white + found.lasting
+    return bool(found.log_volume - _log_volume(total) < _SHARP * found.size)
 
 
 def _beside(found: Innovation) -> bool:
