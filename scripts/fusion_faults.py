@@ -34,6 +34,7 @@ from rendezview.fusion import (
 from rendezview.pose import Pose
 
 SENSORS = {
+    "none": (),
     "appearance": ("appearance",),
     "ring": ("ring",),
     "laser": ("laser",),
@@ -134,8 +135,8 @@ def main() -> None:
         f"{'no state':>9s} {'anew':>5s} {'locked out':>10s} {'diverged':>8s}"
     )
     for name, sensors in SENSORS.items():
-        for fault in FAULTS:
-            for third, word in enumerate(THIRDS):
+        for fault in FAULTS if sensors else ("–",):
+            for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
                 outcomes = []
                 for seed, run in runs.items():
                     flight = fly(with_fault(run, sensors, fault, third, arguments.size), OPTIONS)
