@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtri
 
-from rendezview.fusion.kernels import pose_model, ring_look, ring_model, square_root
+from rendezview.fusion.kernels import square_root
 from rendezview.fusion.measurements import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingMeasurement,
 )
+from rendezview.fusion.model_kernels import pose_model, ring_look, ring_model
 from rendezview.fusion.options import SensorOptions
 from rendezview.pose import Array
 

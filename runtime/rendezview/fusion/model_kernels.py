@@ -1,0 +1,128 @@
+"""What measurements are expected to say, compiled: residuals, slopes and covariances of `models`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.fusion.kernels import rotation_vector, square_root
+from rendezview.pose import Array
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pose_model(
+    measured_rotation: Array,
+    measured_translation: Array,
+    covariance: Array,
+    rotation: Array,
+    translation: Array,
+    inflation: float,
+    floor_rad: float,
+    floor_range: float,
+    lasting: float,
+) -> tuple[Array, Array, Array]:
+    """(6,) residual, (6, 6) white covariance and (6, 6) root of the lasting one, of a pose."""
+    residual = np.empty(6)
+    residual[:3] = rotation_vector(measured_rotation, rotation)
+    for i in range(3):
+        residual[3 + i] = measured_translation[i] - translation[i]
+    whole = pose_covariance(measured_translation, covariance, inflation, floor_rad, floor_range)
+    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pose_covariance(
+    translation: Array, covariance: Array, inflation: float, floor_rad: float, floor_range: float
+) -> Array:
+    """(6, 6) what a pose's covariance is taken for."""
+    whole = inflation * covariance
+    square = translation[0] ** 2 + translation[1] ** 2 + translation[2] ** 2
+    for i in range(3):
+        whole[i, i] += floor_rad**2
+        whole[3 + i, 3 + i] += floor_range**2 * square
+    return whole
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_model(
+    ring_centre: Array,
+    ring_axis: Array,
+    rotation: Array,
+    translation: Array,
+    radius: float,
+    depth: float,
+) -> tuple[Array, Array, Array, Array]:
+    """(3,) centre and (3,) axis expected, (3, 2) tangents of the axis, (5, 14) slope."""
+    arm, axis = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            arm[i] += rotation[i, j] * (ring_centre[j] + depth * ring_axis[j])
+            axis[i] += rotation[i, j] * ring_axis[j]
+    centre = (arm + translation) / radius
+    basis = np.zeros((3, 2))
+    across = 1 if abs(axis[0]) > 1.0 - 1e-6 else 0
+    basis[across, 0] = 1.0
+    for i in range(3):
+        basis[i, 0] -= axis[across] * axis[i]
+    basis[:, 0] /= np.sqrt(basis[0, 0] ** 2 + basis[1, 0] ** 2 + basis[2, 0] ** 2)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        basis[i, 1] = axis[j] * basis[k, 0] - axis[k] * basis[j, 0]
+    slope = np.zeros((5, 14))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        # w × arm: row i has w_j arm_k − w_k arm_j
+        slope[i, j], slope[i, k] = arm[k] / radius, -arm[j] / radius
+        slope[i, 3 + i] = 1.0 / radius
+        slope[i, 12] = -centre[i] / radius
+        slope[i, 13] = axis[i] / radius
+    for c in range(2):
+        for i in range(3):  # e · (w × n) = w · (n × e)
+            j, k = (i + 1) % 3, (i + 2) % 3
+            slope[3 + c, i] = axis[j] * basis[k, c] - axis[k] * basis[j, c]
+    return centre, axis, basis, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_look(
+    measured_centre: Array,
+    measured_axis: Array,
+    covariance: Array,
+    centre: Array,
+    axis: Array,
+    basis: Array,
+    inflation: float,
+    floor_rad: float,
+    floor_range: float,
+    lasting: float,
+) -> tuple[Array, Array, Array]:
+    """(5,) residual, (5, 5) white covariance and (5, 5) root of the lasting one, of a circle."""
+    facing = 0.0
+    for i in range(3):
+        facing += measured_axis[i] * axis[i]
+    sign = 1.0 if facing >= 0.0 else -1.0  # a circle has no front
+    flat = np.zeros((5, 6))
+    residual = np.zeros(5)
+    for i in range(3):
+        flat[i, i] = 1.0
+        residual[i] = measured_centre[i] - centre[i]
+        for c in range(2):
+            flat[3 + c, 3 + i] = sign * basis[i, c]
+            residual[3 + c] += sign * basis[i, c] * measured_axis[i]
+    half = np.zeros((5, 6))
+    whole = np.zeros((5, 5))
+    for i in range(5):
+        for j in range(6):
+            for k in range(6):
+                half[i, j] += flat[i, k] * covariance[k, j]
+    for i in range(5):
+        for j in range(5):
+            for k in range(6):
+                whole[i, j] += half[i, k] * flat[j, k]
+            whole[i, j] *= inflation
+    square = measured_centre[0] ** 2 + measured_centre[1] ** 2 + measured_centre[2] ** 2
+    for i in range(3):
+        whole[i, i] += floor_range**2 * square
+    for i in range(3, 5):
+        whole[i, i] += floor_rad**2
+    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
