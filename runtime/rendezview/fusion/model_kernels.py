@@ -1,4 +1,4 @@
-"""What measurements are expected to say, compiled: residuals, slopes and covariances of `models`."""
+"""What measurements are expected to say, compiled: residuals, slopes, covariances."""
 
 from __future__ import annotations
 

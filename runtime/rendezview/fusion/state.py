@@ -18,11 +18,11 @@ import numpy as np
 from rendezview.fusion.kernels import (
     corrected,
     distance,
-    pose_covariance,
     predicted,
     rotation_vector,
 )
 from rendezview.fusion.measurements import Measurement, PoseMeasurement
+from rendezview.fusion.model_kernels import pose_covariance
 from rendezview.fusion.models import Expected, expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.pose import Array, Pose
