@@ -96,7 +96,7 @@ def ring_look(
     floor_range: float,
     lasting: float,
 ) -> tuple[Array, Array, Array]:
-    """(5,) residual, (5, 5) white covariance and (5, 5) root of the lasting one, of a circle."""
+    """(5,) residual, (5, 5) white covariance and (5, 10) root of the lasting one, of a circle."""
     facing = 0.0
     for i in range(3):
         facing += measured_axis[i] * axis[i]
@@ -125,4 +125,50 @@ def ring_look(
         whole[i, i] += floor_range**2 * square
     for i in range(3, 5):
         whole[i, i] += floor_rad**2
-    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
+    both = np.zeros((5, 10))
+    both[:, :5] = square_root(lasting * whole)
+    return residual, (1.0 - lasting) * whole, both
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def other_edge(
+    place: Array, bearing: float, relative: float, angle: float, lasting: float
+) -> tuple[Array, Array]:
+    """(5, 5) white covariance and (5, 10) root of the lasting one, of an edge near the ring's.
+
+    Args:
+        place: (3,) where it would be if it were the ring's.
+        bearing, relative, angle: σ across the line of sight (rad), along it (over the range), and
+            of the axis (rad).
+        lasting: share of the variance that lasts.
+    """
+    square = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
+    whole = np.zeros((5, 5))
+    for i in range(3):
+        whole[i, i] = bearing**2 * square
+        for j in range(3):
+            whole[i, j] += relative**2 * place[i] * place[j]
+    whole[3, 3] = whole[4, 4] = angle**2
+    both = np.zeros((5, 10))
+    both[:, 5:] = square_root(lasting * whole)
+    return (1.0 - lasting) * whole, both
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_share(
+    share: float,
+    residual: Array,
+    white: Array,
+    root: Array,
+    mean: Array,
+    spread: Array,
+    lasting: Array,
+) -> None:
+    """Add one candidate's share to a mixture, in place; ``spread`` gets the second moment."""
+    m = len(residual)
+    for i in range(m):
+        mean[i] += share * residual[i]
+        for j in range(m):
+            spread[i, j] += share * (white[i, j] + residual[i] * residual[j])
+        for j in range(root.shape[1]):
+            lasting[i, j] += share * root[i, j]

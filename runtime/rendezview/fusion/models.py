@@ -5,6 +5,7 @@ Slopes are of the error state: R_true = exp([w]×) R, t_true = t + v (docs/conve
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from rendezview.fusion.measurements import (
     RangeMeasurement,
     RingMeasurement,
 )
-from rendezview.fusion.model_kernels import pose_model, ring_look, ring_model
+from rendezview.fusion.model_kernels import other_edge, pose_model, ring_look, ring_model
 from rendezview.fusion.options import SensorOptions
 from rendezview.pose import Array
 
@@ -59,13 +60,13 @@ def root_of_lasting(covariance: Array, sensor: SensorOptions) -> Array:
 
 
 def expected(
-    state: State, measurement: Measurement, sensor: SensorOptions, other_edge: float = 0.0
+    state: State, measurement: Measurement, sensor: SensorOptions, chance_of_other: float = 0.0
 ) -> Expected | str:
     """The measurement beside the state; words where the two cannot be compared."""
     if isinstance(measurement, PoseMeasurement):
         return _pose(state, measurement, sensor)
     if isinstance(measurement, RingMeasurement):
-        return _ring(state, measurement, sensor, other_edge)
+        return _ring(state, measurement, sensor, chance_of_other)
     return _range(state, measurement)
 
 
@@ -80,7 +81,7 @@ def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> 
 
 
 def _ring(
-    state: State, measurement: RingMeasurement, sensor: SensorOptions, other_edge: float
+    state: State, measurement: RingMeasurement, sensor: SensorOptions, chance_of_other: float
 ) -> Expected | str:
     ring = measurement.ring
     # The radius that the sensor takes is too small by this factor: so is its centre's distance.
@@ -94,30 +95,22 @@ def _ring(
     if not centre[2] > 0.0:
         return "the ring would be behind the camera"
     looks = []
-    chance = (1.0 - other_edge) / len(measurement.candidates[:2])
+    chance = math.log((1.0 - chance_of_other) / len(measurement.candidates[:2]))
     for candidate in measurement.candidates[:2]:
         residual, white, root = ring_look(
             candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
             sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting,
         )  # fmt: skip
-        both = np.zeros((5, 10))
-        both[:, :5] = root
-        looks.append(Expected(residual, slope, white, both, float(np.log(chance))))
-    if other_edge > 0.0:
+        looks.append(Expected(residual, slope, white, root, chance))
+    if chance_of_other > 0.0:
         # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
-        place = measurement.candidates[0].centre_m
-        distance = float(np.sqrt(place @ place))
-        sight = place / distance
-        whole = np.zeros((5, 5))
-        whole[:3, :3] = (_OTHER_BEARING * distance) ** 2 * np.eye(3) + (
-            _OTHER_RANGE * distance
-        ) ** 2 * np.outer(sight, sight)
-        whole[3, 3] = whole[4, 4] = _OTHER_RAD**2
-        both = np.zeros((5, 10))
-        both[:, 5:] = square_root(_OTHER_LASTING * whole)
-        white = (1.0 - _OTHER_LASTING) * whole
-        residual = looks[0].residual
-        looks.append(Expected(residual, slope, white, both, float(np.log(other_edge)), True))
+        white, root = other_edge(
+            measurement.candidates[0].centre_m, _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD,
+            _OTHER_LASTING,
+        )  # fmt: skip
+        looks.append(
+            Expected(looks[0].residual, slope, white, root, math.log(chance_of_other), True)
+        )
     return replace(looks[0], others=tuple(looks[1:]))
 
 

@@ -22,7 +22,7 @@ from rendezview.fusion.kernels import (
     rotation_vector,
 )
 from rendezview.fusion.measurements import Measurement, PoseMeasurement
-from rendezview.fusion.model_kernels import pose_covariance
+from rendezview.fusion.model_kernels import add_share, pose_covariance
 from rendezview.fusion.models import Expected, expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.pose import Array, Pose
@@ -270,27 +270,24 @@ def _mixture(state: State, seen: Expected, slot: Slot) -> Expected:
     the spread says what the picture cannot: on which side of the line of sight the axis lies.
     """
     looks = (seen, *seen.others)
-    logs = np.full(len(looks), -np.inf)
-    for k, one in enumerate(looks):
+    logs = []
+    for one in looks:
         fits, nis, log_volume = distance(
             state.extras, state.covariance, one.slope, one.lasting_root, slot.start, one.white,
             one.residual,
         )  # fmt: skip
-        if fits:
-            logs[k] = one.log_chance - 0.5 * (nis + log_volume)
-    best = int(np.argmax(logs))
-    likely = looks[best]
-    if not np.isfinite(logs[best]):
+        logs.append(one.log_chance - 0.5 * (nis + log_volume) if fits else -math.inf)
+    best = max(logs)
+    likely = looks[logs.index(best)]
+    near = [k for k in range(len(looks)) if logs[k] > best - _DECIDED]
+    if len(near) < 2:  # also where none can be used
         return likely
-    near = [k for k in range(len(looks)) if logs[k] > logs[best] - _DECIDED]
-    if len(near) == 1:
-        return likely
-    weights = np.exp(logs[near] - logs[best])
-    weights /= weights.sum()
-    mean = sum(w * looks[k].residual for w, k in zip(weights, near, strict=True))
-    white, lasting = np.zeros_like(likely.white), np.zeros_like(likely.lasting_root)
+    weights = [math.exp(logs[k] - best) for k in near]
+    total = sum(weights)
+    mean, white = np.zeros_like(likely.residual), np.zeros_like(likely.white)
+    lasting = np.zeros_like(likely.lasting_root)
     for weight, k in zip(weights, near, strict=True):
-        off = looks[k].residual - mean
-        white += weight * (looks[k].white + np.outer(off, off))
-        lasting += weight * looks[k].lasting_root
-    return Expected(np.asarray(mean), likely.slope, white, lasting, loose=likely.loose)
+        one = looks[k]
+        add_share(weight / total, one.residual, one.white, one.lasting_root, mean, white, lasting)
+    white -= mean[:, None] * mean
+    return Expected(mean, likely.slope, white, lasting, loose=likely.loose)
