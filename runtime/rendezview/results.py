@@ -163,7 +163,7 @@ class JsonLinesWriter:
         """
         if self._file.closed:
             raise ValueError(f"{self.path}: this writer is closed")
-        line = json.dumps(_plain(record), allow_nan=False)
+        line = json_line(record)
         try:
             self._file.write(line.encode("utf-8") + b"\n")
             self._file.flush()
@@ -217,6 +217,15 @@ def read_json_lines(path: StrPath) -> list[dict[str, Any]]:
             raise RendezviewError(f"{where}: not a JSON object: correct or remove the line")
         records.append(record)
     return records
+
+
+def json_line(record: Mapping[str, Any]) -> str:
+    """A record as one line of JSON: arrays as lists, poses as quaternion and translation.
+
+    Raises:
+        TypeError: a value has no JSON form.
+    """
+    return json.dumps(_plain(record), allow_nan=False)
 
 
 def _plain(value: Any) -> Any:

@@ -1,0 +1,172 @@
+"""``rendezview fuse``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.fusion import Fusion, FusionOptions
+from rendezview.fusion.fusion import Estimate, Status
+from rendezview.fusion.logs import (
+    LogContext,
+    merged,
+    read_log,
+    read_mount,
+    read_options,
+    read_surfaces,
+    sensor_name,
+)
+from rendezview.fusion.trust import Verdict
+from rendezview.pose import Pose
+from rendezview.results import JsonLinesWriter
+from rendezview.target import Target
+
+
+def fuse(
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            help="Logs (JSON lines) of track, reflectors, stereo, ring, or a laser ranger; "
+            "[NAME=]PATH, the name being the file's where not given."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="The state, JSON lines.")],
+    target: Annotated[
+        Path | None, typer.Option(help="Target file with a docking ring: for rings and ranges.")
+    ] = None,
+    mount: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=FILE.json: sensor_from_camera of a sensor; repeat for several."),
+    ] = None,
+    surfaces: Annotated[
+        Path | None,
+        typer.Option(
+            help="JSON list of what a ranger's beam may meet; not given: about the ring's plane."
+        ),
+    ] = None,
+    options: Annotated[
+        Path | None, typer.Option(help="JSON file of options, as docs/fusion.md lists them.")
+    ] = None,
+    every_s: Annotated[
+        float | None, typer.Option(help="An estimate so often too, where no sensor speaks.")
+    ] = None,
+) -> None:
+    """Join several sensors' logs into one state: pose, rates, covariance.
+
+    \b
+    Example: rendezview fuse track.jsonl ring.jsonl laser.jsonl --target client -o state.jsonl
+    """
+    if output.is_dir() or not output.parent.is_dir():
+        raise RendezviewError(f"{output}: give a file name in an existing folder for the state")
+    if every_s is not None and not (np.isfinite(every_s) and every_s > 0.0):
+        raise RendezviewError(f"--every-s must be positive, not {every_s}")
+    named = [sensor_name(text) for text in logs]
+    names = [name for name, _ in named]
+    if len(set(names)) < len(names):
+        raise RendezviewError(
+            f"two logs are of one sensor ({', '.join(names)}): name them apart, NAME=PATH"
+        )
+    if output.resolve() in [path.resolve() for _, path in named]:
+        raise RendezviewError(f"{output}: the state must not overwrite a log")
+    ring = Target.load(target).docking_ring if target else None
+    context = LogContext(
+        ring, read_surfaces(surfaces) if surfaces else (), _mounts(mount or [], names)
+    )
+    fusion = Fusion(read_options(options) if options else FusionOptions())
+    read = [read_log(path, name, context) for name, path in named]
+    measurements = merged(read)
+    if not measurements:
+        raise RendezviewError("no line of these logs has a measurement: there is nothing to join")
+    outcomes: Counter[Status] = Counter()
+    writer = JsonLinesWriter(output)
+    done_one = False
+    try:
+        with ProgressBar() as progress:
+            tick_s = measurements[0].time_s
+            for done, measurement in enumerate(measurements, start=1):
+                while every_s is not None and tick_s < measurement.time_s:
+                    writer.write(_record(fusion.state_at(tick_s), None, fusion))
+                    tick_s += every_s
+                verdict = fusion.add(measurement)
+                estimate = fusion.state_at(measurement.time_s)
+                outcomes[estimate.status] += 1
+                writer.write(_record(estimate, verdict, fusion))
+                done_one = True
+                progress("measurements", done, len(measurements))
+    finally:
+        if done_one:  # Ctrl-C in the middle keeps what was computed
+            writer.close()
+        else:
+            writer.partial_path.unlink(missing_ok=True)
+    _tell(fusion, outcomes)
+
+
+def _record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) -> dict[str, Any]:
+    pose = estimate.pose
+    return {
+        "time_s": estimate.time_s,
+        "status": str(estimate.status),
+        "reason": estimate.reason,
+        "pose": pose,
+        "rates": estimate.rates,
+        "covariance": estimate.covariance,
+        "ring_radius": estimate.ring_radius,
+        "ring_depth_m": estimate.ring_depth_m,
+        "measurement": None
+        if verdict is None
+        else {
+            "sensor": verdict.sensor,
+            "accepted": verdict.accepted,
+            "reason": verdict.reason,
+            "nis": verdict.nis,
+            "degrees_of_freedom": verdict.size,
+        },
+        "sensors": {
+            name: {
+                "locked_out": trust.locked,
+                "mean_nis": trust.mean_nis,
+                "heard": trust.heard,
+                "accepted": trust.accepted,
+                "lockouts": trust.lockouts,
+            }
+            for name, trust in fusion.trusts.items()
+        },
+    }
+
+
+def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:
+    mounts = {}
+    for text in texts:
+        name, equals, path = text.partition("=")
+        if not equals or name not in names:
+            raise RendezviewError(
+                f"--mount must be NAME=FILE.json with the name of a log ({', '.join(names)}), "
+                f"not {text!r}"
+            )
+        mounts[name] = read_mount(path)
+    return mounts
+
+
+def _tell(fusion: Fusion, outcomes: Counter[Status]) -> None:
+    total = sum(outcomes.values())
+    told = ", ".join(f"{n} {s}" for s, n in outcomes.most_common() if s is not Status.TRACKING)
+    sensors = "; ".join(
+        f"{name}: {trust.accepted} of {trust.heard} taken"
+        + (f", locked out {trust.lockouts} times" if trust.lockouts else "")
+        for name, trust in fusion.trusts.items()
+    )
+    Console(stderr=True).print(
+        f"{outcomes[Status.TRACKING]} of {total} tracking"
+        + (f" ({told})" if told else "")
+        + f"; {sensors}"
+        + (f"; begun {fusion.starts} times" if fusion.starts != 1 else ""),
+        highlight=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,161 @@
+"""``rendezview ring``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from rich.console import Console
+
+from rendezview.camera import Camera
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.files import atomic_write, make_folder
+from rendezview.results import JsonLinesWriter, json_line
+from rendezview.ring import RingOptions, RingPrior, Status
+from rendezview.ring.overlay import draw_reading
+from rendezview.ring.run import follow, record
+from rendezview.sequences import open_sequence
+from rendezview.sequences.frame import Frame
+from rendezview.target import DockingRing, Target
+
+
+def ring(
+    frames: Annotated[
+        Path, typer.Argument(help="BOP scene, SPEED folder, folder of images, or video.")
+    ],
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file; wins over that of the frames.")
+    ] = None,
+    radius_m: Annotated[
+        float | None, typer.Option("--radius-m", help="Radius of the ring's edge: gives poses.")
+    ] = None,
+    target: Annotated[
+        Path | None, typer.Option(help="Target file with a docking_ring: its radius, its axis.")
+    ] = None,
+    range_m: Annotated[
+        float | None,
+        typer.Option("--range-m", help="Range to the ring: which of several edges is meant."),
+    ] = None,
+    prior_axis: Annotated[
+        str | None,
+        typer.Option(
+            help="Axis of the ring, right to about 20°: 'x,y,z' in the camera frame, or 'scene' "
+            "for the scene's own truth (with --target). Chooses between a circle's two poses."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="JSON lines; standard output if absent.")
+    ] = None,
+    overlay: Annotated[Path | None, typer.Option(help="Folder for pictures of readings.")] = None,
+    least_contrast: Annotated[
+        float, typer.Option(min=1.0, max=255.0, help="Grey levels of the weakest edge.")
+    ] = 8.0,
+    independent: Annotated[
+        bool, typer.Option("--independent", help="Each frame on its own, no memory.")
+    ] = False,
+) -> None:
+    """Find a docking ring: its ellipses, and with its radius its pose.
+
+    \b
+    Example: rendezview ring frames --camera camera.yaml --radius-m 0.597 -o ring.jsonl
+    """
+    if output is not None and (output.is_dir() or not output.parent.is_dir()):
+        raise RendezviewError(f"{output}: give a file name in an existing folder")
+    known = None if target is None else _ring_of(target)
+    radius = radius_m if radius_m is not None or known is None else known.radius_m
+    for name, value in (("--radius-m", radius), ("--range-m", range_m)):
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise RendezviewError(f"{name} must be a positive number of metres, not {value}")
+    prior = _prior(prior_axis, range_m, known)
+    sequence = open_sequence(frames, Camera.load(camera) if camera else None)
+    if overlay:
+        make_folder(overlay)
+    writer = JsonLinesWriter(output) if output else None
+    outcomes: Counter[Status] = Counter()
+    times_ms: list[float] = []
+    try:
+        with ProgressBar() as progress:
+            readings = follow(
+                sequence, radius, options=RingOptions(least_contrast_grey=least_contrast),
+                prior=prior, independent=independent,
+            )  # fmt: skip
+            for done, (frame, image, reading) in enumerate(readings, start=1):
+                outcomes[reading.status] += 1
+                times_ms.append(sum(reading.stage_ms.values()))
+                line = record(frame, reading)
+                if writer:
+                    writer.write(line)
+                else:
+                    print(json_line(line))
+                if overlay and image is not None:
+                    drawn = draw_reading(image, reading, frame.camera)
+                    _save(overlay / f"{frame.im_id:06d}.png", drawn)
+                progress("frames", done, len(sequence))
+    finally:
+        if writer and outcomes:  # Ctrl-C in the middle keeps what was computed
+            writer.close()
+        elif writer:
+            writer.partial_path.unlink(missing_ok=True)
+    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != Status.OK)
+    what = "rings" if radius is None else "poses"
+    Console(stderr=True).print(
+        f"{outcomes[Status.OK]} {what} in {len(sequence)} frames"
+        + (f" ({told})" if told else "")
+        + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def _ring_of(target: Path) -> DockingRing:
+    known = Target.load(target).docking_ring
+    if known is None:
+        raise RendezviewError(
+            f"{target}: this target has no docking_ring: add one, or give --radius-m instead"
+        )
+    return known
+
+
+def _prior(
+    text: str | None, range_m: float | None, known: DockingRing | None
+) -> Callable[[Frame], RingPrior | None]:
+    if text is None:
+        return lambda frame: RingPrior(range_m=range_m)
+    if text == "scene":
+        if known is None:
+            raise RendezviewError("--prior-axis scene needs --target, which says the ring's axis")
+
+        def from_scene(frame: Frame) -> RingPrior:
+            truth = frame.camera_from_target
+            if truth is None:
+                raise RendezviewError(
+                    f"{frame.name}: the scene does not say its pose: give --prior-axis 'x,y,z'"
+                )
+            return RingPrior(axis=truth.rotation @ known.axis, range_m=range_m)
+
+        return from_scene
+    try:
+        axis = np.array([float(part) for part in text.split(",")])
+        if axis.shape != (3,) or not np.isfinite(axis).all() or not np.linalg.norm(axis) > 0.0:
+            raise ValueError(text)
+    except ValueError:
+        raise RendezviewError(
+            f"--prior-axis must be 'scene' or three numbers 'x,y,z', not all zero, not {text!r}"
+        ) from None
+    axis = axis / np.linalg.norm(axis)
+    return lambda frame: RingPrior(axis=axis, range_m=range_m)
+
+
+def _save(path: Path, picture: np.ndarray) -> None:
+    done, content = cv2.imencode(".png", picture)
+    if not done:
+        raise RendezviewError(f"{path}: this picture cannot be encoded")
+    with atomic_write(path, durable=False) as file:
+        file.write(content.tobytes())

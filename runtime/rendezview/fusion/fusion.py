@@ -1,0 +1,157 @@
+"""Several sensors, one state: measurements as they come, the estimate at any time."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from rendezview.fusion.measurements import Measurement
+from rendezview.fusion.options import FusionOptions
+from rendezview.fusion.state import State, predict
+from rendezview.fusion.step import Snapshot, step, useless
+from rendezview.fusion.trust import Trust, Verdict
+from rendezview.pose import Array, Pose
+
+_ROUNDING_S = 1e-9
+
+
+class Status(StrEnum):
+    """How an estimate stands; every one but ``TRACKING`` comes with a reason in words."""
+
+    WAITING = "waiting"  # no sensor has given a whole pose yet
+    STARTING = "starting"  # a first pose, not borne out yet
+    TRACKING = "tracking"
+    COASTING = "coasting"  # no sensor is heard, or none is believed: rates go on
+    LOST = "lost"  # the forecast has become too wide to say anything
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """The relative state at a time, camera frame."""
+
+    time_s: float
+    status: Status
+    reason: str | None
+    pose: Pose | None  # camera_from_target; None: waiting or lost
+    rates: Array | None  # (6,) angular rate (rad/s), velocity of the target's origin (m/s)
+    covariance: Array | None  # (12, 12) rotation vector, translation, angular rate, velocity
+    ring_radius: float | None = None  # true radius over the one told, where it is estimated
+    ring_depth_m: float | None = None  # further along its axis than told, where it is estimated
+
+
+class Fusion:
+    """The filter with a short memory: late measurements are put where they belong.
+
+    fusion = Fusion()
+    fusion.add(PoseMeasurement(time_s, "camera", pose, covariance))
+    fusion.state_at(time_s + 0.1).pose
+    """
+
+    def __init__(self, options: FusionOptions | None = None) -> None:
+        self.options = options or FusionOptions()
+        self._base = Snapshot()  # before the first measurement that is remembered
+        self._measurements: list[Measurement] = []
+        self._after: list[Snapshot] = []  # beside them
+        self._floor_s = -math.inf  # nothing earlier can be put in
+
+    def add(self, measurement: Measurement) -> Verdict:
+        """Take in a measurement, late or not, and say what became of it."""
+        time_s = measurement.time_s
+        if time_s < self._floor_s:
+            told = f"later than {self.options.history_s:g} s: no longer remembered"
+            return Verdict(measurement.sensor, time_s, False, told)
+        place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
+        before = self._after[place - 1] if place else self._base
+        after, verdict = step(before, measurement, self.options)
+        self._measurements.insert(place, measurement)
+        self._after.insert(place, after)
+        for k in range(place + 1, len(self._measurements)):  # what came before it, but is later
+            after, _ = step(after, self._measurements[k], self.options)
+            self._after[k] = after
+        self._forget()
+        return verdict
+
+    def state_at(self, time_s: float) -> Estimate:
+        """The estimate at a time: now, shortly ahead, or within the memory.
+
+        Of a time in the past, it is the estimate by the measurements up to then.
+
+        Raises:
+            ValueError: the time is not finite, or earlier than what is remembered.
+        """
+        if not math.isfinite(time_s):
+            raise ValueError(f"the time must be finite, not {time_s}")
+        place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
+        snapshot = self._after[place - 1] if place else self._base
+        state = snapshot.state
+        if state is None:
+            told = "no sensor has given a whole pose yet"
+            return Estimate(time_s, Status.WAITING, told, None, None, None)
+        ahead_s = time_s - state.time_s
+        if ahead_s < -_ROUNDING_S:
+            raise ValueError(f"{time_s} s is before what is remembered ({state.time_s} s)")
+        return self._estimate(snapshot, predict(state, max(ahead_s, 0.0), self.options))
+
+    @property
+    def trusts(self) -> dict[str, Trust]:
+        """What is thought of each sensor now."""
+        return dict(self._newest.trusts)
+
+    @property
+    def starts(self) -> int:
+        """How often the filter began, the first time included."""
+        return self._newest.starts
+
+    @property
+    def time_s(self) -> float | None:
+        """Time of the newest measurement that is part of the state."""
+        state = self._newest.state
+        return None if state is None else state.time_s
+
+    @property
+    def _newest(self) -> Snapshot:
+        return self._after[-1] if self._after else self._base
+
+    def _estimate(self, snapshot: Snapshot, state: State) -> Estimate:
+        options = self.options
+        status, reason = Status.TRACKING, None
+        why = useless(state, options)
+        silent_s = state.time_s - snapshot.last_accepted_s
+        if why is not None:
+            return Estimate(state.time_s, Status.LOST, why, None, None, None)
+        if snapshot.agreed < options.start_with:
+            status = Status.STARTING
+            reason = f"{snapshot.agreed} of {options.start_with} poses agree"
+        elif silent_s > options.coasting_after_s:
+            locked = [name for name, trust in snapshot.trusts.items() if trust.locked]
+            status = Status.COASTING
+            reason = f"nothing believed for {silent_s:.1f} s" + (
+                f"; locked out: {', '.join(locked)}" if locked else ""
+            )
+        return Estimate(
+            state.time_s,
+            status,
+            reason,
+            state.pose,
+            state.rates.copy(),
+            state.motion_covariance.copy(),
+            1.0 + float(state.extras[0]) if options.ring_radius_sigma > 0.0 else None,
+            float(state.extras[1]) if options.ring_depth_sigma_m > 0.0 else None,
+        )
+
+    def _forget(self) -> None:
+        """Drop what is older than the memory, but its last snapshot."""
+        newest_s = self._measurements[-1].time_s
+        count = max(len(self._measurements) - self.options.history_most, 0)
+        while newest_s - self._measurements[count].time_s > self.options.history_s:
+            count += 1
+        if count:
+            self._base = self._after[count - 1]
+            self._floor_s = self._measurements[count - 1].time_s
+            del self._measurements[:count], self._after[:count]
+
+
+def _time_of(measurement: Measurement) -> float:
+    return measurement.time_s

@@ -1,0 +1,214 @@
+"""Sensors' logs (JSON lines) as measurements, in order of time.
+
+What a log is, is told by its keys: ``range_m`` (a laser ranger), ``ellipses`` (`rendezview ring`),
+``pose`` (`rendezview track`, `reflectors`, `stereo track`). A line without a measurement (no pose,
+no echo) is no error: the sensor said that it saw nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from rendezview.errors import RendezviewError
+from rendezview.files import StrPath, checked, read_json
+from rendezview.fusion.measurements import (
+    Measurement,
+    PoseMeasurement,
+    RangeMeasurement,
+    RingCandidate,
+    RingMeasurement,
+    Surface,
+)
+from rendezview.fusion.models import tangents
+from rendezview.fusion.options import FusionOptions
+from rendezview.pose import Pose
+from rendezview.results import read_json_lines
+from rendezview.target import DockingRing
+
+_RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogContext:
+    """What the lines of a log leave open."""
+
+    ring: DockingRing | None = None  # for rings, and for ranges unless a surface is given
+    surfaces: tuple[Surface, ...] = ()  # that a ranger's beam may meet
+    mounts: Mapping[str, Pose] = field(default_factory=dict)  # sensor_from_camera by name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorLog:
+    """The measurements of one file."""
+
+    sensor: str
+    kind: str  # pose, ring or range
+    measurements: list[Measurement]
+    silent: int  # lines without a measurement
+
+
+def read_log(path: StrPath, sensor: str, context: LogContext) -> SensorLog:
+    """The measurements of a sensor's log, each with its time and covariance.
+
+    Raises:
+        RendezviewError: missing, of no known kind, a line (named) is wrong, or what the kind
+            needs (the target's ring, a surface) is not known.
+    """
+    records = read_json_lines(path)
+    if not records:
+        raise RendezviewError(f"{path}: holds no lines: name another log")
+    kind, reader = _kind(records[0], str(path), context)
+    mount = context.mounts.get(sensor)
+    measurements: list[Measurement] = []
+    for number, record in enumerate(records, start=1):
+        where = f"{path}: record {number}"
+        try:
+            measurement = reader(record, sensor, context)
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            said = f"no key {error}" if isinstance(error, KeyError) else str(error)
+            raise RendezviewError(
+                f"{where}: no line of a {kind} log ({said}): correct or remove it"
+            ) from error
+        if measurement is not None:
+            measurements.append(measurement if mount is None else measurement.in_camera(mount))
+    measurements.sort(key=lambda m: m.time_s)
+    return SensorLog(sensor, kind, measurements, len(records) - len(measurements))
+
+
+def merged(logs: list[SensorLog]) -> list[Measurement]:
+    """All measurements in order of time; at one time in the order of the logs."""
+    return sorted((m for log in logs for m in log.measurements), key=lambda m: m.time_s)
+
+
+def read_options(path: StrPath) -> FusionOptions:
+    """Options from a JSON file; its keys are those of `FusionOptions`, none is required.
+
+    Raises:
+        RendezviewError: missing, an unknown key, or a wrong value (named).
+    """
+    return checked(TypeAdapter(FusionOptions), read_json(path, "fusion options"), str(path))
+
+
+def read_surfaces(path: StrPath) -> tuple[Surface, ...]:
+    """What a beam may meet, from a JSON list; keys are those of `Surface`.
+
+    Raises:
+        RendezviewError: missing, no list of such, or a wrong value.
+    """
+    content = read_json(path, "surfaces")
+    try:
+        if not isinstance(content, list) or not content:
+            raise ValueError("a list of surfaces is needed")
+        return tuple(Surface(**one) for one in content)
+    except (ValueError, TypeError) as error:
+        raise RendezviewError(f"{path}: no surfaces: {error}") from error
+
+
+def read_mount(path: StrPath) -> Pose:
+    """``sensor_from_camera`` of a JSON file with ``quat_wxyz`` and ``translation_m``.
+
+    Raises:
+        RendezviewError: missing, or no pose.
+    """
+    try:
+        return _pose(read_json(path, "a sensor's place"))
+    except (ValueError, KeyError, TypeError) as error:
+        raise RendezviewError(
+            f"{path}: needs quat_wxyz and translation_m of sensor_from_camera: {error}"
+        ) from error
+
+
+Reader = Callable[[dict[str, Any], str, LogContext], Measurement | None]
+
+
+def _kind(record: dict[str, Any], path: str, context: LogContext) -> tuple[str, Reader]:
+    if "range_m" in record:
+        if not context.surfaces and context.ring is None:
+            raise RendezviewError(
+                f"{path}: a range needs to know what the beam meets: give --surfaces, or "
+                "--target with a docking ring"
+            )
+        return "range", _range_of
+    if "ellipses" in record:
+        if context.ring is None:
+            raise RendezviewError(
+                f"{path}: a ring needs to know where it is on the target: give --target with a "
+                "docking ring"
+            )
+        return "ring", _ring_of
+    if "pose" in record:
+        return "pose", _pose_of
+    raise RendezviewError(
+        f"{path}: no log of a sensor that is known here: its lines have neither 'pose' (track, "
+        "reflectors, stereo), nor 'ellipses' (ring), nor 'range_m' (a laser ranger)"
+    )
+
+
+def _time(record: dict[str, Any]) -> float:
+    time_s = record.get("time_s")
+    if isinstance(time_s, bool) or not isinstance(time_s, int | float):
+        raise ValueError("time_s is not known; sensors can only be joined by their times")
+    return float(time_s)
+
+
+def _pose(content: Any) -> Pose:
+    return Pose.from_quat_wxyz(content["quat_wxyz"], content["translation_m"])
+
+
+def _pose_of(record: dict[str, Any], sensor: str, _: LogContext) -> Measurement | None:
+    # A roll that may be half a turn off is no pose.
+    if record["pose"] is None or record.get("covariance") is None or record.get("roll_ambiguous"):
+        return None
+    covariance = np.array(record["covariance"], dtype=np.float64)
+    return PoseMeasurement(_time(record), sensor, _pose(record["pose"]), covariance)
+
+
+def _ring_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measurement | None:
+    assert context.ring is not None
+    candidates = []
+    for pose in record["poses"]:
+        covariance = np.array(pose["covariance"], dtype=np.float64)  # null becomes NaN
+        if not np.isfinite(covariance).all():
+            continue  # its error is not known: no measurement
+        if covariance.shape != (5, 5):
+            raise ValueError("covariance must be (5, 5)")
+        axis = np.array(pose["axis"], dtype=np.float64)
+        candidates.append(
+            RingCandidate.of_tangent(pose["centre_m"], axis, covariance, tangents(axis))
+        )
+    if not candidates:
+        return None
+    return RingMeasurement(_time(record), sensor, tuple(candidates[:2]), context.ring)
+
+
+def _range_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measurement | None:
+    distance = record["range_m"]
+    if distance is None:
+        return None
+    surfaces = context.surfaces
+    if not surfaces:
+        assert context.ring is not None
+        surfaces = (Surface(context.ring.centre_m, context.ring.axis, _RELIEF_M),)
+    sigma_m = float(record["sigma_m"])
+    origin = np.array(record.get("origin_m", [0.0, 0.0, 0.0]), dtype=np.float64)
+    direction = np.array(record.get("direction", [0.0, 0.0, 1.0]), dtype=np.float64)
+    if not (isinstance(distance, int | float) and math.isfinite(distance)):
+        raise ValueError(f"range_m must be a number or null, not {distance!r}")
+    return RangeMeasurement(
+        _time(record), sensor, float(distance), sigma_m, surfaces, origin, direction
+    )
+
+
+def sensor_name(text: str) -> tuple[str, Path]:
+    """``NAME=PATH``, or a path that gives the name."""
+    name, equals, path = text.partition("=")
+    if equals and name and "/" not in name:
+        return name, Path(path)
+    return Path(text).stem, Path(text)

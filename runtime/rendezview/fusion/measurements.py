@@ -1,0 +1,222 @@
+"""What sensors say: a pose, a ring, a range; each with its time, covariance and sensor.
+
+A sensor may be mounted elsewhere: ``sensor_from_camera`` takes a measurement into the camera
+frame when it is made, so that the filter knows one frame only.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.pose import Array, Pose
+from rendezview.target import DockingRing
+
+_UNIT = 1e-6  # a direction may be this far from unit length
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseMeasurement:
+    """All six degrees of freedom: the recognizer, reflectors, a stereo tracker.
+
+    Raises:
+        ValueError: a number is not finite, or the covariance not one (symmetric, positive).
+    """
+
+    time_s: float  # when the light fell on the sensor
+    sensor: str
+    pose: Pose  # camera_from_target
+    covariance: Array  # (6, 6) rotation vector, translation; on the left, camera frame
+
+    size = lasting_size = 6
+
+    def __post_init__(self) -> None:
+        _check_time(self.time_s, self.sensor)
+        object.__setattr__(self, "covariance", checked_covariance(self.covariance, 6, self.sensor))
+
+    def in_camera(self, sensor_from_camera: Pose) -> PoseMeasurement:
+        """The same said in the camera frame, where it was said in that of its sensor."""
+        camera_from_sensor = sensor_from_camera.inverse()
+        turn = _twice(camera_from_sensor.rotation)
+        pose = camera_from_sensor @ self.pose
+        return PoseMeasurement(self.time_s, self.sensor, pose, turn @ self.covariance @ turn.T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingCandidate:
+    """One of the circles in space that an ellipse can be."""
+
+    centre_m: Array  # (3,) camera frame
+    axis: Array  # (3,) unit, normal of the ring's plane, of either sign
+    covariance: Array  # (6, 6) centre, axis; that of the axis has rank two: none along it
+
+    def __post_init__(self) -> None:
+        centre, axis = (np.array(v, dtype=np.float64) for v in (self.centre_m, self.axis))
+        if centre.shape != (3,) or not np.isfinite(centre).all():
+            raise ValueError(f"centre_m must be three finite numbers, not {self.centre_m}")
+        if axis.shape != (3,) or not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-3:
+            raise ValueError(f"axis must be a unit vector (3,), not {self.axis}")
+        covariance = np.array(self.covariance, dtype=np.float64)
+        if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+            raise ValueError("the covariance of a ring must be (6, 6) and finite")
+        object.__setattr__(self, "centre_m", centre)
+        object.__setattr__(self, "axis", axis / np.linalg.norm(axis))
+        object.__setattr__(self, "covariance", 0.5 * (covariance + covariance.T))
+
+    @classmethod
+    def of_tangent(
+        cls, centre_m: npt.ArrayLike, axis: npt.ArrayLike, covariance: npt.ArrayLike, basis: Array
+    ) -> RingCandidate:
+        """From a (5, 5) covariance of centre and the two tangents (3, 2) of the axis."""
+        spread = np.zeros((6, 5))
+        spread[:3, :3], spread[3:, 3:] = np.eye(3), basis
+        whole = spread @ np.asarray(covariance, dtype=np.float64) @ spread.T
+        return cls(np.asarray(centre_m), np.asarray(axis), whole)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingMeasurement:
+    """A circular ring of known radius: centre three, axis two degrees of freedom, no roll.
+
+    An ellipse is two circles. Both may be given; the filter weighs them by what it knows.
+
+    Raises:
+        ValueError: no candidate, or a number is not finite.
+    """
+
+    time_s: float
+    sensor: str
+    candidates: tuple[RingCandidate, ...]  # one or two
+    ring: DockingRing  # what it is of the target, target frame
+
+    size = 5
+    lasting_size = 10  # of the ring's edge, and of another that was taken for it
+
+    def __post_init__(self) -> None:
+        _check_time(self.time_s, self.sensor)
+        if not self.candidates:
+            raise ValueError(f"{self.sensor}: a ring needs at least one candidate")
+
+    def in_camera(self, sensor_from_camera: Pose) -> RingMeasurement:
+        """The same said in the camera frame."""
+        camera_from_sensor = sensor_from_camera.inverse()
+        turn = _twice(camera_from_sensor.rotation)
+        moved = tuple(
+            RingCandidate(
+                camera_from_sensor.apply(c.centre_m),
+                camera_from_sensor.rotation @ c.axis,
+                turn @ c.covariance @ turn.T,
+            )
+            for c in self.candidates
+        )
+        return RingMeasurement(self.time_s, self.sensor, moved, self.ring)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """What a ranger's beam may meet: a plane of the target, where it ends, how uneven it is.
+
+    Raises:
+        ValueError: no unit normal, or a length is negative.
+    """
+
+    point_m: Array  # (3,) target frame
+    normal: Array  # (3,) unit, target frame
+    relief_m: float = 0.0  # σ of the real surface about the plane; lasts while the spot stays
+    inner_m: float = 0.0  # distance from the point where it begins: a nozzle in its middle
+    outer_m: float = math.inf  # … and where it ends
+
+    def __post_init__(self) -> None:
+        point, normal = (np.array(v, dtype=np.float64) for v in (self.point_m, self.normal))
+        if point.shape != (3,) or not np.isfinite(point).all():
+            raise ValueError(f"point_m must be three finite numbers, not {self.point_m}")
+        if normal.shape != (3,) or not 0.0 < float(np.linalg.norm(normal)) < math.inf:
+            raise ValueError(f"normal must be a vector (3,), not {self.normal}")
+        if not (0.0 <= self.relief_m < math.inf and 0.0 <= self.inner_m < self.outer_m):
+            raise ValueError(
+                f"relief_m must not be negative, outer_m beyond inner_m: {self.relief_m}, "
+                f"{self.inner_m}, {self.outer_m}"
+            )
+        object.__setattr__(self, "point_m", point)
+        object.__setattr__(self, "normal", normal / np.linalg.norm(normal))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeMeasurement:
+    """A distance along a beam to the target.
+
+    Of several surfaces the first counts on which the spot is expected for sure. Where there is
+    none the range says nothing; a last surface without ends and with much relief says something.
+
+    Raises:
+        ValueError: a number is not finite, the range or σ not positive, no direction, no surface.
+    """
+
+    time_s: float
+    sensor: str
+    range_m: float
+    sigma_m: float
+    surfaces: tuple[Surface, ...]
+    origin_m: Array = field(default_factory=lambda: np.zeros(3))  # (3,) camera frame
+    direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit
+
+    size = lasting_size = 1
+
+    def __post_init__(self) -> None:
+        _check_time(self.time_s, self.sensor)
+        if not (0.0 < self.range_m < math.inf and 0.0 < self.sigma_m < math.inf):
+            raise ValueError(
+                f"{self.sensor}: range and σ must be positive: {self.range_m}, {self.sigma_m}"
+            )
+        if not self.surfaces:
+            raise ValueError(f"{self.sensor}: a range needs a surface that the beam may meet")
+        origin = np.array(self.origin_m, dtype=np.float64)
+        direction = np.array(self.direction, dtype=np.float64)
+        if origin.shape != (3,) or not np.isfinite(origin).all():
+            raise ValueError(f"{self.sensor}: origin_m must be three finite numbers, not {origin}")
+        if direction.shape != (3,) or not 0.0 < float(np.linalg.norm(direction)) < math.inf:
+            raise ValueError(f"{self.sensor}: direction must be a vector (3,), not {direction}")
+        object.__setattr__(self, "origin_m", origin)
+        object.__setattr__(self, "direction", direction / np.linalg.norm(direction))
+
+    def in_camera(self, sensor_from_camera: Pose) -> RangeMeasurement:
+        """The same said in the camera frame."""
+        camera_from_sensor = sensor_from_camera.inverse()
+        return RangeMeasurement(
+            self.time_s, self.sensor, self.range_m, self.sigma_m, self.surfaces,
+            camera_from_sensor.apply(self.origin_m), camera_from_sensor.rotation @ self.direction,
+        )  # fmt: skip
+
+
+Measurement = PoseMeasurement | RingMeasurement | RangeMeasurement
+
+
+def _check_time(time_s: float, sensor: str) -> None:
+    if not math.isfinite(time_s):
+        raise ValueError(f"{sensor}: the time of a measurement must be finite, not {time_s}")
+
+
+def checked_covariance(covariance: npt.ArrayLike, size: int, sensor: str) -> Array:
+    """A covariance as an array, made exactly symmetric.
+
+    Raises:
+        ValueError: another shape, not finite, or not positive definite.
+    """
+    matrix = np.array(covariance, dtype=np.float64)
+    if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+        raise ValueError(f"{sensor}: the covariance must be ({size}, {size}) and finite")
+    matrix = 0.5 * (matrix + matrix.T)
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        raise ValueError(f"{sensor}: the covariance is not positive definite") from None
+    return matrix
+
+
+def _twice(rotation: Array) -> Array:
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = rotation
+    return turn

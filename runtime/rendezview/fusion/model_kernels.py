@@ -1,0 +1,174 @@
+"""What measurements are expected to say, compiled: residuals, slopes, covariances."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.fusion.kernels import rotation_vector, square_root
+from rendezview.pose import Array
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pose_model(
+    measured_rotation: Array,
+    measured_translation: Array,
+    covariance: Array,
+    rotation: Array,
+    translation: Array,
+    inflation: float,
+    floor_rad: float,
+    floor_range: float,
+    lasting: float,
+) -> tuple[Array, Array, Array]:
+    """(6,) residual, (6, 6) white covariance and (6, 6) root of the lasting one, of a pose."""
+    residual = np.empty(6)
+    residual[:3] = rotation_vector(measured_rotation, rotation)
+    for i in range(3):
+        residual[3 + i] = measured_translation[i] - translation[i]
+    whole = pose_covariance(measured_translation, covariance, inflation, floor_rad, floor_range)
+    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def pose_covariance(
+    translation: Array, covariance: Array, inflation: float, floor_rad: float, floor_range: float
+) -> Array:
+    """(6, 6) what a pose's covariance is taken for."""
+    whole = inflation * covariance
+    square = translation[0] ** 2 + translation[1] ** 2 + translation[2] ** 2
+    for i in range(3):
+        whole[i, i] += floor_rad**2
+        whole[3 + i, 3 + i] += floor_range**2 * square
+    return whole
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_model(
+    ring_centre: Array,
+    ring_axis: Array,
+    rotation: Array,
+    translation: Array,
+    radius: float,
+    depth: float,
+) -> tuple[Array, Array, Array, Array]:
+    """(3,) centre and (3,) axis expected, (3, 2) tangents of the axis, (5, 14) slope."""
+    arm, axis = np.zeros(3), np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            arm[i] += rotation[i, j] * (ring_centre[j] + depth * ring_axis[j])
+            axis[i] += rotation[i, j] * ring_axis[j]
+    centre = (arm + translation) / radius
+    basis = np.zeros((3, 2))
+    across = 1 if abs(axis[0]) > 1.0 - 1e-6 else 0
+    basis[across, 0] = 1.0
+    for i in range(3):
+        basis[i, 0] -= axis[across] * axis[i]
+    basis[:, 0] /= np.sqrt(basis[0, 0] ** 2 + basis[1, 0] ** 2 + basis[2, 0] ** 2)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        basis[i, 1] = axis[j] * basis[k, 0] - axis[k] * basis[j, 0]
+    slope = np.zeros((5, 14))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        # w × arm: row i has w_j arm_k − w_k arm_j
+        slope[i, j], slope[i, k] = arm[k] / radius, -arm[j] / radius
+        slope[i, 3 + i] = 1.0 / radius
+        slope[i, 12] = -centre[i] / radius
+        slope[i, 13] = axis[i] / radius
+    for c in range(2):
+        for i in range(3):  # e · (w × n) = w · (n × e)
+            j, k = (i + 1) % 3, (i + 2) % 3
+            slope[3 + c, i] = axis[j] * basis[k, c] - axis[k] * basis[j, c]
+    return centre, axis, basis, slope
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def ring_look(
+    measured_centre: Array,
+    measured_axis: Array,
+    covariance: Array,
+    centre: Array,
+    axis: Array,
+    basis: Array,
+    inflation: float,
+    floor_rad: float,
+    floor_range: float,
+    lasting: float,
+) -> tuple[Array, Array, Array]:
+    """(5,) residual, (5, 5) white covariance and (5, 10) root of the lasting one, of a circle."""
+    facing = 0.0
+    for i in range(3):
+        facing += measured_axis[i] * axis[i]
+    sign = 1.0 if facing >= 0.0 else -1.0  # a circle has no front
+    flat = np.zeros((5, 6))
+    residual = np.zeros(5)
+    for i in range(3):
+        flat[i, i] = 1.0
+        residual[i] = measured_centre[i] - centre[i]
+        for c in range(2):
+            flat[3 + c, 3 + i] = sign * basis[i, c]
+            residual[3 + c] += sign * basis[i, c] * measured_axis[i]
+    half = np.zeros((5, 6))
+    whole = np.zeros((5, 5))
+    for i in range(5):
+        for j in range(6):
+            for k in range(6):
+                half[i, j] += flat[i, k] * covariance[k, j]
+    for i in range(5):
+        for j in range(5):
+            for k in range(6):
+                whole[i, j] += half[i, k] * flat[j, k]
+            whole[i, j] *= inflation
+    square = measured_centre[0] ** 2 + measured_centre[1] ** 2 + measured_centre[2] ** 2
+    for i in range(3):
+        whole[i, i] += floor_range**2 * square
+    for i in range(3, 5):
+        whole[i, i] += floor_rad**2
+    both = np.zeros((5, 10))
+    both[:, :5] = square_root(lasting * whole)
+    return residual, (1.0 - lasting) * whole, both
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def other_edge(
+    place: Array, bearing: float, relative: float, angle: float, lasting: float
+) -> tuple[Array, Array]:
+    """(5, 5) white covariance and (5, 10) root of the lasting one, of an edge near the ring's.
+
+    Args:
+        place: (3,) where it would be if it were the ring's.
+        bearing, relative, angle: σ across the line of sight (rad), along it (over the range), and
+            of the axis (rad).
+        lasting: share of the variance that lasts.
+    """
+    square = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
+    whole = np.zeros((5, 5))
+    for i in range(3):
+        whole[i, i] = bearing**2 * square
+        for j in range(3):
+            whole[i, j] += relative**2 * place[i] * place[j]
+    whole[3, 3] = whole[4, 4] = angle**2
+    both = np.zeros((5, 10))
+    both[:, 5:] = square_root(lasting * whole)
+    return (1.0 - lasting) * whole, both
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_share(
+    share: float,
+    residual: Array,
+    white: Array,
+    root: Array,
+    mean: Array,
+    spread: Array,
+    lasting: Array,
+) -> None:
+    """Add one candidate's share to a mixture, in place; ``spread`` gets the second moment."""
+    m = len(residual)
+    for i in range(m):
+        mean[i] += share * residual[i]
+        for j in range(m):
+            spread[i, j] += share * (white[i, j] + residual[i] * residual[j])
+        for j in range(root.shape[1]):
+            lasting[i, j] += share * root[i, j]

@@ -1,0 +1,175 @@
+"""What each kind of measurement is expected to say, and its slope by the state.
+
+Slopes are of the error state: R_true = exp([w]×) R, t_true = t + v (docs/conventions.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import chdtri
+
+from rendezview.fusion.kernels import square_root
+from rendezview.fusion.measurements import (
+    Measurement,
+    PoseMeasurement,
+    RangeMeasurement,
+    RingMeasurement,
+)
+from rendezview.fusion.model_kernels import other_edge, pose_model, ring_look, ring_model
+from rendezview.fusion.options import SensorOptions
+from rendezview.pose import Array
+
+if TYPE_CHECKING:
+    from rendezview.fusion.state import State
+
+_COLUMNS = 14  # twelve of motion, ring radius and depth
+_SURELY = 2.0  # σ of the place by which a spot must lie within its surface
+# Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same
+# edge is taken again and again, so that most of it lasts.
+_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_LASTING = 0.005, 0.1, 0.5, 0.9
+_GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """A measurement linearised at a state."""
+
+    residual: Array  # (m,) measured − expected, the lasting error left out
+    slope: Array  # (m, 14) slope by motion, ring radius and depth
+    white: Array  # (m, m) covariance of what is new each time
+    lasting_root: Array  # (m, b) slope by the lasting error, which has unit variance
+    log_chance: float = 0.0  # of this candidate before it is compared
+    loose: bool = False  # it says little: another edge than the ring's was taken
+    others: tuple[Expected, ...] = ()  # the other candidates
+
+
+@cache
+def gate_of(size: int, chance: float) -> float:
+    """Squared distance that a good measurement exceeds by chance."""
+    return float(chdtri(size, chance))
+
+
+def root_of_lasting(covariance: Array, sensor: SensorOptions) -> Array:
+    """Lower triangular root of the share of a covariance that lasts."""
+    return np.asarray(square_root(sensor.lasting * covariance))
+
+
+def expected(
+    state: State, measurement: Measurement, sensor: SensorOptions, chance_of_other: float = 0.0
+) -> Expected | str:
+    """The measurement beside the state; words where the two cannot be compared."""
+    if isinstance(measurement, PoseMeasurement):
+        return _pose(state, measurement, sensor)
+    if isinstance(measurement, RingMeasurement):
+        return _ring(state, measurement, sensor, chance_of_other)
+    return _range(state, measurement)
+
+
+def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> Expected:
+    pose = measurement.pose
+    residual, white, root = pose_model(
+        pose.rotation, pose.translation_m, measurement.covariance, state.rotation,
+        state.translation_m, sensor.inflation, sensor.floor_rad, sensor.floor_range,
+        sensor.lasting,
+    )  # fmt: skip
+    return Expected(residual, _POSE_SLOPE, white, root)
+
+
+def _ring(
+    state: State, measurement: RingMeasurement, sensor: SensorOptions, chance_of_other: float
+) -> Expected | str:
+    ring = measurement.ring
+    # The radius that the sensor takes is too small by this factor: so is its centre's distance.
+    radius = 1.0 + float(state.extras[0])
+    if radius <= 0.1:
+        return "the ring's radius is lost"
+    centre, axis, basis, slope = ring_model(
+        ring.centre_m, ring.axis, state.rotation, state.translation_m, radius,
+        float(state.extras[1]),
+    )  # fmt: skip
+    if not centre[2] > 0.0:
+        return "the ring would be behind the camera"
+    looks = []
+    chance = math.log((1.0 - chance_of_other) / len(measurement.candidates[:2]))
+    for candidate in measurement.candidates[:2]:
+        residual, white, root = ring_look(
+            candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
+            sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting,
+        )  # fmt: skip
+        looks.append(Expected(residual, slope, white, root, chance))
+    if chance_of_other > 0.0:
+        # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
+        white, root = other_edge(
+            measurement.candidates[0].centre_m, _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD,
+            _OTHER_LASTING,
+        )  # fmt: skip
+        looks.append(
+            Expected(looks[0].residual, slope, white, root, math.log(chance_of_other), True)
+        )
+    return replace(looks[0], others=tuple(looks[1:]))
+
+
+def _range(state: State, measurement: RangeMeasurement) -> Expected | str:
+    beam = measurement.direction
+    from_origin = state.translation_m - measurement.origin_m
+    told = "no surface"
+    for surface in measurement.surfaces:
+        normal = state.rotation @ surface.normal
+        arm = state.rotation @ surface.point_m
+        slant = float(normal @ beam)
+        if abs(slant) < _GRAZING:
+            told = "the beam grazes the surface"
+            continue
+        distance = float(normal @ (arm + from_origin)) / slant
+        if not distance > 0.0:
+            told = "the surface would be behind the ranger"
+            continue
+        if surface.inner_m > 0.0 or surface.outer_m < np.inf:
+            spot = distance * beam - from_origin - arm
+            from_point = float(np.sqrt(spot @ spot))
+            # Only where the spot is surely on it.
+            margin_m = _SURELY * float(np.sqrt(max(state.covariance[3, 3], state.covariance[4, 4])))
+            if not surface.inner_m + margin_m <= from_point <= surface.outer_m - margin_m:
+                told = f"the beam may miss the surface: {from_point:.2g} m from its middle"
+                continue
+        slope = np.zeros((1, _COLUMNS))
+        # d(n·(p − o)/(n·d)), with n and p − t turned by w: n × (t − o − distance d) over n·d.
+        away = from_origin - distance * beam
+        slope[0, 0] = (normal[1] * away[2] - normal[2] * away[1]) / slant
+        slope[0, 1] = (normal[2] * away[0] - normal[0] * away[2]) / slant
+        slope[0, 2] = (normal[0] * away[1] - normal[1] * away[0]) / slant
+        slope[0, 3:6] = normal / slant
+        return Expected(
+            np.array([measurement.range_m - distance]),
+            slope,
+            np.array([[measurement.sigma_m**2]]),
+            np.array([[surface.relief_m]]),
+        )
+    return told
+
+
+def tangents(axis: Array) -> Array:
+    """(3, 2) unit vectors e₁, e₂ across an axis n, as in logs of rings (docs/files.md).
+
+    e₁ is camera x less its part along n, normalised (camera y where n is along x); e₂ = n × e₁.
+    """
+    along_x = abs(axis[0]) > 1.0 - 1e-6
+    first = np.array([0.0, 1.0, 0.0]) if along_x else np.array([1.0, 0.0, 0.0])
+    first = first - (first @ axis) * axis
+    first /= np.sqrt(first @ first)
+    second = np.array(
+        [
+            axis[1] * first[2] - axis[2] * first[1],
+            axis[2] * first[0] - axis[0] * first[2],
+            axis[0] * first[1] - axis[1] * first[0],
+        ]
+    )
+    return np.column_stack([first, second])
+
+
+_POSE_SLOPE = np.hstack([np.eye(6), np.zeros((6, _COLUMNS - 6))])

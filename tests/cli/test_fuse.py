@@ -1,0 +1,162 @@
+"""``rendezview fuse``: logs of several sensors into one state, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.fusion.models import tangents
+from rendezview.pose import Pose
+from rendezview.results import JsonLinesWriter, read_json_lines
+
+SIGMA = np.array([4e-3, 4e-3, 2e-3, 0.01, 0.01, 0.05])
+TARGET = """
+name = "box"
+[mesh]
+path = "box.stl"
+unit = "m"
+[docking_ring]
+centre_m = [-1.5, 0.0, 0.0]
+axis = [-1.0, 0.0, 0.0]
+radius_m = 0.6
+"""
+CENTRE, AXIS = np.array([-1.5, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
+
+
+def truth(time_s: float) -> Pose:
+    rotation = Rotation.from_rotvec([0.0, -1.55, 0.0]).as_matrix()
+    return Pose(rotation, np.array([0.2, -0.1, 25.0 - 0.2 * time_s]))
+
+
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """A folder with a target, and logs of a recognizer, a ring and a laser ranger."""
+    rng = np.random.default_rng(4)
+    (tmp_path / "box.toml").write_text(TARGET)
+    (tmp_path / "box.stl").write_bytes(b"not read")
+    tracks, rings, echoes = [], [], []
+    for k in range(80):
+        pose = truth(0.5 * k)
+        head = {"image": f"{k}.png", "time_s": 0.5 * k}
+        seen = pose.perturbed(SIGMA * rng.standard_normal(6))
+        blind = k % 7 == 3
+        tracks.append(
+            {**head, "pose": None if blind else seen,
+             "covariance": None if blind else np.diag(SIGMA**2)}
+        )  # fmt: skip
+        axis = pose.rotation @ AXIS + 2e-3 * rng.standard_normal(3)
+        axis /= np.linalg.norm(axis)
+        other = axis + 0.3 * tangents(axis)[:, 0]
+        poses = [
+            {
+                "centre_m": pose.apply(CENTRE) + 5e-3 * rng.standard_normal(3),
+                "axis": one / np.linalg.norm(one),
+                "covariance": np.diag([5e-3**2] * 3 + [2e-3**2] * 2),
+                "chosen": one is axis,
+                "reason": "prior attitude",
+            }
+            for one in (other, axis)
+        ]
+        rings.append({**head, "ellipses": [], "poses": poses})
+        normal = pose.rotation @ AXIS
+        distance = normal @ pose.apply(CENTRE) / normal[2] + 0.02 * rng.standard_normal()
+        echoes.append({"time_s": 0.5 * k, "range_m": distance, "sigma_m": 0.02})
+    for name, records in (("track", tracks), ("ring", rings), ("laser", echoes)):
+        with JsonLinesWriter(tmp_path / f"{name}.jsonl") as writer:
+            for record in records:
+                writer.write(record)
+    return tmp_path
+
+
+def fuse(run, logs: Path, *more: object, names=("track", "ring", "laser")):
+    files = [logs / f"{name}.jsonl" for name in names]
+    return run("fuse", *files, "--target", logs / "box.toml", "-o", logs / "state.jsonl", *more)
+
+
+def test_three_logs_give_one_state_better_than_each(run, logs: Path):
+    (logs / "options.json").write_text(
+        json.dumps({"pose": {"lasting": 0.0}, "ring": {"lasting": 0.0}})
+    )
+    (logs / "surfaces.json").write_text(
+        json.dumps([{"point_m": CENTRE.tolist(), "normal": AXIS.tolist(), "relief_m": 0.01}])
+    )
+    ran = fuse(run, logs, "--options", logs / "options.json", "--surfaces", logs / "surfaces.json")
+    assert ran.code == 0, ran
+    assert "track: 69 of 69 taken" in ran.err
+    states = read_json_lines(logs / "state.jsonl")
+    assert len(states) == 69 + 80 + 80
+    last = states[-1]
+    assert last["status"] == "tracking"
+    off_m = np.array(last["pose"]["translation_m"]) - truth(39.5).translation_m
+    assert np.abs(off_m).max() < 0.02
+    assert last["rates"][5] == pytest.approx(-0.2, abs=0.01)
+    covariance = np.array(last["covariance"])
+    assert covariance.shape == (12, 12)
+    assert np.sqrt(covariance[5, 5]) < 0.2 * SIGMA[5]
+    assert set(last["sensors"]) == {"track", "ring", "laser"}
+
+
+def test_estimates_can_be_asked_for_between_measurements(run, logs: Path):
+    assert fuse(run, logs, "--every-s", "0.2", names=("track",)).code == 0
+    states = read_json_lines(logs / "state.jsonl")
+    assert sum(state["measurement"] is None for state in states) > 150
+
+
+def test_names_and_mounts_are_those_given(run, logs: Path):
+    (logs / "mount.json").write_text(
+        json.dumps({"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.5, 0.0, 0.0]})
+    )
+    ran = run("fuse", f"eye={logs / 'track.jsonl'}", "--mount", f"eye={logs / 'mount.json'}",
+              "-o", logs / "state.jsonl")  # fmt: skip
+    assert ran.code == 0, ran
+    last = read_json_lines(logs / "state.jsonl")[-1]
+    assert last["measurement"]["sensor"] == "eye"
+    x = last["pose"]["translation_m"][0]
+    assert x == pytest.approx(0.2 - 0.5, abs=0.05)
+
+
+def test_what_cannot_be_joined_is_told_in_one_line(run, logs: Path):
+    state = logs / "state.jsonl"
+    run("fuse", logs / "none.jsonl", "-o", state).says("no such file")
+    run("fuse", logs / "ring.jsonl", "-o", state).says("docking ring")
+    run("fuse", logs / "laser.jsonl", "-o", state).says("--target")
+    twice = (logs / "track.jsonl", logs / "track.jsonl")
+    run("fuse", *twice, "-o", state).says("one sensor")
+    run("fuse", logs / "track.jsonl", "-o", logs / "track.jsonl").says("overwrite")
+    run("fuse", logs / "track.jsonl", "--mount", "eye=x.json", "-o", state).says("--mount")
+    (logs / "empty.jsonl").write_text("")
+    run("fuse", logs / "empty.jsonl", "-o", state).says("no lines")
+    (logs / "other.jsonl").write_text('{"a": 1}\n')
+    run("fuse", logs / "other.jsonl", "-o", state).says("no log of a sensor")
+    (logs / "options.json").write_text('{"pose": {"lastign": 0.1}}')
+    fuse(run, logs, "--options", logs / "options.json").says("lastign")
+    (logs / "surfaces.json").write_text('[{"point_m": [0, 0]}]')
+    fuse(run, logs, "--surfaces", logs / "surfaces.json").says("surfaces.json", "normal")
+    assert not state.exists()
+    assert not (logs / "state.jsonl.partial").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ({"pose": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, 9]}, "covariance": [[1]],
+          "time_s": 0.0}, "covariance"),
+        ({"pose": {"quat_wxyz": [0, 0, 0, 0], "translation_m": [0, 0, 9]}, "covariance": [[1]],
+          "time_s": 0.0}, "quat"),
+        ({"pose": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, 9]},
+          "covariance": np.eye(6).tolist(), "time_s": None}, "time_s"),
+        ({"range_m": -2.0, "sigma_m": 0.1, "time_s": 0.0}, "positive"),
+        ({"range_m": 2.0, "time_s": 0.0}, "sigma_m"),
+        ({"ellipses": [], "poses": [{"centre_m": [0, 0, 9], "axis": [0, 0, 1]}], "time_s": 0.0},
+         "covariance"),
+    ],
+)  # fmt: skip
+def test_a_wrong_line_is_named(run, logs: Path, line, word):
+    (logs / "wrong.jsonl").write_text(json.dumps(line) + "\n")
+    ran = run("fuse", logs / "wrong.jsonl", "--target", logs / "box.toml", "-o",
+              logs / "state.jsonl")  # fmt: skip
+    ran.says("record 1", word)

@@ -1,0 +1,206 @@
+"""The filter as a whole: late measurements, trust, start, outage, new start."""
+
+import numpy as np
+import pytest
+
+from rendezview.fusion import Fusion, FusionOptions, MotionOptions, SensorOptions, Status
+
+WHITE = SensorOptions(lasting=0.0)
+OPTIONS = FusionOptions(
+    motion=MotionOptions(angular=1e-5, linear=1e-4, pointing=1e-5),
+    pose=WHITE,
+    ring=WHITE,
+    range=WHITE,
+)
+AWAY = np.array([0.1, 0.0, 0.0, 0.4, -0.3, 0.5])
+
+
+def run(fusion, world, start_s, end_s, *, sensors=("camera", "ring", "laser"), offset=None):
+    """Half a second between measurements; verdicts by sensor."""
+    told = {"camera": [], "ring": [], "laser": []}
+    for k in range(round(2 * start_s), round(2 * end_s)):
+        for measurement in (
+            world.pose(0.5 * k, offset),
+            world.ring(0.5 * k),
+            world.range(0.5 * k),
+        ):
+            if measurement.sensor in sensors:
+                told[measurement.sensor].append(fusion.add(measurement))
+    return told
+
+
+def away(fusion, world, time_s):
+    estimate = fusion.state_at(time_s)
+    off = world.error(estimate.pose, world.truth(time_s))
+    return off @ np.linalg.solve(estimate.covariance[:6, :6], off)
+
+
+def test_late_measurements_give_what_they_give_in_order(world):
+    series = [
+        make(0.5 * k + late)
+        for k in range(40)
+        for late, make in ((0.0, world.pose), (0.1, world.ring), (0.2, world.range))
+    ]
+    ordered, shuffled = Fusion(OPTIONS), Fusion(OPTIONS)
+    for measurement in series:
+        ordered.add(measurement)
+    first, rest = series[:3], series[3:]
+    for measurement in first:
+        shuffled.add(measurement)
+    # Each within 3 s of its place.
+    order = np.argsort([m.time_s + world.rng.uniform(0.0, 3.0) for m in rest], kind="stable")
+    for k in order:
+        assert shuffled.add(rest[k]).accepted
+    a, b = ordered.state_at(20.0), shuffled.state_at(20.0)
+    assert np.allclose(a.pose.translation_m, b.pose.translation_m, atol=1e-9)
+    assert np.allclose(a.covariance, b.covariance, atol=1e-12)
+    assert {n: t.accepted for n, t in ordered.trusts.items()} == {
+        n: t.accepted for n, t in shuffled.trusts.items()
+    }
+
+
+def test_what_is_too_late_is_turned_away_and_changes_nothing(world):
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 30)
+    before = fusion.state_at(30.0)
+    verdict = fusion.add(world.pose(5.0))
+    assert not verdict.accepted
+    assert "no longer remembered" in verdict.reason
+    assert np.array_equal(before.covariance, fusion.state_at(30.0).covariance)
+    with pytest.raises(ValueError, match="before what is remembered"):
+        fusion.state_at(3.0)
+
+
+def test_rates_are_found(world):
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 60)
+    estimate = fusion.state_at(60.0)
+    assert estimate.status is Status.TRACKING
+    sigma = np.sqrt(np.diag(estimate.covariance))
+    assert np.abs(estimate.rates[3:] - world.move) == pytest.approx(np.zeros(3), abs=0.01)
+    assert np.all(sigma[9:] < 0.01)
+
+
+def test_nothing_but_ranges_starts_nothing(world):
+    fusion = Fusion(OPTIONS)
+    assert fusion.state_at(0.0).status is Status.WAITING
+    verdict = fusion.add(world.range(0.0))
+    assert not verdict.accepted
+    assert fusion.state_at(1.0).pose is None
+    fusion.add(world.pose(1.0))
+    assert fusion.state_at(1.0).status is Status.STARTING
+
+
+def test_a_wrong_first_pose_is_left_at_once(world):
+    fusion = Fusion(OPTIONS)
+    fusion.add(world.pose(0.0, 10.0 * AWAY))
+    for k in range(1, 5):
+        fusion.add(world.pose(0.5 * k))
+    assert fusion.state_at(2.0).status is Status.TRACKING
+    assert fusion.starts == 2
+    assert away(fusion, world, 2.0) < 30.0
+
+
+@pytest.mark.parametrize(
+    "sensors", [("camera", "laser"), ("camera", "ring"), ("camera", "ring", "laser")]
+)
+def test_a_sensor_that_lies_is_locked_out_and_let_in_when_it_agrees(sensors, make_world):
+    world = make_world(7)
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 20, sensors=sensors)
+    lied = run(fusion, world, 20, 50, sensors=sensors, offset=AWAY)["camera"]
+    assert not any(verdict.accepted for verdict in lied)
+    assert fusion.trusts["camera"].locked
+    assert fusion.state_at(50.0).status is Status.TRACKING
+    assert away(fusion, world, 50.0) < 30.0
+    honest = run(fusion, world, 50, 60, sensors=sensors)["camera"]
+    assert honest[-1].accepted
+    assert not fusion.trusts["camera"].locked
+    assert away(fusion, world, 60.0) < 30.0
+    assert fusion.starts == 1
+
+
+def test_the_only_sensor_that_lies_is_not_believed_when_the_forecast_has_grown_wide(make_world):
+    world = make_world(8)
+    loose = FusionOptions(
+        motion=MotionOptions(angular=2e-4, linear=2e-3, pointing=1e-5),
+        pose=WHITE,
+        lost_range_fraction=0.2,
+    )
+    fusion = Fusion(loose)
+    lie = np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0])
+    run(fusion, world, 0, 20, sensors=("camera",))
+    lied = run(fusion, world, 20, 60, sensors=("camera",), offset=lie)["camera"]
+    assert not any(verdict.accepted for verdict in lied)
+    # Wide enough by now: the lie alone would pass.
+    sigma_m = np.sqrt(fusion.state_at(60.0).covariance[3, 3])
+    assert sigma_m > 0.15
+    assert fusion.state_at(60.0).status is Status.COASTING
+    honest = run(fusion, world, 60, 65, sensors=("camera",))["camera"]
+    assert honest[-1].accepted
+    assert fusion.starts == 1
+    assert away(fusion, world, 65.0) < 30.0
+
+
+def test_a_dead_sensor_is_bridged_and_then_the_state_is_lost_and_begun_anew(world):
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 10)
+    estimate = fusion.state_at(20.0)
+    assert estimate.status is Status.COASTING
+    assert away(fusion, world, 20.0) < 30.0
+    late = fusion.state_at(4000.0)
+    assert late.status is Status.LOST
+    assert late.pose is None
+    assert late.reason is not None
+    # A jump while nobody looked: begun anew from the first pose.
+    world.start = world.start.perturbed(np.array([0.5, 0.0, 0.0, 3.0, 0.0, 0.0]))
+    time_s = 4000.0
+    steady = world.truth(0.0)
+    world.truth = lambda t: steady
+    verdict = fusion.add(world.pose(time_s))
+    assert verdict.began
+    assert verdict.accepted
+    for k in range(1, 5):
+        assert fusion.add(world.pose(time_s + 0.5 * k)).accepted
+    assert fusion.state_at(time_s + 2.0).status is Status.TRACKING
+    assert away(fusion, world, time_s + 2.0) < 30.0
+
+
+def test_two_sensors_that_agree_overrule_a_state_that_is_wrong(world):
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 20, sensors=("camera", "ring"))
+    # A sudden manoeuvre, beyond every assumption: both sensors see it.
+    world.start = world.start.perturbed(np.array([0.0, 0.0, 0.05, 1.0, -1.0, 2.0]))
+    run(fusion, world, 20, 24, sensors=("camera", "ring"))
+    assert fusion.starts == 2
+    assert away(fusion, world, 23.5) < 30.0
+    assert not any(trust.locked for trust in fusion.trusts.values())
+
+
+def test_a_clock_that_is_late_is_noticed(make_world):
+    world = make_world(9)
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 30)
+    for k in range(60, 120):
+        fusion.add(world.pose(0.5 * k))
+        fusion.add(world.ring(0.5 * k))
+        stale = world.range(0.5 * k - 2.0)  # 0.4 m behind the truth
+        fusion.add(type(stale)(0.5 * k, "laser", stale.range_m, stale.sigma_m, stale.surfaces))
+    assert fusion.trusts["laser"].locked
+    assert away(fusion, world, 60.0) < 30.0
+
+
+def test_an_error_that_each_gate_passes_is_noticed_by_the_mean_of_nis(world):
+    fusion = Fusion(OPTIONS)
+    run(fusion, world, 0, 20, sensors=("camera", "ring"))
+    noisy = SensorOptions(lasting=0.0)
+    assert noisy.nis_limit == 3.0
+    for k in range(40, 160):
+        fusion.add(world.pose(0.5 * k))
+        # Three times the noise that it claims, cut where the gate would notice.
+        draw = np.clip(3.0 * world.rng.standard_normal(), -3.5, 3.5)
+        fusion.add(world.ring(0.5 * k))
+        one = world.range(0.5 * k, 1e-9)
+        fusion.add(type(one)(0.5 * k, "laser", one.range_m + 0.02 * draw, 0.02, one.surfaces))
+    assert fusion.trusts["laser"].lockouts >= 1
+    assert fusion.trusts["camera"].lockouts == 0
