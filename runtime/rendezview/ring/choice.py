@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 
 _ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one
 _MARGIN = 1.5  # the other axis must be this much further from the prior
+_PLANE_CHI2 = 30.0  # by which the false pose must misfit, and four times as much as the true one
 _POINT_SIGMAS = 3.0
 _MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much
 _MOTION_SHARE = 0.35  # and the true one by no more than this of it
@@ -62,6 +63,17 @@ def by_attitude(
     told = f"{math.degrees(angles[best]):.1f}° from {source}, the other {math.degrees(max(angles)):.1f}°"
     if max(angles) < _MARGIN * angles[best]:
         return Choice(None, f"{source} does not tell the poses apart: {told}")
+    return Choice(best, told)
+
+
+def by_plane(misfits: Sequence[float]) -> Choice:
+    """The pose that several edges of one plane fit; ``misfits`` are of `concentric.joint_poses`."""
+    if len(misfits) < 2:
+        return Choice(None, "one pose only")
+    best = int(np.argmin(misfits))
+    told = f"the ring's edges fit it with χ² {misfits[best]:.0f}, the other pose with {max(misfits):.0f}"
+    if max(misfits) < _PLANE_CHI2 + 4.0 * misfits[best]:
+        return Choice(None, "the ring's edges fit both poses")
     return Choice(best, told)
 
 

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.camera import Camera
-from rendezview.ring.choice import Choice, MotionChooser, by_attitude, only_one
-from rendezview.ring.circle_pose import CirclePose, circle_poses, shape_of_circle
+from rendezview.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
+from rendezview.ring.circle_pose import CirclePose, shape_of_circle
+from rendezview.ring.concentric import joint_poses
 from rendezview.ring.detector import Detection, RingDetector, RingEdge, RingOptions
+from rendezview.ring.ellipse import Ellipse
 from rendezview.ring.status import Status
 
 Array = npt.NDArray[np.float64]
@@ -96,10 +98,12 @@ class RingSensor:
         edge, told = self._select(detection, given)
         if edge is None:
             return self._nothing(detection, told)
-        poses = circle_poses(self.camera, detection.edges[edge].ellipse, self.radius_m)
+        poses, misfits = joint_poses(
+            self.camera, _family(detection.edges, edge), self.radius_m
+        )
         if not poses:
             return self._nothing(detection, "the ellipse is no circle's picture")
-        choice = self._choose(poses, given)
+        choice = self._choose(poses, misfits, given)
         if choice.index is not None:
             self._last, self._missed = poses[choice.index], 0
         else:
@@ -164,13 +168,25 @@ class RingSensor:
     def _focal(self) -> float:
         return 0.5 * (self.camera.fx + self.camera.fy)
 
-    def _choose(self, poses: tuple[CirclePose, ...], prior: RingPrior) -> Choice:
+    def _choose(
+        self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior
+    ) -> Choice:
         alone = only_one(poses)
         if prior.axis is not None:
             return by_attitude(poses, prior.axis)
         if alone is not None:
             return alone
+        planar = by_plane(misfits)
+        if planar.index is not None:
+            return planar
         moved = self._motion.update(poses)
         if self._last is not None and self._motion.decided is None:
             return by_attitude(poses, self._last.axis, "the axis of the last frame")
         return moved
+
+
+def _family(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
+    """The ellipses of an edge's family, that edge first, then as they are."""
+    family = edges[first].family
+    others = [e.ellipse for k, e in enumerate(edges) if e.family == family and k != first]
+    return [edges[first].ellipse, *others]
