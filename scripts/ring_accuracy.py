@@ -187,7 +187,9 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
         table.add_column(name)
     detector = RingDetector(CAMERA)
     rings = 0
-    counts = {"rendezview, best score": [0, 0], "rendezview, range to 5 % and radius": [0, 0]}
+    best, several = "rendezview, best score", "rendezview, best score, several concentric edges"
+    known = "rendezview, known radius and range to 5 %"
+    counts = {best: [0, 0], several: [0, 0], known: [0, 0]}
     among = [0, 0]
     reach = 0
     kept, scenes = [], []
@@ -205,10 +207,12 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
         among[1] += sum(any(right(e.ellipse.shape, t) for t in circles) for e in found)
         reach += any(right(e.ellipse.shape, t) for e in found for _, t in edges)
         if found and found[0].score >= arguments.least_score:
-            counts["rendezview, best score"][0] += 1
-            counts["rendezview, best score"][1] += any(
-                right(found[0].ellipse.shape, t) for _, t in edges
-            )
+            good = any(right(found[0].ellipse.shape, t) for _, t in edges)
+            counts[best][0] += 1
+            counts[best][1] += good
+            if sum(edge.family == found[0].family for edge in found) > 1:
+                counts[several][0] += 1
+                counts[several][1] += good
         if scene.ring is not None:
             ring = scene.ring
             range_m = float(np.linalg.norm(ring.centre_m)) * (1.0 + rng.normal(0.0, 0.05))
@@ -217,8 +221,8 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
             range_m, radius = 6.0, 0.6
         reading = RingSensor(CAMERA, radius).update(image, RingPrior(range_m=range_m))
         if reading.edge is not None and reading.edges[reading.edge].score >= arguments.least_score:
-            counts["rendezview, range to 5 % and radius"][0] += 1
-            counts["rendezview, range to 5 % and radius"][1] += any(
+            counts[known][0] += 1
+            counts[known][1] += any(
                 right(reading.edges[reading.edge].ellipse.shape, t) for _, t in edges
             )
     for name, (answers, good) in counts.items():

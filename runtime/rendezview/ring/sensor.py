@@ -18,6 +18,7 @@ from rendezview.ring.status import Status
 
 Array = npt.NDArray[np.float64]
 
+_MOST_COMPANIONS = 5
 _FORGET_FRAMES = 5  # frames without a pose after which the last one says nothing any more
 _RANGE_TOLERANCE = 0.15  # of the laser's range: it may meet another part of the target
 _PLACE_TOLERANCE = 0.35  # of the semi-axis: how far a ring may have moved since it was known
@@ -99,7 +100,7 @@ class RingSensor:
         if edge is None:
             return self._nothing(detection, told)
         poses, misfits = joint_poses(
-            self.camera, _family(detection.edges, edge), self.radius_m
+            self.camera, _companions(detection.edges, edge), self.radius_m
         )
         if not poses:
             return self._nothing(detection, "the ellipse is no circle's picture")
@@ -185,8 +186,21 @@ class RingSensor:
         return moved
 
 
-def _family(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
-    """The ellipses of an edge's family, that edge first, then as they are."""
-    family = edges[first].family
-    others = [e.ellipse for k, e in enumerate(edges) if e.family == family and k != first]
-    return [edges[first].ellipse, *others]
+def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
+    """An edge's ellipse, then those that may be other edges of the same ring.
+
+    First its family; then, because short arcs place an ellipse badly, all of like size and place.
+    What does not belong there the joint fit leaves out.
+    """
+    main = edges[first].ellipse
+    near: list[tuple[bool, float, Ellipse]] = []
+    for k, edge in enumerate(edges):
+        if k == first:
+            continue
+        ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
+        aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
+        family = edge.family == edges[first].family
+        if family or (0.6 < ratio < 1.7 and aside < 0.3 * main.semi_axes_px[0]):
+            near.append((not family, -edge.arc_rad, edge.ellipse))
+    near.sort(key=lambda item: item[:2])
+    return [main, *(ellipse for *_, ellipse in near[:_MOST_COMPANIONS])]
