@@ -40,7 +40,7 @@ Grey = npt.NDArray[np.uint8]
 
 _MOST_ARCS = 120
 _SUPPORT_SAMPLES = 120
-_MOST_SAMPLES = 1200  # of the step fit, along one ellipse
+_MOST_SAMPLES = 640  # of the step fit, along one ellipse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -210,6 +210,7 @@ def _verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # 
         twin = False
         for step in range(4):
             band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
+            n = _SUPPORT_SAMPLES if step > 0 else _SUPPORT_SAMPLES // 2
             found = gradient_support(dx, dy, low, lens, shape, n, band, samples)
             if found * 2.0 * np.pi / n < 0.7 * least_arc:
                 good = False
@@ -232,6 +233,7 @@ def _verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # 
                 break
         if not good or twin:
             continue
+        n = _SUPPORT_SAMPLES
         gradient_support(dx, dy, low, lens, shape, n, 1.5, samples)
         _one_sense(samples, n)
         found, longest = _runs(samples, n)
@@ -278,7 +280,7 @@ def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped
 @njit(cache=True, nogil=True)
 def _one_sense(samples, n):  # type: ignore[no-untyped-def]
     """Leave out edges against the sense of their neighbourhood: a ring's edge keeps it for long."""
-    half = 6
+    half = n // 20
     keep = np.ones(n, dtype=np.bool_)
     for i in range(n):
         if samples[i, WEIGHT] <= 0.0:
@@ -291,7 +293,7 @@ def _one_sense(samples, n):  # type: ignore[no-untyped-def]
                     same += 1
                 else:
                     other += 1
-        keep[i] = same > other and same >= 4
+        keep[i] = same > other and 3 * same > half + half // 2
     for i in range(n):
         if not keep[i]:
             samples[i, WEIGHT] = 0.0
@@ -341,7 +343,7 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
         shape = current[k].copy()
         beside = 0
         for j in range(total):
-            if j != k and not _twins(current[j], shape, 2.5):
+            if j != k and not _twins(current[j], shape, 2.5) and _meet(current[j], shape, 14.0):
                 others[beside] = current[j]
                 beside += 1
         row = _of_shape(shape)
@@ -351,9 +353,10 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
         good = True
         n = 0
         sense = 0.0
-        for step in range(3):
+        for step in range(4):
+            # The first look is a sparse one: it brings the ellipse onto the edge.
             n = step_support(
-                image, lens, shape, step_px, sense, noise, filters, basis, blur,
+                image, lens, shape, 4.0 * step_px if step == 0 else step_px, sense, noise, filters, basis, blur,
                 others[:beside], samples,
             )  # fmt: skip
             if step == 0:
@@ -404,6 +407,17 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
         current[k] = update
         count += 1
     return fitted[:count], covariances[:count], facts[:count]
+
+
+@njit(cache=True, nogil=True)
+def _meet(a, b, near):  # type: ignore[no-untyped-def]
+    """Whether ellipse a comes within ``near`` px of some of 24 points of ellipse b."""
+    for k in range(24):
+        u0, u1 = np.cos(np.pi * k / 12.0), np.sin(np.pi * k / 12.0)
+        x, y = b[0] + b[2] * u0 + b[3] * u1, b[1] + b[3] * u0 + b[4] * u1
+        if abs(distance(a, x, y)) < near:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
