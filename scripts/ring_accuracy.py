@@ -138,7 +138,10 @@ def accuracy(console: Console, seed: int, count: int, peer: Path | None) -> None
             ours.append(found)
             pose = max(reading.poses, key=lambda p: float(p.axis @ match.axis))
             off = np.concatenate(
-                [match.centre_m - pose.centre_m, tangent_basis(pose.axis).T @ (match.axis - pose.axis)]
+                [
+                    match.centre_m - pose.centre_m,
+                    tangent_basis(pose.axis).T @ (match.axis - pose.axis),
+                ]
             )
             odd.append(off @ np.linalg.solve(pose.covariance, off) / 5.0)
             if reading.pose is not None and len(reading.poses) == 2:
@@ -200,9 +203,7 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
         edges = ring_edges(scene)
         rings += bool(edges)
         found = detector.detect(image).edges
-        circles = [
-            shape_of_circle(CAMERA, c.centre_m, c.axis, c.radius_m) for c in scene.circles
-        ]
+        circles = [shape_of_circle(CAMERA, c.centre_m, c.axis, c.radius_m) for c in scene.circles]
         among[0] += len(found)
         among[1] += sum(any(right(e.ellipse.shape, t) for t in circles) for e in found)
         reach += any(right(e.ellipse.shape, t) for e in found for _, t in edges)

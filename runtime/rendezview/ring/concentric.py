@@ -77,9 +77,7 @@ def fit_joint(
     if float(axis @ centre) > 0.0:
         axis = -axis
     # Near head-on the bend of the first edge's picture tells what a slope does not.
-    bound = pose_covariance(
-        camera, CirclePose(centre, axis, start.radius_m), covariances[0]
-    )
+    bound = pose_covariance(camera, CirclePose(centre, axis, start.radius_m), covariances[0])
     turn = tangent_basis(start.axis).T @ tangent_basis(axis)
     whole = np.eye(5)
     whole[3:, 3:] = turn.T

@@ -14,7 +14,7 @@ from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.ring.arcs import find_arcs, group_arcs
 from rendezview.ring.edges import find_edges, link
-from rendezview.ring.ellipse import Ellipse, _of_shape, _shape_of
+from rendezview.ring.ellipse import Ellipse, axes_of_shape, shape_of_axes
 from rendezview.ring.families import families
 from rendezview.ring.support import (
     ARC,
@@ -27,7 +27,6 @@ from rendezview.ring.support import (
     correlation_factor,
     distance,
     gradient_support,
-    sense_of,
     step_basis,
     step_filters,
     step_support,
@@ -55,7 +54,7 @@ class RingOptions:
     least_arc_rad: float = math.radians(75.0)  # that edges must bear out, all pieces together
     least_share: float = 0.5  # of the longest piece's neighbourhood; see `_verify`
     blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
-    sample_px: float = 1.0  # between samples of the final fit
+    sample_px: float = 1.5  # between samples of the final fit
     most: int = 12  # ellipses kept
 
 
@@ -120,7 +119,9 @@ class RingDetector:
 
         found = find_edges(grey, o.least_contrast_grey, o.edge_sigmas)
         lap("edges")
-        points, starts, closed = link(found.dx, found.dy, found.low, found.high, self._number, self._power)
+        points, starts, closed = link(
+            found.dx, found.dy, found.low, found.high, self._number, self._power
+        )
         lap("chains")
         if len(points) == 0:
             return Detection((), found.noise_grey, "no edges in the picture", stage_ms)
@@ -205,19 +206,19 @@ def _verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # 
     normal = np.empty((5, 5))
     n = _SUPPORT_SAMPLES
     for k in range(rough.shape[0]):
-        shape = _shape_of(rough[k])
+        shape = shape_of_axes(rough[k])
         good = True
         twin = False
         for step in range(4):
             band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
-            n = _SUPPORT_SAMPLES if step > 0 else _SUPPORT_SAMPLES // 2
+            n = _SUPPORT_SAMPLES // 2
             found = gradient_support(dx, dy, low, lens, shape, n, band, samples)
             if found * 2.0 * np.pi / n < 0.7 * least_arc:
                 good = False
                 break
             _one_sense(samples, n)
             moved = update_shape(samples, n, band + 1.0, shape, normal)
-            row = _of_shape(shape)
+            row = axes_of_shape(shape)
             if (
                 moved < 0.0
                 or row[3] < limits[0]
@@ -321,14 +322,13 @@ def _runs(samples, n):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _twins(a, b, near):  # type: ignore[no-untyped-def]
     """Whether two shapes are one ellipse, to ``near`` px."""
-    for k in range(5):
-        if abs(a[k] - b[k]) > near:
-            return False
-    return True
+    return bool(np.max(np.abs(a - b)) <= near)
 
 
 @njit(cache=True, nogil=True)
-def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_arc):  # type: ignore[no-untyped-def]
+def _fit_steps(  # type: ignore[no-untyped-def]
+    image, lens, shapes, spacing, noise, filters, basis, blur, least_arc
+):
     """Blurred-step fits: shapes (M, 5), covariances (M, 5, 5), (M, 3) arc, contrast, rms."""
     total = shapes.shape[0]
     current = shapes.copy()
@@ -346,7 +346,7 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
             if j != k and not _twins(current[j], shape, 2.5) and _meet(current[j], shape, 14.0):
                 others[beside] = current[j]
                 beside += 1
-        row = _of_shape(shape)
+        row = axes_of_shape(shape)
         around = np.pi * (3.0 * (row[2] + row[3])
                           - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
         step_px = max(spacing, around / (0.8 * _MOST_SAMPLES))

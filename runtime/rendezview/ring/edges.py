@@ -1,7 +1,7 @@
 """Directed chains of edge points: crests of the gradient, placed along it, linked by direction.
 
-Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept too,
-by chain: one that is nowhere strong is dropped.
+Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept
+too, by chain: one that is nowhere strong is dropped.
 
 A chain runs with the bright side on its right as the picture is seen, so that it turns one way
 along a convex outline, and two edges that touch are not joined against their gradients.
@@ -88,7 +88,7 @@ def _powers(dx, dy, line):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _crest(dx, dy, power, row, column, here, out, k):  # type: ignore[no-untyped-def]
-    """Place x, y, direction and size of the crest at a pixel, into row k of ``out``; False where none is."""
+    """Place x, y, direction and size of the crest at a pixel, into row k of ``out``."""
     gx, gy = np.float32(dx[row, column]), np.float32(dy[row, column])
     # Two neighbours on the gradient's line, each between two pixels.
     if abs(gx) >= abs(gy):

@@ -115,7 +115,7 @@ def ring_size_of_pass(
     )
     common = np.array([*np.median([sides for sides, *_ in guesses], axis=0), *both])
     weights = [np.linalg.inv(_noise(sight)) for sight in used]
-    normal = np.eye(4)
+    normal: Array = np.eye(4)
     for _ in range(_PASS_STEPS):
         normal, right = np.zeros((4, 4)), np.zeros(4)
         back: list[tuple[Array, Array, Array]] = []
@@ -137,7 +137,7 @@ def ring_size_of_pass(
             )
             own, shared = slopes[:, :6], slopes[:, 6:]
             residual = measured - base
-            inner = np.linalg.inv(own.T @ weight @ own)
+            inner = np.asarray(np.linalg.inv(own.T @ weight @ own), dtype=np.float64)
             across = own.T @ weight @ shared
             normal += shared.T @ weight @ shared - across.T @ inner @ across
             right += shared.T @ weight @ residual - across.T @ inner @ (own.T @ weight @ residual)
@@ -150,7 +150,7 @@ def ring_size_of_pass(
         common = common + move
         if np.abs(move).max() < 1e-8:
             break
-    covariance = np.linalg.inv(normal)[2:, 2:]
+    covariance = np.asarray(np.linalg.inv(normal)[2:, 2:], dtype=np.float64)
     return RingSize(float(common[2]), float(common[3]), covariance, len(used))
 
 

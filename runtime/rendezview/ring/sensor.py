@@ -99,9 +99,7 @@ class RingSensor:
         edge, told = self._select(detection, given)
         if edge is None:
             return self._nothing(detection, told)
-        poses, misfits = joint_poses(
-            self.camera, _companions(detection.edges, edge), self.radius_m
-        )
+        poses, misfits = joint_poses(self.camera, _companions(detection.edges, edge), self.radius_m)
         if not poses:
             return self._nothing(detection, "the ellipse is no circle's picture")
         choice = self._choose(poses, misfits, given)
@@ -111,17 +109,13 @@ class RingSensor:
             self._pair = poses
         status = Status.AMBIGUOUS if choice.index is None else Status.OK
         reason = choice.reason if choice.index is None else None
-        return RingReading(
-            status, reason, detection.edges, edge, poses, choice, detection.stage_ms
-        )
+        return RingReading(status, reason, detection.edges, edge, poses, choice, detection.stage_ms)
 
     def _nothing(self, detection: Detection, reason: str) -> RingReading:
         self._missed += 1
         if self._missed >= _FORGET_FRAMES:
             self.reset()
-        return RingReading(
-            Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms
-        )
+        return RingReading(Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms)
 
     def _by_shape(self, detection: Detection, prior: RingPrior) -> int | None:
         return 0 if detection.edges else None
