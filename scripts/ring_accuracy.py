@@ -248,8 +248,10 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
 
 def main() -> None:
     console = Console(width=150)
-    accuracy(console, arguments.seed, arguments.frames, arguments.peer_python)
-    detection(console, arguments.seed, arguments.cluttered, arguments.peer_python)
+    if arguments.frames:
+        accuracy(console, arguments.seed, arguments.frames, arguments.peer_python)
+    if arguments.cluttered:
+        detection(console, arguments.seed, arguments.cluttered, arguments.peer_python)
 
 
 if __name__ == "__main__":

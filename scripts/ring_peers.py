@@ -29,7 +29,7 @@ def edge_drawing(image: np.ndarray) -> list[list[float]]:
 def find_ellipses(image: np.ndarray) -> list[list[float]]:
     found = cv2.ximgproc.findEllipses(image, scoreThreshold=0.5, reliabilityThreshold=0.4)
     out = []
-    for x, y, a, b, angle, _ in np.asarray(found if found is not None else []).reshape(-1, 6):
+    for x, y, a, b, _, angle in np.asarray(found if found is not None else []).reshape(-1, 6):
         out.append(ordered(x, y, a, b, angle))
     return out
 

@@ -356,8 +356,8 @@ def _fit_steps(  # type: ignore[no-untyped-def]
         for step in range(4):
             # The first look is a sparse one: it brings the ellipse onto the edge.
             n = step_support(
-                image, lens, shape, 4.0 * step_px if step == 0 else step_px, sense, noise, filters, basis, blur,
-                others[:beside], samples,
+                image, lens, shape, 4.0 * step_px if step == 0 else step_px, sense, noise,
+                filters, basis, blur, others[:beside], samples,
             )  # fmt: skip
             if step == 0:
                 _one_sense(samples, n)
