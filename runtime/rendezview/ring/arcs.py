@@ -96,9 +96,7 @@ def find_arcs(points, starts, closed):  # type: ignore[no-untyped-def]
                 if sense == 0.0:
                     sense = 1.0 if turn > 0.0 else -1.0
                 continue
-            if k - begin >= 2 or (k - begin == 1 and ends and begin == 0):
-                count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
-            elif k - begin == 1:
+            if k - begin >= 2 or (k - begin == 1 and ends and begin == 0) or k - begin == 1:
                 count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
             if sharp or ends:
                 begin, sense = k, 0.0
@@ -195,9 +193,7 @@ def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limi
     sums = np.zeros((count, SCATTER))
     for j in range(count):
         for i in range(int(arcs[j, FIRST]), int(arcs[j, LAST])):
-            add_point(
-                sums[j], (points[i, 0] - centre_x) / scale, (points[i, 1] - centre_y) / scale
-            )
+            add_point(sums[j], (points[i, 0] - centre_x) / scale, (points[i, 1] - centre_y) / scale)
     found = np.empty((2 * count, 5))
     length = np.empty(2 * count)
     filled = 0
@@ -228,10 +224,11 @@ def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limi
             for j in range(count):
                 if member[j] or tried[j]:
                     continue
-                if joined == 1 or good:
-                    if not (_faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)):
-                        tried[j] = True
-                        continue
+                if (joined == 1 or good) and not (
+                    _faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)
+                ):
+                    tried[j] = True
+                    continue
                 # Without a sure ellipse yet, only another arc can make one.
                 if good and turned > 2.0 and _misfit(ellipse, points, arcs[j]) > 12.0:
                     continue
@@ -282,7 +279,5 @@ def _usable(conic, scale, centre_x, centre_y, ellipse, limits):  # type: ignore[
     ellipse[2] *= scale
     ellipse[3] *= scale
     return (
-        ellipse[3] >= limits[0]
-        and ellipse[2] <= limits[1]
-        and ellipse[3] >= limits[2] * ellipse[2]
+        ellipse[3] >= limits[0] and ellipse[2] <= limits[1] and ellipse[3] >= limits[2] * ellipse[2]
     )

@@ -20,6 +20,7 @@ Array = npt.NDArray[np.float64]
 
 _ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one
 _MARGIN = 1.5  # the other axis must be this much further from the prior
+_PLANE_CHI2 = 30.0  # by which the false pose must misfit, and four times as much as the true one
 _POINT_SIGMAS = 3.0
 _MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much
 _MOTION_SHARE = 0.35  # and the true one by no more than this of it
@@ -59,9 +60,24 @@ def by_attitude(
     alone = only_one(poses)
     if alone is not None:
         return Choice(best, alone.reason)
-    told = f"{math.degrees(angles[best]):.1f}° from {source}, the other {math.degrees(max(angles)):.1f}°"
+    near, far = math.degrees(angles[best]), math.degrees(max(angles))
+    told = f"{near:.1f}° from {source}, the other {far:.1f}°"
     if max(angles) < _MARGIN * angles[best]:
         return Choice(None, f"{source} does not tell the poses apart: {told}")
+    return Choice(best, told)
+
+
+def by_plane(misfits: Sequence[float]) -> Choice:
+    """The pose that several edges of one plane fit; ``misfits`` are of `concentric.joint_poses`."""
+    if len(misfits) < 2:
+        return Choice(None, "one pose only")
+    best = int(np.argmin(misfits))
+    told = (
+        f"the ring's edges fit it with χ² {misfits[best]:.0f}, "
+        f"the other pose with {max(misfits):.0f}"
+    )
+    if max(misfits) < _PLANE_CHI2 + 4.0 * misfits[best]:
+        return Choice(None, "the ring's edges fit both poses")
     return Choice(best, told)
 
 
@@ -90,7 +106,10 @@ def by_point(
     off = np.linalg.norm(camera.project(places) - seen, axis=1)
     off = np.where(np.isfinite(off), off, np.inf)
     best = int(np.argmin(off))
-    told = f"a point off the plane lies {off[best]:.1f} px from where it is seen, by the other pose {off.max():.1f} px"
+    told = (
+        f"a point off the plane lies {off[best]:.1f} px from where it is seen, "
+        f"by the other pose {off.max():.1f} px"
+    )
     if not off.max() - off[best] > _POINT_SIGMAS * sigma_px:
         return Choice(None, f"the point off the plane does not tell the poses apart: {told}")
     return Choice(best, told)

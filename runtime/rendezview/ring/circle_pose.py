@@ -244,12 +244,12 @@ def _propagate(camera, centre, axis, basis, radius, shape_covariance, out):  # t
     left = bends - place @ (taken @ bends)
     curve = np.diag(left.T @ information @ left)
     spread = np.full(2, 0.1)
-    covariance = np.eye(5)
+    covariance = plain
     for _ in range(_FIXED_POINT_STEPS):
         total = plain.copy()
         for k in range(2):
             total[3 + k, 3 + k] += 0.25 * curve[k] * spread[k] ** 2 + 1.0 / _LARGEST_ANGLE_RAD**2
-        covariance = np.linalg.inv(total)
+        covariance = np.asarray(np.linalg.inv(total))
         for k in range(2):
             spread[k] = np.sqrt(0.5 * (spread[k] ** 2 + covariance[3 + k, 3 + k]))
     out[:] = 0.5 * (covariance + covariance.T)

@@ -14,7 +14,7 @@ from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.ring.arcs import find_arcs, group_arcs
 from rendezview.ring.edges import find_edges, link
-from rendezview.ring.ellipse import Ellipse, _of_shape, _shape_of
+from rendezview.ring.ellipse import Ellipse, axes_of_shape, shape_of_axes
 from rendezview.ring.families import families
 from rendezview.ring.support import (
     ARC,
@@ -27,7 +27,6 @@ from rendezview.ring.support import (
     correlation_factor,
     distance,
     gradient_support,
-    sense_of,
     step_basis,
     step_filters,
     step_support,
@@ -40,7 +39,7 @@ Grey = npt.NDArray[np.uint8]
 
 _MOST_ARCS = 120
 _SUPPORT_SAMPLES = 120
-_MOST_SAMPLES = 1200  # of the step fit, along one ellipse
+_MOST_SAMPLES = 640  # of the step fit, along one ellipse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +54,7 @@ class RingOptions:
     least_arc_rad: float = math.radians(75.0)  # that edges must bear out, all pieces together
     least_share: float = 0.5  # of the longest piece's neighbourhood; see `_verify`
     blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
-    sample_px: float = 1.0  # between samples of the final fit
+    sample_px: float = 1.5  # between samples of the final fit
     most: int = 12  # ellipses kept
 
 
@@ -120,7 +119,9 @@ class RingDetector:
 
         found = find_edges(grey, o.least_contrast_grey, o.edge_sigmas)
         lap("edges")
-        points, starts, closed = link(found.dx, found.dy, found.low, found.high, self._number, self._power)
+        points, starts, closed = link(
+            found.dx, found.dy, found.low, found.high, self._number, self._power
+        )
         lap("chains")
         if len(points) == 0:
             return Detection((), found.noise_grey, "no edges in the picture", stage_ms)
@@ -205,18 +206,19 @@ def _verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # 
     normal = np.empty((5, 5))
     n = _SUPPORT_SAMPLES
     for k in range(rough.shape[0]):
-        shape = _shape_of(rough[k])
+        shape = shape_of_axes(rough[k])
         good = True
         twin = False
         for step in range(4):
             band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
+            n = _SUPPORT_SAMPLES // 2
             found = gradient_support(dx, dy, low, lens, shape, n, band, samples)
             if found * 2.0 * np.pi / n < 0.7 * least_arc:
                 good = False
                 break
             _one_sense(samples, n)
             moved = update_shape(samples, n, band + 1.0, shape, normal)
-            row = _of_shape(shape)
+            row = axes_of_shape(shape)
             if (
                 moved < 0.0
                 or row[3] < limits[0]
@@ -232,6 +234,7 @@ def _verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # 
                 break
         if not good or twin:
             continue
+        n = _SUPPORT_SAMPLES
         gradient_support(dx, dy, low, lens, shape, n, 1.5, samples)
         _one_sense(samples, n)
         found, longest = _runs(samples, n)
@@ -278,7 +281,7 @@ def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped
 @njit(cache=True, nogil=True)
 def _one_sense(samples, n):  # type: ignore[no-untyped-def]
     """Leave out edges against the sense of their neighbourhood: a ring's edge keeps it for long."""
-    half = 6
+    half = n // 20
     keep = np.ones(n, dtype=np.bool_)
     for i in range(n):
         if samples[i, WEIGHT] <= 0.0:
@@ -291,7 +294,7 @@ def _one_sense(samples, n):  # type: ignore[no-untyped-def]
                     same += 1
                 else:
                     other += 1
-        keep[i] = same > other and same >= 4
+        keep[i] = same > other and 3 * same > half + half // 2
     for i in range(n):
         if not keep[i]:
             samples[i, WEIGHT] = 0.0
@@ -319,14 +322,13 @@ def _runs(samples, n):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _twins(a, b, near):  # type: ignore[no-untyped-def]
     """Whether two shapes are one ellipse, to ``near`` px."""
-    for k in range(5):
-        if abs(a[k] - b[k]) > near:
-            return False
-    return True
+    return bool(np.max(np.abs(a - b)) <= near)
 
 
 @njit(cache=True, nogil=True)
-def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_arc):  # type: ignore[no-untyped-def]
+def _fit_steps(  # type: ignore[no-untyped-def]
+    image, lens, shapes, spacing, noise, filters, basis, blur, least_arc
+):
     """Blurred-step fits: shapes (M, 5), covariances (M, 5, 5), (M, 3) arc, contrast, rms."""
     total = shapes.shape[0]
     current = shapes.copy()
@@ -341,20 +343,21 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
         shape = current[k].copy()
         beside = 0
         for j in range(total):
-            if j != k and not _twins(current[j], shape, 2.5):
+            if j != k and not _twins(current[j], shape, 2.5) and _meet(current[j], shape, 14.0):
                 others[beside] = current[j]
                 beside += 1
-        row = _of_shape(shape)
+        row = axes_of_shape(shape)
         around = np.pi * (3.0 * (row[2] + row[3])
                           - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
         step_px = max(spacing, around / (0.8 * _MOST_SAMPLES))
         good = True
         n = 0
         sense = 0.0
-        for step in range(3):
+        for step in range(4):
+            # The first look is a sparse one: it brings the ellipse onto the edge.
             n = step_support(
-                image, lens, shape, step_px, sense, noise, filters, basis, blur,
-                others[:beside], samples,
+                image, lens, shape, 4.0 * step_px if step == 0 else step_px, sense, noise,
+                filters, basis, blur, others[:beside], samples,
             )  # fmt: skip
             if step == 0:
                 _one_sense(samples, n)
@@ -404,6 +407,17 @@ def _fit_steps(image, lens, shapes, spacing, noise, filters, basis, blur, least_
         current[k] = update
         count += 1
     return fitted[:count], covariances[:count], facts[:count]
+
+
+@njit(cache=True, nogil=True)
+def _meet(a, b, near):  # type: ignore[no-untyped-def]
+    """Whether ellipse a comes within ``near`` px of some of 24 points of ellipse b."""
+    for k in range(24):
+        u0, u1 = np.cos(np.pi * k / 12.0), np.sin(np.pi * k / 12.0)
+        x, y = b[0] + b[2] * u0 + b[3] * u1, b[1] + b[3] * u0 + b[4] * u1
+        if abs(distance(a, x, y)) < near:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -1,7 +1,7 @@
 """Directed chains of edge points: crests of the gradient, placed along it, linked by direction.
 
-Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept too,
-by chain: one that is nowhere strong is dropped.
+Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept
+too, by chain: one that is nowhere strong is dropped.
 
 A chain runs with the bright side on its right as the picture is seen, so that it turns one way
 along a convex outline, and two edges that touch are not joined against their gradients.
@@ -23,7 +23,6 @@ Ints = npt.NDArray[np.int32]
 
 BLUR_PX = 1.0  # σ of the smoothing before the gradient
 _KERNEL = (5, 5)
-_BLOCK = 16  # pixels of a row that are passed over at once
 SOBEL = 8.0  # of Sobel's weights, to grey levels a pixel
 _GRADIENT_SHARE = 1.05  # noise of one Sobel component over the pixels' σ, after the smoothing
 
@@ -80,22 +79,16 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _powers(dx, dy, line, peaks):  # type: ignore[no-untyped-def]
-    """Squared gradients of a row, and the largest of every block of it."""
-    width = line.shape[0]
-    for column in range(width):
+def _powers(dx, dy, line):  # type: ignore[no-untyped-def]
+    """Squared gradients of a row."""
+    for column in range(line.shape[0]):
         a, b = np.float32(dx[column]), np.float32(dy[column])
         line[column] = a * a + b * b
-    for block in range(peaks.shape[0]):
-        most = np.float32(0.0)
-        for column in range(block * _BLOCK, min((block + 1) * _BLOCK, width)):
-            most = max(most, line[column])
-        peaks[block] = most
 
 
 @njit(cache=True, nogil=True)
-def _crest(dx, dy, power, row, column, here, out):  # type: ignore[no-untyped-def]
-    """Place x, y, direction and size of the crest at a pixel, into ``out``; False where none is."""
+def _crest(dx, dy, power, row, column, here, out, k):  # type: ignore[no-untyped-def]
+    """Place x, y, direction and size of the crest at a pixel, into row k of ``out``."""
     gx, gy = np.float32(dx[row, column]), np.float32(dy[row, column])
     # Two neighbours on the gradient's line, each between two pixels.
     if abs(gx) >= abs(gy):
@@ -120,7 +113,8 @@ def _crest(dx, dy, power, row, column, here, out):  # type: ignore[no-untyped-de
     shift = 0.5 * (b - a) / curve if curve < -1e-9 else 0.0
     shift = min(max(shift, -0.6), 0.6) * np.sqrt(1.0 + t * t)
     ux, uy = gx / size, gy / size
-    out[0], out[1], out[2], out[3], out[4] = column + shift * ux, row + shift * uy, ux, uy, size
+    out[k, 0], out[k, 1] = column + shift * ux, row + shift * uy
+    out[k, 2], out[k, 3], out[k, 4] = ux, uy, size
     return True
 
 
@@ -133,28 +127,30 @@ def _crests(dx, dy, low, number, power):  # type: ignore[no-untyped-def]
     place = np.empty((room, 2), dtype=np.int32)
     square = np.float32(low * low)
     total = 0
-    blocks = (width + _BLOCK - 1) // _BLOCK
-    peaks = np.empty((2, blocks), dtype=np.float32)  # of this row and the next
     for below in range(2, height - 2):
-        _powers(dx[below], dy[below], power[below], peaks[below % 2])
+        _powers(dx[below], dy[below], power[below])
         row = below - 1
         if row < 3:
             continue
-        line = power[row]
         if total + width > room:
             room = 2 * room + width
             more, places = np.empty((room, 5)), np.empty((room, 2), dtype=np.int32)
             more[:total], places[:total] = found[:total], place[:total]
             found, place = more, places
-        for block in range(blocks):
-            if peaks[row % 2, block] < square:
+        upper, line, lower = power[row - 1], power[row], power[row + 1]
+        for column in range(3, width - 3):
+            here = line[column]
+            if here < square:
                 continue
-            for column in range(max(3, block * _BLOCK), min((block + 1) * _BLOCK, width - 3)):
-                here = line[column]
-                if here >= square and _crest(dx, dy, power, row, column, here, found[total]):
-                    place[total, 0], place[total, 1] = column, row
-                    total += 1
-                    number[row, column] = total
+            # Off a crest's line at least one pair of opposite neighbours is no higher.
+            if not (line[column - 1] <= here and line[column + 1] <= here) and not (
+                upper[column] <= here and lower[column] <= here
+            ):
+                continue
+            if _crest(dx, dy, power, row, column, here, found, total):
+                place[total, 0], place[total, 1] = column, row
+                total += 1
+                number[row, column] = total
     return found[:total], place[:total]
 
 

@@ -1,8 +1,8 @@
 """The ellipse as a result, and three fits to points: the paper's, an unbiased one, the geometric.
 
 Inside the compiled loops an ellipse is its *shape vector* (x, y, A11, A12, A22): the points
-``c + A u`` with u on the unit circle and A symmetric, positive definite. Unlike axes and angle these
-five are smooth where the ellipse is a circle, which is what a ring seen head-on is.
+``c + A u`` with u on the unit circle and A symmetric, positive definite. Unlike axes and angle
+these five are smooth where the ellipse is a circle, which is what a ring seen head-on is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from rendezview.ring.conic import sampson
 
 Array = npt.NDArray[np.float64]
 
-_HYPER_SWEEPS = 1
 _GEOMETRIC_STEPS = 12
 
 
@@ -35,7 +34,9 @@ class Ellipse:
     @classmethod
     def from_shape(cls, shape: Array, shape_covariance: Array | None = None) -> Ellipse:
         """From the shape vector (5,) and its covariance (5, 5)."""
-        x, y, a, b, angle = (float(value) for value in _of_shape(np.asarray(shape, dtype=float)))
+        x, y, a, b, angle = (
+            float(value) for value in axes_of_shape(np.asarray(shape, dtype=float))
+        )
         covariance = None
         if shape_covariance is not None:
             jacobian = _axes_jacobian(a, b, angle)
@@ -50,7 +51,7 @@ class Ellipse:
     @property
     def shape(self) -> Array:
         """(5,) x, y, A11, A12, A22 of the points ``c + A u``, |u| = 1; px."""
-        return np.asarray(_shape_of(self._row()))
+        return np.asarray(shape_of_axes(self._row()))
 
     @classmethod
     def fit(cls, points_px: npt.ArrayLike) -> Ellipse | None:
@@ -80,16 +81,18 @@ class Ellipse:
         angles = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
         x, y, a, b, c = self.shape
         matrix = np.array([[a, b], [b, c]])
-        return np.array([x, y]) + np.column_stack([np.cos(angles), np.sin(angles)]) @ matrix
+        circle = np.column_stack([np.cos(angles), np.sin(angles)])
+        return np.asarray(circle @ matrix + (x, y))
 
     def _row(self) -> Array:
         return np.array([*self.centre_px, *self.semi_axes_px, self.angle_rad])
 
 
 def fit_paper(points_px: npt.ArrayLike) -> Ellipse | None:
-    """Zhai et al., eq. 4–8: least squares of ``x² + A xy + B y² + C x + D y + E``; None if no ellipse.
+    """Zhai et al., eq. 4–8: least squares of ``x² + A xy + B y² + C x + D y + E``.
 
-    Biased on arcs. Eq. 8 loses the sign of φ, which is that of -A. Points (N, 2) px, N ≥ 5.
+    Points (N, 2) px, N ≥ 5. None where that is no ellipse. Biased on arcs. Eq. 8 loses the sign
+    of φ, which is that of -A.
     """
     points = _points(points_px)
     if len(points) < 5:
@@ -117,15 +120,13 @@ def fit_paper(points_px: npt.ArrayLike) -> Ellipse | None:
     phi = math.atan2(math.sqrt(max(upper, 0.0)), math.sqrt(max(lower, 0.0)))  # eq. 8
     phi = math.copysign(phi, -big_a)
     long, short = math.sqrt(square_a), math.sqrt(square_b)
-    return Ellipse(
-        origin + scale * np.array([u, v]), (scale * long, scale * short), _wrapped(phi)
-    )
+    return Ellipse(origin + scale * np.array([u, v]), (scale * long, scale * short), _wrapped(phi))
 
 
 def fit_hyper(points_px: npt.ArrayLike) -> Ellipse | None:
-    """Algebraic fit without the bias of second order (Kanatani & Rangarajan 2011); None if no ellipse.
+    """Algebraic fit without the bias of second order (Kanatani & Rangarajan 2011).
 
-    Points (N, 2) px, N ≥ 5.
+    Points (N, 2) px, N ≥ 5. None where the conic is no ellipse.
     """
     points = _points(points_px)
     if len(points) < 5:
@@ -148,11 +149,9 @@ def fit_hyper(points_px: npt.ArrayLike) -> Ellipse | None:
     if values[1] <= 1e-14 * values[-1]:
         return None  # the points do not determine a conic
     kept = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T  # pseudo-inverse of rank 5
-    weights = np.einsum("ni,nij,nj->n", design, np.broadcast_to(kept, (count, 6, 6)), design)
+    weights = np.sum((design @ kept) * design, axis=1)
     normal -= (design * weights[:, None]).T @ design / count**2
     across = design @ kept
-    for half in (dx, dy):
-        del half
     normal -= _hyper_cross(design, across, dx, dy) / count**2
     try:
         inverse = np.linalg.inv(moments + 1e-15 * np.trace(moments) * np.eye(6))
@@ -193,7 +192,7 @@ def _of_conic(conic: Array, origin: Array, scale: float) -> Ellipse | None:
 
 
 @njit(cache=True, nogil=True)
-def _shape_of(row):  # type: ignore[no-untyped-def]
+def shape_of_axes(row):  # type: ignore[no-untyped-def]
     """Shape vector (5,) of x, y, a, b, angle (5,)."""
     c, s = np.cos(row[4]), np.sin(row[4])
     a, b = row[2], row[3]
@@ -205,7 +204,7 @@ def _shape_of(row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _of_shape(shape):  # type: ignore[no-untyped-def]
+def axes_of_shape(shape):  # type: ignore[no-untyped-def]
     """x, y, a, b, angle (5,) of a shape vector (5,)."""
     half, diff = 0.5 * (shape[2] + shape[4]), 0.5 * (shape[2] - shape[4])
     root = np.sqrt(diff * diff + shape[3] * shape[3])

@@ -56,9 +56,7 @@ def _ellipse(
         _lines(canvas, places, colour, closed=True)
 
 
-def _axis(
-    canvas: Picture, pose: CirclePose, camera: Camera, colour: tuple[int, int, int]
-) -> None:
+def _axis(canvas: Picture, pose: CirclePose, camera: Camera, colour: tuple[int, int, int]) -> None:
     ends = np.vstack([pose.centre_m, pose.centre_m + pose.radius_m * pose.axis])
     places = camera.project(ends)
     if np.isfinite(places).all() and np.abs(places).max() < 3e4:

@@ -9,13 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.camera import Camera
-from rendezview.ring.choice import Choice, MotionChooser, by_attitude, only_one
-from rendezview.ring.circle_pose import CirclePose, circle_poses, shape_of_circle
+from rendezview.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
+from rendezview.ring.circle_pose import CirclePose, shape_of_circle
+from rendezview.ring.concentric import joint_poses
 from rendezview.ring.detector import Detection, RingDetector, RingEdge, RingOptions
+from rendezview.ring.ellipse import Ellipse
 from rendezview.ring.status import Status
 
 Array = npt.NDArray[np.float64]
 
+_MOST_COMPANIONS = 5
 _FORGET_FRAMES = 5  # frames without a pose after which the last one says nothing any more
 _RANGE_TOLERANCE = 0.15  # of the laser's range: it may meet another part of the target
 _PLACE_TOLERANCE = 0.35  # of the semi-axis: how far a ring may have moved since it was known
@@ -96,27 +99,23 @@ class RingSensor:
         edge, told = self._select(detection, given)
         if edge is None:
             return self._nothing(detection, told)
-        poses = circle_poses(self.camera, detection.edges[edge].ellipse, self.radius_m)
+        poses, misfits = joint_poses(self.camera, _companions(detection.edges, edge), self.radius_m)
         if not poses:
             return self._nothing(detection, "the ellipse is no circle's picture")
-        choice = self._choose(poses, given)
+        choice = self._choose(poses, misfits, given)
         if choice.index is not None:
             self._last, self._missed = poses[choice.index], 0
         else:
             self._pair = poses
         status = Status.AMBIGUOUS if choice.index is None else Status.OK
         reason = choice.reason if choice.index is None else None
-        return RingReading(
-            status, reason, detection.edges, edge, poses, choice, detection.stage_ms
-        )
+        return RingReading(status, reason, detection.edges, edge, poses, choice, detection.stage_ms)
 
     def _nothing(self, detection: Detection, reason: str) -> RingReading:
         self._missed += 1
         if self._missed >= _FORGET_FRAMES:
             self.reset()
-        return RingReading(
-            Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms
-        )
+        return RingReading(Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms)
 
     def _by_shape(self, detection: Detection, prior: RingPrior) -> int | None:
         return 0 if detection.edges else None
@@ -164,13 +163,38 @@ class RingSensor:
     def _focal(self) -> float:
         return 0.5 * (self.camera.fx + self.camera.fy)
 
-    def _choose(self, poses: tuple[CirclePose, ...], prior: RingPrior) -> Choice:
+    def _choose(
+        self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior
+    ) -> Choice:
         alone = only_one(poses)
         if prior.axis is not None:
             return by_attitude(poses, prior.axis)
         if alone is not None:
             return alone
+        planar = by_plane(misfits)
+        if planar.index is not None:
+            return planar
         moved = self._motion.update(poses)
         if self._last is not None and self._motion.decided is None:
             return by_attitude(poses, self._last.axis, "the axis of the last frame")
         return moved
+
+
+def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
+    """An edge's ellipse, then those that may be other edges of the same ring.
+
+    First its family; then, because short arcs place an ellipse badly, all of like size and place.
+    What does not belong there the joint fit leaves out.
+    """
+    main = edges[first].ellipse
+    near: list[tuple[bool, float, Ellipse]] = []
+    for k, edge in enumerate(edges):
+        if k == first:
+            continue
+        ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
+        aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
+        family = edge.family == edges[first].family
+        if family or (0.6 < ratio < 1.7 and aside < 0.3 * main.semi_axes_px[0]):
+            near.append((not family, -edge.arc_rad, edge.ellipse))
+    near.sort(key=lambda item: item[:2])
+    return [main, *(ellipse for *_, ellipse in near[:_MOST_COMPANIONS])]

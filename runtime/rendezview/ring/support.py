@@ -29,7 +29,7 @@ _NO = 1e9
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
 def bend(x, y, lens):  # type: ignore[no-untyped-def]
-    """Pixel of an undistorted pixel; ``lens`` (13,): fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6, is bent."""
+    """Pixel of an undistorted pixel; ``lens``: fx fy cx cy, eight of the lens, bent or not."""
     if lens[12] == 0.0:
         return x, y
     a, b = (x - lens[2]) / lens[0], (y - lens[3]) / lens[1]
@@ -70,7 +70,7 @@ def _frame(shape, u0, u1):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, fastmath=True)
 def distance(shape, x, y):  # type: ignore[no-untyped-def]
-    """Distance of a point from an ellipse, outside positive; exact for circles, else first order."""
+    """Distance of a point from an ellipse, outside positive; exact for circles."""
     a, b, c = shape[2], shape[3], shape[4]
     ex, ey = x - shape[0], y - shape[1]
     determinant = a * c - b * b
@@ -126,12 +126,12 @@ def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: i
             near, far = abs(values[k - 1]), abs(values[k + 1])
             curve = near + far - 2.0 * size
             shift = 0.5 * (near - far) / curve if curve < 0.0 else 0.0
-            # Where the pixel read lies along the normal, as it was rounded.
-            if abs(d + shift) <= band:
-                # The nearest edge, unless a much stronger one is beside it.
-                if at == _NO or size > 1.5 * best or abs(d + shift) < abs(at):
-                    best, at = max(size, low), d + shift
-                    row[CONTRAST] = values[k]
+            # The nearest edge, unless a much stronger one is beside it.
+            if abs(d + shift) <= band and (
+                at == _NO or size > 1.5 * best or abs(d + shift) < abs(at)
+            ):
+                best, at = max(size, low), d + shift
+                row[CONTRAST] = values[k]
         if at != _NO:
             row[OFFSET], row[WEIGHT] = at, 1.0
             found += 1

@@ -100,7 +100,7 @@ def random_scene(
         side = int(rng.integers(2))
         over = rng.uniform(-0.25, 0.3) * width_px  # how far the ring's centre is inside the border
         offset[side] = (0.5 * (camera.width, camera.height)[side] - abs(over)) * rng.choice([-1, 1])
-    u, v = offset + (0.5 * (camera.width - 1), 0.5 * (camera.height - 1))
+    u, v = np.add(offset, (0.5 * (camera.width - 1), 0.5 * (camera.height - 1)))
     centre = depth * np.append(camera.rays(np.array([[u, v]]))[0, :2], 1.0)
     axis = tilted_axis(centre, tilt, towards)
     across = _across(axis, rng.uniform(0.0, _TAU))
@@ -116,8 +116,8 @@ def random_scene(
             Plate(behind, axis, across, body_grey, half_sides_m=half, shade=(shade[0], shade[1]))
         )
         if rng.random() < 0.5:  # a panel beside the bus
-            side = behind + (half[0] + 1.4 * r) * across
-            plates.append(Plate(side, axis, across, float(rng.uniform(20, 90)),
+            beside = behind + (half[0] + 1.4 * r) * across
+            plates.append(Plate(beside, axis, across, float(rng.uniform(20, 90)),
                                 half_sides_m=(1.3 * r, 0.5 * r)))  # fmt: skip
     for _ in range(o.clutter):
         plate = _round_thing(centre, axis, r, camera, depth, rng)
