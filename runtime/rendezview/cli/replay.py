@@ -1,0 +1,74 @@
+"""``rendezview replay``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from rendezview.errors import RendezviewError
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(help="Log of `rendezview serve --record` (*.mcap).")],
+    model: Annotated[
+        Path | None, typer.Option(help="Model file, where the log does not hold it.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="The states again, JSON lines.")
+    ] = None,
+    mend: Annotated[
+        bool, typer.Option("--mend", help="Only complete a log that was cut off, in place.")
+    ] = False,
+) -> None:
+    """Repeat a recorded run and compare it, bit for bit; or mend a log that was cut off.
+
+    \b
+    Example: rendezview replay run.mcap
+    """
+    try:
+        from rendezview.service import log_file
+        from rendezview.service.replay import model_of, read_log, repeat
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] == "rendezview":
+            raise
+        raise RendezviewError(
+            f"`rendezview replay` needs {error.name}, which is not installed: "
+            "pip install 'rendezview[service]'"
+        ) from None
+    console = Console(stderr=True)
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True)
+
+    if mend:
+        cut = log_file.mend(log)
+        say(f"{log}: whole" if cut is None else f"{log}: completed; {cut} bytes at its end cut")
+        return
+    opened = read_log(log)
+    result = None
+    import cv2
+
+    from rendezview.results import JsonLinesWriter
+
+    cv2.setNumThreads(1)
+    writer = JsonLinesWriter(output) if output else None
+    try:
+        for state, result in repeat(opened, model_of(opened, model)):
+            if writer:
+                writer.write(state.model_dump(mode="json"))
+    finally:
+        if writer:
+            writer.close()
+    if result is None:
+        raise RendezviewError(f"{log}: holds no frame")
+    if result.gap is not None:
+        say(result.gap)
+    if result.differing:
+        raise RendezviewError(
+            f"{log}: {result.differing} of {result.frames} frames differ, first "
+            f"{result.first_difference}: another version or another model?"
+        )
+    say(f"{result.frames} frames, {result.poses} poses: all repeated bit for bit")
