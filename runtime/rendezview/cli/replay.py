@@ -19,6 +19,10 @@ def replay(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="The states again, JSON lines.")
     ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(min=0.0, help="Differences allowed; compiled on another machine: 1e-9."),
+    ] = 0.0,
     mend: Annotated[
         bool, typer.Option("--mend", help="Only complete a log that was cut off, in place.")
     ] = False,
@@ -66,9 +70,14 @@ def replay(
         raise RendezviewError(f"{log}: holds no frame")
     if result.gap is not None:
         say(result.gap)
-    if result.differing:
+    counted = f"{result.frames} frames, {result.poses} poses"
+    if result.largest > tolerance:
         raise RendezviewError(
-            f"{log}: {result.differing} of {result.frames} frames differ, first "
-            f"{result.first_difference}: another version or another model?"
+            f"{log}: {result.differing} of {result.frames} frames differ, by up to "
+            f"{result.largest:.1e}, first {result.first_difference}: another version or model; or, "
+            "where it is rounding, loops that were compiled apart (see --tolerance)"
         )
-    say(f"{result.frames} frames, {result.poses} poses: all repeated bit for bit")
+    if result.differing:
+        say(f"{counted}: {result.differing} differ, by at most {result.largest:.1e}")
+    else:
+        say(f"{counted}: all repeated bit for bit")

@@ -54,7 +54,10 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
                 f"a raw frame of this camera has {camera.width} × {camera.height} = {wanted} "
                 f"bytes, not {len(content)}: send grey levels row by row, or a PNG or JPEG file"
             )
-        return np.frombuffer(content, dtype=np.uint8).reshape(camera.height, camera.width)
+        # Writable, as all frames are: for another kind of array the loops would be compiled
+        # again, and might round differently.
+        own = bytearray(content) if isinstance(content, bytes) else content
+        return np.frombuffer(own, dtype=np.uint8).reshape(camera.height, camera.width)
     size = png_size(content) if kind is FrameKind.PNG else jpeg_size(content)
     if size is None or not _ends(content, kind):
         raise RendezviewError(f"the {kind.upper()} frame is cut short or damaged: send it again")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from rendezview.service.frames import read_frame
 from rendezview.service.log_file import messages, records
 from rendezview.service.messages import SessionRequest, State
 from rendezview.service.recording import MODEL_ATTACHMENT, SESSION_METADATA
-from rendezview.service.tracking import Follower, camera_of
+from rendezview.service.tracking import Follower, camera_of, warm_up
 
 # What a run repeats; times of stages and of the clock are of the day.
 REPEATED = (
@@ -134,6 +135,7 @@ class Repeated:
     poses: int = 0
     first_difference: str | None = None
     differing: int = 0
+    largest: float = 0.0  # difference of two numbers that should be one
     gap: str | None = None  # why the comparison ended early
 
 
@@ -165,6 +167,7 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[State, Repeated]]:
     request = log.request
     if request is None:
         raise RendezviewError(f"{log.path}: says nothing of a session: use it as a --source")
+    warm_up(model)
     follower = Follower(log.notes.get("session", "replay"), model, request)
     so_far = Repeated()
     expected = 0
@@ -188,6 +191,19 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[State, Repeated]]:
         different = [name for name in REPEATED if again[name] != frame.state[name]]
         if different:
             so_far.differing += 1
+            for name in different:
+                so_far.largest = max(so_far.largest, apart(again[name], frame.state[name]))
             if so_far.first_difference is None:
                 so_far.first_difference = f"frame {state.frame}: {', '.join(different)}"
         yield state, so_far
+
+
+def apart(a: Any, b: Any) -> float:
+    """The largest difference of numbers in two like JSON values; infinite if they are unlike."""
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        return max((apart(a[key], b[key]) for key in a), default=0.0)
+    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        return max((apart(x, y) for x, y in zip(a, b, strict=True)), default=0.0)
+    if isinstance(a, float) and isinstance(b, float):
+        return abs(a - b)
+    return 0.0 if a == b else math.inf

@@ -103,7 +103,9 @@ class Service:
         count = self.settings.workers or os.cpu_count() or 1
         self._workers = [self._new_worker() for _ in range(count)]
         try:
-            await asyncio.gather(*(worker.start() for worker in self._workers))
+            # One first: what it compiles the others find compiled.
+            await self._come_up(self._workers[0])
+            await asyncio.gather(*map(self._come_up, self._workers[1:]))
         except (WorkerGone, TimeoutError, OSError) as error:
             raise RendezviewError(
                 f"the processes that track do not start ({error or type(error).__name__})"
@@ -296,6 +298,12 @@ class Service:
 
     # Workers
 
+    async def _come_up(self, worker: Worker) -> None:
+        await worker.start()
+        if self.given is not None:
+            path = str(self.given.path)
+            await worker.ask({"kind": "warm", "session": "", "model_path": path})
+
     def _new_worker(self) -> Worker:
         worker = Worker(self.settings.frame_bytes, self.settings.frame_timeout_s)
         worker.on_gone = self._gone
@@ -315,7 +323,7 @@ class Service:
         fresh = self._new_worker()
         while True:
             try:
-                await fresh.start()
+                await self._come_up(fresh)
                 break
             except (WorkerGone, TimeoutError, OSError):
                 await asyncio.sleep(_RESTART_PAUSE_S)

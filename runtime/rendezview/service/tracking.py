@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rendezview.appearance import Recognizer, Sighting, Tracker, ViewModel
 from rendezview.appearance.align import nearest_view
 from rendezview.appearance.contours import NO_POINT, POINT_UNIT
+from rendezview.appearance.refine import Sky
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
@@ -178,6 +179,25 @@ class Follower:
         if since_s <= self.tracker.options.longest_prediction_s:
             return Phase.COASTING
         return Phase.SEARCHING
+
+
+def warm_up(model: ViewModel) -> None:
+    """Have all loops compiled, or read from their cache, before the first frame counts.
+
+    A blob before a noisy sky, without a prior and near one, goes through all of them.
+    """
+    camera = Camera.from_fov(320, 240, np.deg2rad(40.0))
+    rng = np.random.default_rng(0)
+    image = rng.integers(0, 12, size=(240, 320), dtype=np.uint8)
+    image[70:170, 110:220] = rng.integers(120, 200, size=(100, 110), dtype=np.uint8)
+    ahead = np.array([0.0, 0.0, 3.0 * model.sphere_radius_m])
+    prior = Pose(np.eye(3), ahead - model.centre_m)
+    recognizer = Recognizer(model, camera)
+    for known in (None, prior):
+        recognizer.recognize(image, known)
+    if recognizer.finder is not None:
+        recognizer.finder.at(image, Sky.of(image), prior, np.pi)
+    contour_at(model, camera, prior)
 
 
 def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:

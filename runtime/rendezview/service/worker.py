@@ -28,7 +28,7 @@ from rendezview.sequences.frame import GreyImage
 from rendezview.service.frames import read_frame
 from rendezview.service.messages import Contour, SessionRequest, State
 from rendezview.service.recording import LogWriter, RecordingOptions
-from rendezview.service.tracking import Follower, contour_at, pose_of, silhouette_px
+from rendezview.service.tracking import Follower, contour_at, pose_of, silhouette_px, warm_up
 from rendezview.service.wire import Header, mapped, pack, receive
 
 JPEG_QUALITY = 80
@@ -68,6 +68,9 @@ class Worker:
                 self._frame(request)
             elif request["kind"] == "open":
                 self._send({"kind": "opened", "session": request["session"], **self._open(request)})
+            elif request["kind"] == "warm":
+                self._model(Path(request["model_path"]))
+                self._send({"kind": "opened", "session": request["session"]})
             elif request["kind"] == "close":
                 self._close(request)
             elif request["kind"] == "quit":
@@ -88,12 +91,18 @@ class Worker:
             )
         return True
 
+    def _model(self, path: Path) -> ViewModel:
+        """A model, read once, and all that it needs compiled."""
+        key = str(path)
+        if key not in self._models:
+            self._models[key] = ViewModel.load(path)
+            warm_up(self._models[key])
+        return self._models[key]
+
     def _open(self, request: Header) -> Header:
         asked = SessionRequest.model_validate(request["request"])
         path = Path(request["model_path"])
-        if request["model_path"] not in self._models:
-            self._models[request["model_path"]] = ViewModel.load(path)
-        model = self._models[request["model_path"]]
+        model = self._model(path)
         follower = Follower(request["session"], model, asked)
         writer = None
         if request["log_path"] is not None:
