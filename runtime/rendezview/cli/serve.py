@@ -47,9 +47,7 @@ def serve(
     ] = None,
     tls_certificate: Annotated[Path | None, typer.Option(help="PEM file.")] = None,
     tls_key: Annotated[Path | None, typer.Option(help="PEM file.")] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes that track. [one a core]")
-    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes that track. [one a core]")] = None,
     models: Annotated[
         Path | None, typer.Option(help="Folder of the models that are sent or trained.")
     ] = None,

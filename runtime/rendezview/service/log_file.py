@@ -209,7 +209,7 @@ def ending(found: Scan) -> bytes:
     builder = RecordBuilder()
     DataEnd(0).write(builder)
     start = found.end + builder.count
-    head = builder.end()
+    head = taken(builder)
     groups: list[tuple[Opcode, list[Any]]] = [
         (Opcode.SCHEMA, list(found.schemas.values())),
         (Opcode.CHANNEL, list(found.channels.values())),
@@ -228,10 +228,10 @@ def ending(found: Scan) -> bytes:
     offsets_start = start + builder.count
     for offset in offsets:
         offset.write(builder)
-    summary = builder.end()
+    summary = taken(builder)
     footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
     Footer(start, offsets_start, zlib.crc32(footer, zlib.crc32(summary))).write(builder)
-    return head + summary + builder.end() + MAGIC
+    return head + summary + taken(builder) + MAGIC
 
 
 def mend(path: StrPath) -> int | None:
@@ -254,6 +254,11 @@ def mend(path: StrPath) -> int | None:
     except OSError as error:
         raise write_error(Path(path), error) from error
     return cut
+
+
+def taken(builder: RecordBuilder) -> bytes:
+    """What a builder has built; it is empty afterwards."""
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
 def _statistics(found: Scan) -> Statistics:

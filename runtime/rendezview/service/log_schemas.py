@@ -44,7 +44,7 @@ def descriptors(message: Any) -> bytes:
         file.CopyToProto(files.file.add())
 
     add(message.DESCRIPTOR.file)
-    return files.SerializeToString()
+    return bytes(files.SerializeToString())
 
 
 def state_schema() -> dict[str, Any]:
@@ -59,7 +59,8 @@ def _plain(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any
     if "anyOf" in schema:  # X or null
         some = next(s for s in schema["anyOf"] if s.get("type") != "null")
         return _plain(some, definitions)
-    plain = {k: schema[k] for k in ("type", "title", "description") if k in schema}
+    named = ("type", "title", "description")
+    plain: dict[str, Any] = {str(k): schema[k] for k in named if k in schema}
     if "properties" in schema:
         parts = schema["properties"].items()
         plain["properties"] = {name: _plain(part, definitions) for name, part in parts}
@@ -78,7 +79,7 @@ def pose_bytes(time_s: float, pose: PoseMessage) -> bytes:
     """foxglove.PoseInFrame: the target in the camera frame."""
     message = PoseInFrame(timestamp=stamp(time_s), frame_id=CAMERA_FRAME)
     _set(message.pose.position, message.pose.orientation, pose)
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def transform_bytes(time_s: float, pose: PoseMessage) -> bytes:
@@ -87,7 +88,7 @@ def transform_bytes(time_s: float, pose: PoseMessage) -> bytes:
         timestamp=stamp(time_s), parent_frame_id=CAMERA_FRAME, child_frame_id=TARGET_FRAME
     )
     _set(message.translation, message.rotation, pose)
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def calibration_bytes(time_s: float, camera: Camera) -> bytes:
@@ -108,7 +109,7 @@ def calibration_bytes(time_s: float, camera: Camera) -> bytes:
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         P=projection,
     )
-    return message.SerializeToString()
+    return bytes(message.SerializeToString())
 
 
 def image_bytes(
@@ -125,11 +126,11 @@ def image_bytes(
             step=camera.width,
             data=bytes(content),
         )
-        return RAW, raw.SerializeToString()
+        return RAW, bytes(raw.SerializeToString())
     compressed = CompressedImage(
         timestamp=stamp(time_s), frame_id=CAMERA_FRAME, data=bytes(content), format=str(kind)
     )
-    return COMPRESSED, compressed.SerializeToString()
+    return COMPRESSED, bytes(compressed.SerializeToString())
 
 
 def _set(place: Any, turn: Any, pose: PoseMessage) -> None:

@@ -154,10 +154,8 @@ class Worker(asyncio.Protocol):
             self.ready = True
             if self._started is not None and not self._started.done():
                 self._started.set_result(None)
-        elif kind in ("opened", "closed"):
-            self._answered(header)
-        elif kind == "fault" and (
-            self._current is None or self._current[0].id != header["session"]
+        elif kind in ("opened", "closed") or (
+            kind == "fault" and (self._current is None or self._current[0].id != header["session"])
         ):
             self._answered(header)
         elif self._current is not None:

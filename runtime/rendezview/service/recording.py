@@ -29,7 +29,7 @@ from rendezview.errors import RendezviewError
 from rendezview.files import write_error
 from rendezview.service import log_schemas
 from rendezview.service.frames import Bytes, kind_of
-from rendezview.service.log_file import MAGIC, Scan, chunk_index, ending, mend, scan
+from rendezview.service.log_file import MAGIC, Scan, chunk_index, ending, mend, scan, taken
 from rendezview.service.messages import Recording, RecordingState, State
 
 SESSION_METADATA = "rendezview.session"
@@ -149,7 +149,7 @@ class LogWriter:
         for channel, data in parts:
             places[channel] = body.count
             McapMessage(channel, log_ns, data, frame_ns, state.frame & 0xFFFFFFFF).write(body)
-        whole = body.end()
+        whole = taken(body)
         chunk = Chunk(
             compression=self.options.compression,
             data=_compressed(whole, self.options.compression),
@@ -165,7 +165,7 @@ class LogWriter:
             index.message_index_offsets[channel] = self._scan.end + out.count
             MessageIndex(channel, [(log_ns, place)]).write(out)
         index.message_index_length = out.count - index.chunk_length
-        blob = out.end()
+        blob = taken(out)
         assert self._file is not None
         _write_all(self._file, blob, self._scan.end)
         self._sync()
@@ -239,7 +239,7 @@ class LogWriter:
                 )
             )
         self._scan = found
-        return MAGIC + builder.end()
+        return MAGIC + taken(builder)
 
     def _fail(self, error: OSError) -> None:
         self._reason = str(write_error(self._path, error))

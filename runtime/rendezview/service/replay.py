@@ -100,9 +100,7 @@ def read_log(path: Path) -> Log:
     return Log(path, notes, model)
 
 
-def _frames(
-    path: Path, parts: list[McapMessage], kinds: dict[int, str]
-) -> Iterator[LoggedFrame]:
+def _frames(path: Path, parts: list[McapMessage], kinds: dict[int, str]) -> Iterator[LoggedFrame]:
     """The frames in the messages of one chunk; those of one time belong together."""
     waiting: dict[tuple[int, int], dict[str, Any]] = {}
     for part in parts:

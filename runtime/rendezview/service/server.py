@@ -60,7 +60,7 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
         ssl_keyfile=settings.tls_key,
     )
     server = _Server(config)
-    server.on_ready = on_ready  # type: ignore[method-assign]
+    server.on_ready = on_ready
     listener = _listen(settings.host, settings.port)
     try:
         with contextlib.suppress(KeyboardInterrupt):

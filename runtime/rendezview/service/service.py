@@ -9,9 +9,11 @@ import os
 import secrets
 import tempfile
 import time
+from collections.abc import Coroutine
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
@@ -144,9 +146,7 @@ class Service:
         ready = sum(worker.ready for worker in self._workers)
         if ready == 0:
             reasons.append("no process that tracks is up")
-        failures = sum(
-            s.recording.state is RecordingState.FAILED for s in self.sessions.values()
-        )
+        failures = sum(s.recording.state is RecordingState.FAILED for s in self.sessions.values())
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
         return Health(
             status=status,  # type: ignore[arg-type]
@@ -349,7 +349,7 @@ class Service:
                 if session.used_s < oldest_s and session.id not in self._feeders:
                     await self.close(session, "no frame for a long time")
 
-    def _spawn(self, work: object) -> None:
-        task = asyncio.create_task(work)  # type: ignore[arg-type]
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)

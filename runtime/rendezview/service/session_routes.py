@@ -46,9 +46,7 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _FRAME_BODY = {
     "requestBody": {
         "required": True,
-        "content": {
-            kind: _BINARY for kind in ("image/png", "image/jpeg", "application/octet-stream")
-        },
+        "content": dict.fromkeys(("image/png", "image/jpeg", "application/octet-stream"), _BINARY),
     }
 }
 _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": _BINARY}}}

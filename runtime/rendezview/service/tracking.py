@@ -101,7 +101,9 @@ class Follower:
         self._last_s = -math.inf
         self._last_pose_s: float | None = None
 
-    def look(self, image: GreyImage, time_s: float, received_unix_s: float) -> tuple[State, Sighting]:
+    def look(
+        self, image: GreyImage, time_s: float, received_unix_s: float
+    ) -> tuple[State, Sighting]:
         """The state that a frame gives; ``latency_ms``, ``drops`` and ``recorded`` are to be set.
 
         Raises:
