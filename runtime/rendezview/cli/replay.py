@@ -62,7 +62,7 @@ def replay(
     try:
         for state, result in repeat(opened, model_of(opened, model)):
             if writer:
-                writer.write(state.model_dump(mode="json"))
+                writer.write(state)
     finally:
         if writer:
             writer.close()

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fastapi import FastAPI, Request
 from starlette.responses import Response
+from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
 
@@ -57,6 +58,8 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
     )
     app.state.service = service
     say_faults(app)
+    frames = session_routes.post_frame_directly
+    app.router.routes.append(Route("/v1/sessions/{name}/frames", frames, methods=["POST"]))
     app.include_router(session_routes.router)
     app.include_router(model_routes.router)
     app.include_router(streams.router)

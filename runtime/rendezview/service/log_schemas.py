@@ -15,7 +15,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from rendezview.camera import Camera
 from rendezview.service.frames import Bytes, FrameKind
-from rendezview.service.messages import PoseMessage, State
+from rendezview.service.messages import State
 
 CAMERA_FRAME, TARGET_FRAME = "camera", "target"
 
@@ -75,14 +75,14 @@ def stamp(time_s: float) -> Timestamp:
     return Timestamp(seconds=whole, nanos=min(int((time_s - whole) * 1e9), 999_999_999))
 
 
-def pose_bytes(time_s: float, pose: PoseMessage) -> bytes:
+def pose_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
     """foxglove.PoseInFrame: the target in the camera frame."""
     message = PoseInFrame(timestamp=stamp(time_s), frame_id=CAMERA_FRAME)
     _set(message.pose.position, message.pose.orientation, pose)
     return bytes(message.SerializeToString())
 
 
-def transform_bytes(time_s: float, pose: PoseMessage) -> bytes:
+def transform_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
     """foxglove.FrameTransform: the target in the camera frame."""
     message = FrameTransform(
         timestamp=stamp(time_s), parent_frame_id=CAMERA_FRAME, child_frame_id=TARGET_FRAME
@@ -133,6 +133,6 @@ def image_bytes(
     return COMPRESSED, bytes(compressed.SerializeToString())
 
 
-def _set(place: Any, turn: Any, pose: PoseMessage) -> None:
-    place.x, place.y, place.z = pose.translation_m
-    turn.w, turn.x, turn.y, turn.z = pose.quat_wxyz
+def _set(place: Any, turn: Any, pose: dict[str, list[float]]) -> None:
+    place.x, place.y, place.z = pose["translation_m"]
+    turn.w, turn.x, turn.y, turn.z = pose["quat_wxyz"]

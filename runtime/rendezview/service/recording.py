@@ -30,7 +30,8 @@ from rendezview.files import write_error
 from rendezview.service import log_schemas
 from rendezview.service.frames import Bytes, kind_of
 from rendezview.service.log_file import MAGIC, Scan, chunk_index, ending, mend, scan, taken
-from rendezview.service.messages import Recording, RecordingState, State
+from rendezview.service.messages import Recording, RecordingState
+from rendezview.service.tracking import StateDict
 
 SESSION_METADATA = "rendezview.session"
 MODEL_ATTACHMENT = "model.rvm"
@@ -99,7 +100,7 @@ class LogWriter:
         """The file that is written now."""
         return self._path
 
-    def write(self, state: State, state_json: bytes, content: Bytes) -> bool:
+    def write(self, state: StateDict, state_json: bytes, content: Bytes) -> bool:
         """Append one frame; False where that failed (`status` says why)."""
         if self._file is None and not self._try_again():
             self._lost += 1
@@ -129,26 +130,26 @@ class LogWriter:
                 self._syncing.join()
             os.close(file)
 
-    def _append(self, state: State, state_json: bytes, content: Bytes) -> None:
-        log_ns = max(0, int(state.received_unix_s * 1e9))
-        frame_ns = max(0, int(state.time_s * 1e9))
+    def _append(self, state: StateDict, state_json: bytes, content: Bytes) -> None:
+        log_ns = max(0, int(state["received_unix_s"] * 1e9))
+        frame_ns = max(0, int(state["time_s"] * 1e9))
         parts: list[tuple[int, bytes]] = [(log_schemas.STATE, state_json)]
-        if state.pose is not None:
-            parts.append((log_schemas.POSE, log_schemas.pose_bytes(state.time_s, state.pose)))
-            transform = log_schemas.transform_bytes(state.time_s, state.pose)
+        if state["pose"] is not None:
+            parts.append((log_schemas.POSE, log_schemas.pose_bytes(state["time_s"], state["pose"])))
+            transform = log_schemas.transform_bytes(state["time_s"], state["pose"])
             parts.append((log_schemas.TRANSFORM, transform))
         if self.options.images:
             kind = kind_of(content)
-            parts.append(log_schemas.image_bytes(state.time_s, content, kind, self._camera))
-        calibrates = state.received_unix_s - self._calibrated_at >= _CALIBRATION_EVERY_S
+            parts.append(log_schemas.image_bytes(state["time_s"], content, kind, self._camera))
+        calibrates = state["received_unix_s"] - self._calibrated_at >= _CALIBRATION_EVERY_S
         if calibrates:
-            calibration = log_schemas.calibration_bytes(state.time_s, self._camera)
+            calibration = log_schemas.calibration_bytes(state["time_s"], self._camera)
             parts.append((log_schemas.CALIBRATION, calibration))
         body = RecordBuilder()
         places: dict[int, int] = {}
         for channel, data in parts:
             places[channel] = body.count
-            McapMessage(channel, log_ns, data, frame_ns, state.frame & 0xFFFFFFFF).write(body)
+            McapMessage(channel, log_ns, data, frame_ns, state["frame"] & 0xFFFFFFFF).write(body)
         whole = taken(body)
         chunk = Chunk(
             compression=self.options.compression,
@@ -174,7 +175,7 @@ class LogWriter:
         self._scan.counts.update(places.keys())
         self._messages += len(places)
         if calibrates:
-            self._calibrated_at = state.received_unix_s
+            self._calibrated_at = state["received_unix_s"]
 
     def _open(self) -> None:
         """Begin a file; a fault is kept in ``_reason``."""

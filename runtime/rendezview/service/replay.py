@@ -16,15 +16,16 @@ from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.records import Message as McapMessage
 from pydantic import ValidationError
+from pydantic_core import to_json
 
 from rendezview.appearance import ViewModel
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.service.frames import read_frame
 from rendezview.service.log_file import messages, records
-from rendezview.service.messages import SessionRequest, State
+from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import MODEL_ATTACHMENT, SESSION_METADATA
-from rendezview.service.tracking import Follower, camera_of, warm_up
+from rendezview.service.tracking import Follower, StateDict, camera_of, warm_up
 
 # What a run repeats; times of stages and of the clock are of the day.
 REPEATED = (
@@ -156,7 +157,7 @@ def model_of(log: Log, model: Path | None) -> ViewModel:
         return ViewModel.load(file.name)
 
 
-def repeat(log: Log, model: ViewModel) -> Iterator[tuple[State, Repeated]]:
+def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
     """Track the frames of a log again and compare with what it says, number by number.
 
     Raises:
@@ -183,16 +184,16 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[State, Repeated]]:
         expected += 1
         image = read_frame(frame.image, follower.camera)
         state, _ = follower.look(image, frame.time_s, frame.state["received_unix_s"])
-        again = json.loads(state.model_dump_json())
+        again = json.loads(to_json(state))
         so_far.frames += 1
-        so_far.poses += state.pose is not None
+        so_far.poses += state["pose"] is not None
         different = [name for name in REPEATED if again[name] != frame.state[name]]
         if different:
             so_far.differing += 1
             for name in different:
                 so_far.largest = max(so_far.largest, apart(again[name], frame.state[name]))
             if so_far.first_difference is None:
-                so_far.first_difference = f"frame {state.frame}: {', '.join(different)}"
+                so_far.first_difference = f"frame {state['frame']}: {', '.join(different)}"
         yield state, so_far
 
 

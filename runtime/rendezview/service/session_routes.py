@@ -104,6 +104,16 @@ async def post_frame(request: Request, name: str, time_s: float | None = None) -
     return Response(answer.body, 200, None, JSON)
 
 
+async def post_frame_directly(request: Request) -> Response:
+    """The same, without what makes the page of the API: this is asked for every frame."""
+    text = request.query_params.get("time_s")
+    try:
+        time_s = None if text is None else float(text)
+    except ValueError:
+        raise HTTPException(422, f"time_s: {text!r:.40} is no number") from None
+    return await post_frame(request, request.path_params["name"], time_s)
+
+
 @router.get(
     "/{name}/state",
     responses={200: {"model": State | PoseWithCovarianceStamped | TransformStamped}},

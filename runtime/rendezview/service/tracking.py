@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,14 +20,13 @@ from rendezview.sequences.frame import GreyImage
 from rendezview.service.messages import (
     CameraMessage,
     Contour,
-    Fit,
-    OnNode,
     Phase,
     PoseMessage,
-    Rates,
     SessionRequest,
-    State,
 )
+
+# A `State` as it is written: nothing is validated, for it is our own and of every frame.
+StateDict = dict[str, Any]
 
 MOST_TIME_S = 1e10  # either side of zero: what the stamps of a log can say
 _OUTLINE_POINTS = 600  # of a silhouette that is shown
@@ -69,11 +69,32 @@ def pose_of(message: PoseMessage) -> Pose:
         raise RendezviewError(f"pose: {error}") from None
 
 
-def pose_message(pose: Pose) -> PoseMessage:
-    """A pose as a message."""
-    return PoseMessage.model_construct(
-        quat_wxyz=pose.quat_wxyz.tolist(), translation_m=pose.translation_m.tolist()
-    )
+def pose_dict(pose: Pose) -> dict[str, list[float]]:
+    """A pose as a `PoseMessage` has it."""
+    return {
+        "quat_wxyz": _quat_wxyz(pose.rotation.tolist()),
+        "translation_m": pose.translation_m.tolist(),
+    }
+
+
+def _quat_wxyz(r: list[list[float]]) -> list[float]:
+    """Unit quaternion of a rotation, scalar first, w ≥ 0 (Shepperd 1978).
+
+    `Pose.quat_wxyz` is the same, a tenth of a millisecond slower.
+    """
+    trace = r[0][0] + r[1][1] + r[2][2]
+    squares = [trace, r[0][0], r[1][1], r[2][2]]
+    i = squares.index(max(squares))
+    if i == 0:
+        quat = [1.0 + trace, r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
+    else:
+        a, b, c = i - 1, i % 3, (i + 1) % 3
+        quat = [r[c][b] - r[b][c], 0.0, 0.0, 0.0]
+        quat[1 + a] = 1.0 + 2.0 * r[a][a] - trace
+        quat[1 + b] = r[b][a] + r[a][b]
+        quat[1 + c] = r[c][a] + r[a][c]
+    size = math.copysign(math.hypot(*quat), quat[0])
+    return [q / size for q in quat]
 
 
 class Follower:
@@ -96,14 +117,14 @@ class Follower:
         prior = None if request.prior is None else pose_of(request.prior)
         recognizer = Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior)
-        self._nodes = model.geodesic.nodes
+        self._nodes = model.geodesic.nodes.tolist()
         self._frames = 0
         self._last_s = -math.inf
         self._last_pose_s: float | None = None
 
     def look(
         self, image: GreyImage, time_s: float, received_unix_s: float
-    ) -> tuple[State, Sighting]:
+    ) -> tuple[StateDict, Sighting]:
         """The state that a frame gives; ``latency_ms``, ``drops`` and ``recorded`` are to be set.
 
         Raises:
@@ -127,52 +148,48 @@ class Follower:
 
     def _state(
         self, sighting: Sighting, time_s: float, received_unix_s: float, track_ms: float
-    ) -> State:
-        pose, rates = sighting.pose, self.tracker.rates
-        found = sighting.found
-        # Nothing is validated here: it is our own, and there is one for every frame.
-        return State.model_construct(
-            session=self.session,
-            frame=self._frames,
-            time_s=time_s,
-            received_unix_s=received_unix_s,
-            phase=self._phase(sighting, time_s),
-            status=str(sighting.status),
-            reason=sighting.reason,
-            pose=None if pose is None else pose_message(pose),
-            covariance=None if sighting.covariance is None else sighting.covariance.tolist(),
-            confidence=sighting.confidence,
-            score=sighting.score,
-            range_m=None
-            if pose is None
-            else float(np.linalg.norm(pose.apply(self.model.centre_m))),
-            rates=None
-            if pose is None or rates is None
-            else Rates.model_construct(
-                angular_rad_s=rates[0].tolist(), linear_m_s=rates[1].tolist()
-            ),
-            candidates=[pose_message(p) for p in sighting.candidates],
-            fit=None
+    ) -> StateDict:
+        pose, found, confidence = sighting.pose, sighting.found, sighting.confidence
+        rates = None if pose is None else self.tracker.rates
+        covariance = sighting.covariance
+        return {
+            "session": self.session,
+            "frame": self._frames,
+            "time_s": time_s,
+            "received_unix_s": received_unix_s,
+            "phase": self._phase(sighting, time_s),
+            "status": str(sighting.status),
+            "reason": sighting.reason,
+            "pose": None if pose is None else pose_dict(pose),
+            "covariance": None if covariance is None else covariance.tolist(),
+            "confidence": confidence,
+            "score": sighting.score if confidence is None else confidence,
+            "range_m": None if pose is None else math.hypot(*pose.apply(self.model.centre_m)),
+            "rates": None
+            if rates is None
+            else {"angular_rad_s": rates[0].tolist(), "linear_m_s": rates[1].tolist()},
+            "candidates": [pose_dict(p) for p in sighting.candidates],
+            "fit": None
             if found is None
-            else Fit.model_construct(
-                outline=found.best.outline,
-                inner=found.best.inner,
-                seen=found.best.seen,
-                residual_px=found.best.residual_px,
-                margin=found.margin,
-            ),
-            on_nodes=[
-                OnNode.model_construct(
-                    index=int(node), weight=float(weight), direction=self._nodes[node].tolist()
+            else {
+                "outline": found.best.outline,
+                "inner": found.best.inner,
+                "seen": found.best.seen,
+                "residual_px": found.best.residual_px,
+                "margin": found.margin,
+            },
+            "on_nodes": [
+                {"index": node, "weight": weight, "direction": self._nodes[node]}
+                for node, weight in zip(
+                    sighting.on_nodes.tolist(), sighting.weights.tolist(), strict=True
                 )
-                for node, weight in zip(sighting.on_nodes, sighting.weights, strict=True)
             ],
-            stage_ms=dict(sighting.stage_ms),
-            track_ms=track_ms,
-            latency_ms=0.0,
-            drops=0,
-            recorded=False,
-        )
+            "stage_ms": dict(sighting.stage_ms),
+            "track_ms": track_ms,
+            "latency_ms": 0.0,
+            "drops": 0,
+            "recorded": False,
+        }
 
     def _phase(self, sighting: Sighting, time_s: float) -> Phase:
         if sighting.pose is not None:

@@ -7,6 +7,7 @@ away, the logs are completed and the process ends.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -21,17 +22,19 @@ from typing import Any
 
 import cv2
 import numpy as np
+from pydantic_core import to_json
 
 from rendezview.appearance import Sighting, ViewModel
 from rendezview.errors import RendezviewError
 from rendezview.sequences.frame import GreyImage
 from rendezview.service.frames import read_frame
-from rendezview.service.messages import Contour, SessionRequest, State
+from rendezview.service.messages import Contour, SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
-from rendezview.service.tracking import Follower, contour_at, pose_of, silhouette_px, warm_up
+from rendezview.service.tracking import Follower, contour_at, silhouette_px, warm_up
 from rendezview.service.wire import Header, mapped, pack, receive
 
 JPEG_QUALITY = 80
+_TOLD = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview.service.worker")
 
 
@@ -122,23 +125,18 @@ class Worker:
         image = read_frame(content, follower.camera)
         time_s = request["time_s"]
         state, sighting = follower.look(image, time_s, request["received_unix_s"])
-        state.frame += request["first_frame"]
-        state.drops = request["drops"]
-        state.recorded = session.log is not None
-        state.latency_ms = 1e3 * (time.monotonic() - request["received_s"])
-        text = state.model_dump_json().encode()
+        state["frame"] += request["first_frame"]
+        state["drops"] = request["drops"]
+        state["recorded"] = session.log is not None
+        state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
+        text = to_json(state)
         if session.log is not None and not session.log.write(state, text, content):
-            state.recorded = False
-            text = state.model_dump_json().encode()
+            state["recorded"] = False
+            text = to_json(state)
         more = request["extras"]
         answer: Header = {
             "kind": "state",
-            "session": state.session,
-            "frame": state.frame,
-            "time_s": state.time_s,
-            "status": state.status,
-            "phase": str(state.phase),
-            "track_ms": state.track_ms,
+            **{name: state[name] for name in _TOLD},
             "done": not more,
         }
         if session.log is not None:
@@ -146,21 +144,21 @@ class Worker:
             answer["log_path"] = str(session.log.path)
         self._send(answer, text)
         if more:
-            self._extras(more, follower, image, state, sighting)
+            self._extras(more, follower, image, state["frame"], sighting)
 
     def _extras(
-        self, more: Header, follower: Follower, image: GreyImage, state: State, sighting: Sighting
+        self, more: Header, follower: Follower, image: GreyImage, frame: int, sighting: Sighting
     ) -> None:
         """What watchers asked for; the frame's sender has been answered already."""
         contour: Contour | None = None
-        if more["contour"] and state.pose is not None:
-            contour = contour_at(follower.model, follower.camera, pose_of(state.pose))
+        if more["contour"] and sighting.pose is not None:
+            contour = contour_at(follower.model, follower.camera, sighting.pose)
         outlines = silhouette_px(sighting) if more["silhouette"] else None
         picture = jpeg(image, more["width"]) if more["width"] else b""
         header: Header = {
             "kind": "extras",
-            "session": state.session,
-            "frame": state.frame,
+            "session": follower.session,
+            "frame": frame,
             "contour": None if contour is None else contour.model_dump(),
             "silhouette_px": outlines,
             "done": True,
@@ -176,10 +174,8 @@ class Worker:
         self._send({"kind": "closed", "session": request["session"], "recording": recording})
 
     def _send(self, header: Header, content: bytes = b"") -> None:
-        try:
+        with contextlib.suppress(ConnectionError):  # gone: the next `receive` says so
             self._connection.sendall(pack(header, content))
-        except ConnectionError:
-            pass  # the service is gone: the next `receive` says so
 
 
 def session_notes(
