@@ -159,10 +159,10 @@ class Client:
     def _send(
         self, method: str, path: str, body: bytes | None, headers: dict[str, str]
     ) -> HTTPResponse:
-        connection: Any = self._connection
-        if connection.sock is None:
-            connection.connect()
-            connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._connection.sock is None:
+            self._connection.connect()
+            made: Any = self._connection.sock
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._connection.request(method, path, body, headers)
         return self._connection.getresponse()
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import typer
 from rich.console import Console
 
 from rendezview.errors import RendezviewError
+from rendezview.results import JsonLinesWriter
+
+_AGAIN = "RENDEZVIEW_REPLAY_AGAIN"
 
 
 def replay(
@@ -35,6 +41,7 @@ def replay(
     try:
         from rendezview.service import log_file
         from rendezview.service.replay import model_of, read_log, repeat
+        from rendezview.service.tracking import warm_up
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] == "rendezview":
             raise
@@ -52,15 +59,17 @@ def replay(
         say(f"{log}: whole" if cut is None else f"{log}: completed; {cut} bytes at its end cut")
         return
     opened = read_log(log)
-    result = None
-    import cv2
-
-    from rendezview.results import JsonLinesWriter
-
+    used = model_of(opened, model)
     cv2.setNumThreads(1)
+    if warm_up(used) and _AGAIN not in os.environ:
+        # What was compiled just now may round otherwise than what is read from the cache.
+        os.environ[_AGAIN] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+    result = None
     writer = JsonLinesWriter(output) if output else None
     try:
-        for state, result in repeat(opened, model_of(opened, model)):
+        for state, so_far in repeat(opened, used):
+            result = so_far
             if writer:
                 writer.write(state)
     finally:

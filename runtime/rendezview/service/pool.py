@@ -105,6 +105,17 @@ class Worker(asyncio.Protocol):
         if self._transport is not None:
             self._transport.write(pack({"kind": "quit"}))
 
+    async def restart(self) -> None:
+        """Another process in place of this one, which has no sessions yet."""
+        gone, self.on_gone = self.on_gone, lambda worker: None
+        if self._transport is not None:
+            self._transport.write(pack({"kind": "quit"}))
+        await self.join(_START_S)
+        while self._transport is not None:
+            await asyncio.sleep(0.01)
+        self.on_gone = gone
+        await self.start()
+
     async def join(self, timeout_s: float) -> None:
         """Wait for its end, at last kill it."""
         if self._process is None:

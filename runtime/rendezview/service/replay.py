@@ -25,7 +25,7 @@ from rendezview.service.frames import read_frame
 from rendezview.service.log_file import messages, records
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import MODEL_ATTACHMENT, SESSION_METADATA
-from rendezview.service.tracking import Follower, StateDict, camera_of, warm_up
+from rendezview.service.tracking import Follower, StateDict, camera_of
 
 # What a run repeats; times of stages and of the clock are of the day.
 REPEATED = (
@@ -166,7 +166,6 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
     request = log.request
     if request is None:
         raise RendezviewError(f"{log.path}: says nothing of a session: use it as a --source")
-    warm_up(model)
     follower = Follower(log.notes.get("session", "replay"), model, request)
     so_far = Repeated()
     expected = 0

@@ -299,10 +299,18 @@ class Service:
     # Workers
 
     async def _come_up(self, worker: Worker) -> None:
+        """Start a worker and warm it up; once more if it had to compile."""
         await worker.start()
-        if self.given is not None:
-            path = str(self.given.path)
-            await worker.ask({"kind": "warm", "session": "", "model_path": path})
+        if self.given is None:
+            return
+        request = {"kind": "warm", "session": "", "model_path": str(self.given.path)}
+        answer = await worker.ask(request)
+        if answer["kind"] == "fault":
+            raise RendezviewError(answer["error"])
+        if answer["compiled"]:
+            log.info("compiled", extra={"loops": answer["compiled"]})
+            await worker.restart()
+            await worker.ask(request)
 
     def _new_worker(self) -> Worker:
         worker = Worker(self.settings.frame_bytes, self.settings.frame_timeout_s)

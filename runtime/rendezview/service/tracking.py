@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numba.core.event import install_recorder
 
 from rendezview.appearance import Recognizer, Sighting, Tracker, ViewModel
 from rendezview.appearance.align import nearest_view
@@ -200,23 +201,33 @@ class Follower:
         return Phase.SEARCHING
 
 
-def warm_up(model: ViewModel) -> None:
+def warm_up(model: ViewModel) -> int:
     """Have all loops compiled, or read from their cache, before the first frame counts.
 
-    A blob before a noisy sky, without a prior and near one, goes through all of them.
+    A blob before a noisy sky, black and bright, without a prior and near one, goes through all
+    of them, always in the same order: which copy of a shared loop a process uses depends on what
+    it has loaded first, and copies that were compiled apart may round differently. For the
+    same reason a process that had to compile should be started anew before its poses are kept.
+
+    Returns:
+        how many loops were compiled, not read from the cache.
     """
     camera = Camera.from_fov(320, 240, np.deg2rad(40.0))
     rng = np.random.default_rng(0)
-    image = rng.integers(0, 12, size=(240, 320), dtype=np.uint8)
-    image[70:170, 110:220] = rng.integers(120, 200, size=(100, 110), dtype=np.uint8)
     ahead = np.array([0.0, 0.0, 3.0 * model.sphere_radius_m])
     prior = Pose(np.eye(3), ahead - model.centre_m)
     recognizer = Recognizer(model, camera)
-    for known in (None, prior):
-        recognizer.recognize(image, known)
-    if recognizer.finder is not None:
-        recognizer.finder.at(image, Sky.of(image), prior, np.pi)
-    contour_at(model, camera, prior)
+    with install_recorder("numba:compile") as recorder:
+        for sky_grey in (0, 100):
+            noise = rng.integers(sky_grey, sky_grey + 12, size=(240, 320), dtype=np.uint8)
+            image = noise.copy()
+            image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
+            for known in (None, prior):
+                recognizer.recognize(image, known)
+            if recognizer.finder is not None:
+                recognizer.finder.at(image, Sky.of(image), prior, np.pi)
+        contour_at(model, camera, prior)
+    return len(recorder.buffer) // 2  # each has a start and an end
 
 
 def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:

@@ -52,6 +52,7 @@ class Worker:
         self._memory = memoryview(memory)
         self._models: dict[str, ViewModel] = {}
         self._sessions: dict[str, _Session] = {}
+        self._compiled = 0  # loops; see `warm_up`
 
     def run(self) -> None:
         """Until the service goes away or says so."""
@@ -73,7 +74,9 @@ class Worker:
                 self._send({"kind": "opened", "session": request["session"], **self._open(request)})
             elif request["kind"] == "warm":
                 self._model(Path(request["model_path"]))
-                self._send({"kind": "opened", "session": request["session"]})
+                self._send(
+                    {"kind": "opened", "session": request["session"], "compiled": self._compiled}
+                )
             elif request["kind"] == "close":
                 self._close(request)
             elif request["kind"] == "quit":
@@ -99,7 +102,7 @@ class Worker:
         key = str(path)
         if key not in self._models:
             self._models[key] = ViewModel.load(path)
-            warm_up(self._models[key])
+            self._compiled += warm_up(self._models[key])
         return self._models[key]
 
     def _open(self, request: Header) -> Header:
