@@ -252,7 +252,8 @@ class StreamClient:
                 "streams need websockets, which is not installed: pip install 'rendezview[service]'"
             ) from None
         try:
-            self._socket = connect(url, additional_headers=headers, compression=None, max_size=None)
+            opening = connect(url, additional_headers=headers, compression=None, max_size=None)
+            self._socket = opening.__enter__()  # left by `close`
         except Exception as error:
             raise RendezviewError(f"{url}: the stream does not open ({error})") from None
 

@@ -87,7 +87,7 @@ def test_a_log_is_read_by_another_reader(recorded, camera, tour):
 
 
 def test_a_log_cut_anywhere_keeps_every_whole_frame(recorded, tmp_path):
-    path, writer, states = recorded
+    path, writer, _ = recorded
     whole = path.read_bytes()  # not closed: as a kill leaves it
     ends = []
     for chunk in writer._scan.chunks:
@@ -218,6 +218,5 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     again.stop()
     assert _messages(place)["/rendezview/state"] == states
     assert "8 frames, 8 poses: all repeated bit for bit" in _replay(place)
-    assert "all repeated bit for bit" in _replay(copy)
     assert "completed" in _replay(copy, "--mend")
-    assert "whole" in _replay(copy, "--mend")
+    assert mend(copy) is None

@@ -7,6 +7,7 @@ import contextlib
 import socket
 import sys
 from collections.abc import Callable
+from types import FrameType
 
 import uvicorn
 
@@ -29,6 +30,11 @@ class _Server(uvicorn.Server):
             host, port = sockets[0].getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
             self.on_ready(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """A first signal ends the service in order, with code 0; a second one at once."""
+        self.force_exit = self.should_exit
+        self.should_exit = True
 
 
 def run(service: Service, on_ready: Callable[[str], None]) -> None:
