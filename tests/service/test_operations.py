@@ -16,8 +16,11 @@ import pytest
 import trimesh
 
 from rendezview.client import ServiceError
+from rendezview.errors import RendezviewError
 from rendezview.sequences import BopSceneWriter
 from rendezview.service.messages import JobInfo, ModelInfo
+from rendezview.service.service import Service
+from rendezview.service.settings import Settings
 
 
 def test_the_service_says_that_it_lives_and_is_ready(service):
@@ -136,8 +139,8 @@ def test_trainings_that_cannot_be_are_refused(client, tmp_path):
 def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_path):
     scene = tmp_path / "scene"
     with BopSceneWriter(scene, camera) as writer:
-        for time_s, pose, image in tour[:8]:
-            writer.add(image, pose, time_s=time_s)
+        for k, (time_s, pose, image) in enumerate(tour[:8]):
+            writer.add(k, image, pose, time_s)
     place = tmp_path / "run.mcap"
     served = start_service("--source", str(scene), "--record", str(place), "--speed", "0")
     with served.client() as client:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import secrets
 import threading
 import time
 import zlib
@@ -178,27 +179,24 @@ class LogWriter:
             self._calibrated_at = state["received_unix_s"]
 
     def _open(self) -> None:
-        """Begin a file; a fault is kept in ``_reason``."""
+        """Begin a file, which gets its name with its beginning; a fault is kept in ``_reason``."""
+        self._path = _free_name(self._base)
+        trial = self._path.with_name(f".{self._path.name}.{secrets.token_hex(4)}.tmp")
+        file = None
         try:
-            self._path = _free_name(self._base)
-            self._file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-        except OSError as error:
-            self._file = None
-            self._fail(error)
-            return
-        self._scan = Scan(end=0)
-        try:
-            _write_all(self._file, self._beginning(), 0)
+            file = os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            _write_all(file, self._beginning(), 0)
             if self.options.sync != "never":
-                os.fsync(self._file)
+                os.fsync(file)
+            os.replace(trial, self._path)
         except OSError as error:
-            os.close(self._file)
-            self._file = None
+            if file is not None:
+                os.close(file)
             with contextlib.suppress(OSError):
-                self._path.unlink()
+                trial.unlink()
             self._fail(error)
             return
-        self._reason = None
+        self._file, self._reason = file, None
 
     def _beginning(self) -> bytes:
         builder = RecordBuilder()
