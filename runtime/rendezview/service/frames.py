@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from enum import StrEnum
 
 import cv2
@@ -59,7 +60,8 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
         own = bytearray(content) if isinstance(content, bytes) else content
         return np.frombuffer(own, dtype=np.uint8).reshape(camera.height, camera.width)
     size = png_size(content) if kind is FrameKind.PNG else jpeg_size(content)
-    if size is None or not _ends(content, kind):
+    whole = _png_is_whole(content) if kind is FrameKind.PNG else _jpeg_ends(content)
+    if size is None or not whole:
         raise RendezviewError(f"the {kind.upper()} frame is cut short or damaged: send it again")
     if size != (camera.width, camera.height):
         raise RendezviewError(
@@ -108,6 +110,26 @@ def jpeg_size(content: Bytes) -> tuple[int, int] | None:
     return None
 
 
-def _ends(content: Bytes, kind: FrameKind) -> bool:
-    tail = bytes(content[-64:])
-    return (b"IEND" if kind is FrameKind.PNG else b"\xff\xd9") in tail
+def _png_is_whole(content: Bytes) -> bool:
+    """Every chunk with its right checksum up to the last, and a single picture.
+
+    OpenCV's decoder can hang over damaged or animated files.
+    """
+    view = memoryview(content)
+    place = len(_PNG)
+    while place + 12 <= len(view):
+        length, kind = struct.unpack(">I4s", view[place : place + 8])
+        end = place + 12 + length
+        if end > len(view) or kind in (b"acTL", b"fcTL", b"fdAT"):
+            return False
+        (checksum,) = struct.unpack(">I", view[end - 4 : end])
+        if zlib.crc32(view[place + 4 : end - 4]) != checksum:
+            return False
+        if kind == b"IEND":
+            return end == len(view)
+        place = end
+    return False
+
+
+def _jpeg_ends(content: Bytes) -> bool:
+    return b"\xff\xd9" in bytes(content[-64:])

@@ -171,14 +171,16 @@ class Worker(asyncio.Protocol):
             self._answered(header)
         elif self._current is not None:
             session, waiting = self._current
-            if kind == "state":
-                session.saw(waiting, header, content)
-            elif kind == "extras":
-                session.saw_more(header, content)
-            else:
-                session.refused(waiting, header["error"], header.get("internal", False))
-            if header.get("done", True):
-                self._done()
+            try:
+                if kind == "state":
+                    session.saw(waiting, header, content)
+                elif kind == "extras":
+                    session.saw_more(header, content)
+                else:
+                    session.refused(waiting, header["error"], header.get("internal", False))
+            finally:  # whatever happens, the next frame must not wait for ever
+                if header.get("done", True):
+                    self._done()
 
     def _answered(self, header: Header) -> None:
         for k, (session, future) in enumerate(self._answers):

@@ -46,7 +46,7 @@ class Settings(BaseSettings):
     mesh_bytes: int = Field(default=200_000_000, ge=1024)
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
-    frame_timeout_s: float = Field(default=20.0, gt=0.0)  # then the worker is started anew
+    frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is started anew
     idle_s: float = Field(default=3600.0, gt=0.0)  # sessions without frames that long are ended
     history_s: float = Field(default=300.0, ge=0.0)
     history_rate_hz: float = Field(default=30.0, gt=0.0)

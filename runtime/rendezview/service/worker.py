@@ -8,9 +8,11 @@ away, the logs are completed and the process ends.
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import hashlib
 import json
 import logging
+import os
 import signal
 import socket
 import sys
@@ -28,6 +30,7 @@ from rendezview.appearance import Sighting, ViewModel
 from rendezview.errors import RendezviewError
 from rendezview.sequences.frame import GreyImage
 from rendezview.service.frames import read_frame
+from rendezview.service.logs import set_up_logging
 from rendezview.service.messages import Contour, SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
 from rendezview.service.tracking import Follower, contour_at, silhouette_px, warm_up
@@ -132,10 +135,10 @@ class Worker:
         state["drops"] = request["drops"]
         state["recorded"] = session.log is not None
         state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
-        text = to_json(state)
+        text = to_json(state, inf_nan_mode="null")
         if session.log is not None and not session.log.write(state, text, content):
             state["recorded"] = False
-            text = to_json(state)
+            text = to_json(state, inf_nan_mode="null")
         more = request["extras"]
         answer: Header = {
             "kind": "state",
@@ -219,6 +222,13 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)  # one core a worker
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    # Decoders write to the standard error as they like; the log of the service is JSON lines.
+    sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
+    faulthandler.enable(sys.stderr)
+    quiet = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(quiet, 2)
+    os.close(quiet)
+    set_up_logging("info")
     connection, memory, size = (int(argument) for argument in sys.argv[1:4])
     Worker(socket.socket(fileno=connection), mapped(memory, size)).run()
 
