@@ -126,7 +126,7 @@ def _png_is_whole(content: Bytes) -> bool:
         if zlib.crc32(view[place + 4 : end - 4]) != checksum:
             return False
         if kind == b"IEND":
-            return end == len(view)
+            return bool(end == len(view))
         place = end
     return False
 
