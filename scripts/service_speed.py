@@ -71,13 +71,23 @@ class Served:
         for _ in self.process.stderr:
             pass
 
+    def pids(self) -> list[int]:
+        """Of the service and its workers."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        return [self.process.pid, *map(int, children.read_text().split())]
+
+    def processor_s(self) -> float:
+        """Processor time of the service and its workers."""
+        ticks = 0
+        for pid in self.pids():
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            ticks += int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK")
+
     def resident_mb(self) -> float:
         """Of the service and its workers."""
-        pids = [self.process.pid]
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        pids += map(int, children.read_text().split())
         pages = 0
-        for pid in pids:
+        for pid in self.pids():
             pages += int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 1e6
 
@@ -142,7 +152,7 @@ def run_client(url: str, scene: Path, frames: int, out: int) -> None:
         session = client.open(loop.camera, prior=loop.prior)
         os.write(out, b"ready\n")
         sys.stdin.readline()
-        start = time.perf_counter()
+        start, used = time.perf_counter(), time.process_time()
         done = 0
         last = start
         until_s = float("inf") if frames >= 0 else start - frames
@@ -158,27 +168,29 @@ def run_client(url: str, scene: Path, frames: int, out: int) -> None:
                 continue
             done += 1
             last = time.perf_counter()
+        told = {"frames": done, "seconds": last - start}
+        told["processor_s"] = time.process_time() - used
         session.close()
-    os.write(out, json.dumps({"frames": done, "seconds": last - start}).encode() + b"\n")
+    os.write(out, json.dumps(told).encode() + b"\n")
 
 
 def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> None:
     """Throughput, fairness and memory with several clients at once."""
     loaded = ViewModel.load(model)
 
-    def one_core(seconds: float) -> float:
+    def one_core(seconds: float) -> tuple[float, float]:
         tracker = Tracker(Recognizer(loaded, loop.camera), loop.prior)
-        start, k = time.perf_counter(), 0
+        start, used, k = time.perf_counter(), time.thread_time(), 0
         while time.perf_counter() - start < seconds:
             time_s, image = loop(k)
             tracker.update(time_s, image)
             k += 1
-        return k / (time.perf_counter() - start)
+        return k / (time.perf_counter() - start), 1e3 * (time.thread_time() - used) / k
 
     one_core(2.0)
-    before = one_core(8.0)
+    before, before_ms = one_core(8.0)
     served = Served(model)
-    each = -15 if frames == 0 else frames // clients
+    each = -15 if frames == 0 else frames // clients  # below zero: seconds
     command = [sys.executable, __file__, str(model), str(scene), "--client", served.url]
     processes = [
         subprocess.Popen(
@@ -190,6 +202,7 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
         assert process.stdout is not None
         process.stdout.readline()
     memory = [served.resident_mb()]
+    used_s = served.processor_s()
     for process in processes:
         assert process.stdin is not None
         process.stdin.write(b"go\n")
@@ -207,12 +220,21 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
     rates = np.array([r["frames"] / r["seconds"] for r in results])
     throughput = float(rates.sum()) if frames == 0 else total / max(r["seconds"] for r in results)
     after_memory = served.resident_mb()
+    service_ms = 1e3 * (served.processor_s() - used_s) / total
+    clients_ms = 1e3 * sum(r["processor_s"] for r in results) / total
     served.stop()
-    after = one_core(8.0)
+    after, after_ms = one_core(8.0)
     core = 0.5 * (before + after)
     print(f"{clients} clients, {total} frames in {spent:.0f} s:")
     print(f"one tracker alone: {before:.0f} and {after:.0f} frames/s, before and after")
     print(f"service: {throughput:.0f} frames/s, {throughput / core:.2f} × one tracker core's")
+    alone_ms, cores = 0.5 * (before_ms + after_ms), os.cpu_count() or 1
+    print(
+        f"processor time a frame: tracker alone {alone_ms:.2f} ms, service and workers "
+        f"{service_ms:.2f} ms, client {clients_ms:.2f} ms: {cores} cores with nothing else to do "
+        f"would reach {cores * alone_ms / (service_ms + clients_ms):.2f} × with these clients, "
+        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere"
+    )
     print(
         f"each client: {rates.min():.0f} to {rates.max():.0f} frames/s, "
         f"{100 * (rates.max() - rates.min()) / rates.mean():.0f} % apart"

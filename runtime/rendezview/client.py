@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import time
 from collections.abc import Iterator
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
@@ -29,6 +30,8 @@ from rendezview.pose import Pose
 
 Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
 State = dict[str, Any]
+
+_IDLE_S = 30.0  # then a connection is made anew
 
 
 class ServiceError(RendezviewError):
@@ -60,7 +63,7 @@ class Client:
         self._url = parts
         kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
         self._connection: HTTPConnection = kind(parts.hostname, parts.port, timeout=timeout_s)
-        self._token = token
+        self._used_s = 0.0
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
 
     def open(
@@ -159,6 +162,10 @@ class Client:
     def _send(
         self, method: str, path: str, body: bytes | None, headers: dict[str, str]
     ) -> HTTPResponse:
+        now_s = time.monotonic()
+        if now_s - self._used_s > _IDLE_S:
+            self._connection.close()  # the service may have: it closes what is idle
+        self._used_s = now_s
         if self._connection.sock is None:
             self._connection.connect()
             made: Any = self._connection.sock

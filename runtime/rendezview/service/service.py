@@ -71,12 +71,17 @@ class Service:
         if folder is None:
             self._temporary = tempfile.TemporaryDirectory(prefix="rendezview-models-")
             folder = Path(self._temporary.name)
-        self.models = ModelStore(folder)
-        self.given: StoredModel | None = None if model is None else self.models.give(model)
-        self.camera = None if settings.camera is None else Camera.load(settings.camera)
-        self._sources: list[Source] = [open_source(s, self.camera) for s in sources or []]
-        if self._sources and self.given is None:
-            raise RendezviewError("a source needs a model to track with: name one")
+        try:
+            self.models = ModelStore(folder)
+            self.given: StoredModel | None = None if model is None else self.models.give(model)
+            self.camera = None if settings.camera is None else Camera.load(settings.camera)
+            self._sources: list[Source] = [open_source(s, self.camera) for s in sources or []]
+            if self._sources and self.given is None:
+                raise RendezviewError("a source needs a model to track with: name one")
+        except RendezviewError:
+            if self._temporary is not None:
+                self._temporary.cleanup()
+            raise
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs)
         self._workers: list[Worker] = []

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import faulthandler
+import gc
 import hashlib
 import json
 import logging
@@ -59,6 +60,7 @@ class Worker:
 
     def run(self) -> None:
         """Until the service goes away or says so."""
+        gc.freeze()
         self._send({"kind": "ready"})
         try:
             while (message := receive(self._connection)) is not None:
