@@ -6,8 +6,10 @@ import { Past } from "./past.js";
 import { say, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
 
 const find = (id) => document.getElementById(id);
-const SLOW_MS = 100; // between drawings of what is read, not watched: numbers and space
+const SLOW_MS = 100; // between drawings of what is read, not watched: words, numbers, space
 const PLOT_MS = 250;
+const SHARE = 12; // the view in space, and the plots, take 1/12 of the time each, or wait a second: the picture goes before
+const MOST_MS = 1000;
 const POLL_MS = 2000;
 
 const live = new LiveView(find("frame"));
@@ -22,14 +24,16 @@ let shown = null; // what stands there: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the place among them
 let ended = null; // reason
 let decoding = false, fetching = false, drawing = false;
-let fresh = false, slowAt = 0, plotAt = 0;
+let banner = ""; // what the words were said of
+let fresh = false, slowAt = 0, plotAt = 0, plotCost = 0, moved = false;
 
 /** For tests and scripts/service_page.py: what was drawn, and how often. */
-const drawn = (window.rendezview = { updates: 0, spaces: 0, frame: null, webgl: null });
+const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, webgl: null });
 
 // What comes
 
 function seen(message, jpeg) {
+  drawn.received += 1;
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
   ended = null;
@@ -75,25 +79,43 @@ function draw(now) {
   if (shown !== null && fresh) {
     fresh = false;
     live.draw(shown);
-    say(find("frame-note"), shown.note);
-    showVerdict(words());
     drawn.updates += 1;
     drawn.frame = shown.state.frame;
-    if (drawn.updates === 1) {
-      showNumbers(shown.state);
+    const first = drawn.updates === 1, news = banner !== shown.state.phase + shown.state.status;
+    if (first || news || now - slowAt >= SLOW_MS || paused !== null) {
+      slowAt = now;
+      banner = shown.state.phase + shown.state.status;
+      slow();
+    }
+    if (first) {
       performance.mark("useful");
       setTimeout(more, 0);
     }
-    if (now - slowAt >= SLOW_MS || paused !== null) {
-      slowAt = now;
-      slow();
-    }
-    if (now - plotAt >= PLOT_MS || paused !== null) {
+    if (now - plotAt >= Math.max(PLOT_MS, Math.min(MOST_MS, SHARE * plotCost)) || paused !== null) {
       plotAt = now;
       plot();
+      plotCost = performance.now() - now;
     }
   }
-  if (space?.draw()) drawn.spaces += 1;
+  drawSpace(now);
+}
+
+function drawSpace(now) {
+  if (space === null) return;
+  // A hand that turns the view is not kept waiting as new states are.
+  const wait = space.turned ? 1.5 * space.cost : Math.max(SLOW_MS, Math.min(MOST_MS, SHARE * space.cost));
+  if (now - space.drawnAt < wait && paused === null) {
+    if (space.turned) schedule();
+    return;
+  }
+  if (moved && shown !== null && past !== null) {
+    moved = false;
+    const states = paused === null ? past.states : paused.states.slice(0, paused.place + 1);
+    const from = shown.state.received_unix_s - span();
+    space.update(shown.state, states.filter((state) => state.received_unix_s >= from));
+    say(find("space-scale"), shown.state.covariance ? `target frame · where the camera is, 3σ × ${space.magnified}` : "target frame");
+  }
+  if (space.draw(now)) drawn.spaces += 1;
 }
 
 function words() {
@@ -104,17 +126,15 @@ function words() {
 }
 
 function slow() {
+  showVerdict(words());
+  say(find("frame-note"), shown.note);
   showNumbers(shown.state);
   say(find("when"), new Date(1000 * shown.state.received_unix_s).toLocaleTimeString());
   if (paused === null && last !== null) {
     showSensors(last.message.sensors);
     showRecording(last.message.recording);
   }
-  if (space === null) return;
-  const states = paused === null ? past.states : paused.states.slice(0, paused.place + 1);
-  const from = shown.state.received_unix_s - span();
-  space.update(shown.state, states.filter((state) => state.received_unix_s >= from));
-  say(find("space-scale"), shown.state.covariance ? `target frame · where the camera is, 3σ × ${space.magnified}` : "target frame");
+  moved = true;
 }
 
 function plot() {

@@ -19,9 +19,13 @@ export class SpaceView {
     this.eye.up.set(0, 0, 1);
     this.controls = new three.OrbitControls(this.eye, canvas);
     this.changed = () => {
-      this.stale = true;
+      this.stale = this.turned = true;
       changed();
     };
+    this.turned = false; // by hand, since the last drawing
+    this.cost = 0; // ms, of the last drawing
+    this.drawnAt = -Infinity;
+    this._pixel = new Uint8Array(4);
     this.controls.addEventListener("change", this.changed);
     this.stale = true;
     this.magnified = 1;
@@ -36,7 +40,7 @@ export class SpaceView {
     this.geometry = geometry;
     const radius = geometry.target_radius_m;
     this.scene.add(dashes(geometry), this._sphere(geometry), axes(0.6 * radius));
-    this.nodes = new three.Points(buffer(64 * 3), new three.PointsMaterial({ color: 0xf2c14e, size: 9, sizeAttenuation: false }));
+    this.nodes = new three.Points(buffer(64 * 3), new three.PointsMaterial({ color: 0xf2c14e, size: 6, sizeAttenuation: false }));
     this.trail = new three.Line(buffer(TRAIL * 3), new three.LineBasicMaterial({ color: 0x58c4dd }));
     this.bars = new three.LineSegments(buffer(BARS * 6), new three.LineBasicMaterial({ color: 0xb8871f }));
     this.body = frustum(camera, 0.35 * radius);
@@ -106,11 +110,17 @@ export class SpaceView {
     fill(this.bars, ends);
   }
 
-  /** Draws if anything has changed. */
-  draw() {
+  /** Draws if anything has changed, and notes what it cost. */
+  draw(now) {
     if (!this.stale) return false;
-    this.stale = false;
+    this.stale = this.turned = false;
+    this.drawnAt = now;
+    const start = performance.now();
     this.renderer.render(this.scene, this.eye);
+    // Asking for a pixel waits until all are there: without a graphics card that is what takes long.
+    const gl = this.renderer.getContext();
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, this._pixel);
+    this.cost = performance.now() - start;
     return true;
   }
 

@@ -57,11 +57,11 @@ export function showNumbers(state) {
     const sigma = state?.covariance ? ` ± ${(3 * Math.sqrt(state.covariance[axis + 3][axis + 3])).toFixed(3)}` : "";
     entries.push([name, pose ? `${fixed(pose.translation_m[axis], 3)}${sigma} m` : "–"]);
   }
-  entries.push(["quaternion wxyz", pose ? pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ") : "–"]);
+  entries.push(["q wxyz", pose ? pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ") : "–"]);
   const turn = state?.covariance
     ? [0, 1, 2].map((k) => (3 * DEGREES * Math.sqrt(state.covariance[k][k])).toFixed(2)).join(" ") + " °"
     : "–";
-  entries.push(["attitude ± ", turn]);
+  entries.push(["attitude ±", turn]);
   entries.push(["range", state?.range_m != null ? `${state.range_m.toFixed(3)} m` : "–"]);
   const rates = state?.rates ?? null;
   entries.push(["turning", rates ? `${(DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2)} °/s` : "–"]);
