@@ -118,23 +118,33 @@ function drawSpace(now) {
   if (space.draw(now)) drawn.spaces += 1;
 }
 
-function words() {
+/** What is shown, while paused; what is now, otherwise or if asked for. */
+function words(now = paused === null) {
+  if (!now) return verdict(shown?.state ?? null, 0);
   if (ended !== null) return ["ended", "ENDED", ended];
-  if (paused !== null) return verdict(shown?.state ?? null, 0);
+  if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
   if (info?.finished) return ["ended", "ENDED", info.reason ?? "the source has come to its end"];
-  return verdict(shown?.state ?? null, last === null ? 0 : (performance.now() - last.at) / 1000);
+  return verdict(last?.message.state ?? null, last === null ? 0 : (performance.now() - last.at) / 1000);
 }
 
 function slow() {
   showVerdict(words());
   say(find("frame-note"), shown.note);
   showNumbers(shown.state);
-  say(find("when"), new Date(1000 * shown.state.received_unix_s).toLocaleTimeString());
+  sayWhen();
   if (paused === null && last !== null) {
     showSensors(last.message.sensors);
     showRecording(last.message.recording);
   }
   moved = true;
+}
+
+/** The time of what is shown; and who looks back is told how it is now. */
+function sayWhen() {
+  const when = find("when"), at = new Date(1000 * shown.state.received_unix_s).toLocaleTimeString();
+  const [key, word] = words(true);
+  say(when, paused === null ? at : `paused · now ${word}`);
+  when.className = paused !== null && key !== "found" ? "bad" : "";
 }
 
 function plot() {
@@ -285,7 +295,7 @@ function seek(place) {
   const text = `${new Date(1000 * state.received_unix_s).toLocaleTimeString()} (−${ago.toFixed(1)} s)`;
   say(find("at"), text);
   find("scrub").setAttribute("aria-valuetext", text);
-  present({ ...shown, state, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame}; picture …` });
+  present({ ...shown, state, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame} · picture: …` });
   fetchPicture();
 }
 
@@ -301,7 +311,7 @@ async function fetchPicture() {
     const state = paused.states[paused.place];
     if (got.failure) present({ state, contour: null, silhouette: null, bitmap: null, note: `no picture: ${got.failure}` });
     else {
-      const away = got.frame === state.frame ? "" : `; picture and contour of ${got.frame}`;
+      const away = got.frame === state.frame ? "" : ` · picture: ${got.frame}`;
       present({ state, contour: got.contour, silhouette: null, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
     }
   }
@@ -394,5 +404,7 @@ poll();
 setInterval(() => document.querySelector("dialog[open]") || poll(), POLL_MS);
 setInterval(() => {
   // Silence does not announce itself.
-  if (session !== null && leave !== null && paused === null) showVerdict(words());
+  if (session === null) return;
+  if (paused === null) showVerdict(words());
+  else sayWhen();
 }, 500);

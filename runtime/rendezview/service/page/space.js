@@ -11,7 +11,7 @@ const BARS = 60; // of the trajectory's uncertainty
 export class SpaceView {
   /** `changed()` when there is something to draw. Throws where the browser has no WebGL. */
   constructor(canvas, changed) {
-    this.renderer = new three.WebGLRenderer({ canvas, antialias: true, powerPreference: "low-power" });
+    this.renderer = new three.WebGLRenderer({ canvas, antialias: !drawnBySoftware(), powerPreference: "low-power" });
     this.renderer.setClearColor(0x10161e);
     this.canvas = canvas;
     this.scene = new three.Scene();
@@ -25,7 +25,6 @@ export class SpaceView {
     this.turned = false; // by hand, since the last drawing
     this.cost = 0; // ms, of the last drawing
     this.drawnAt = -Infinity;
-    this._pixel = new Uint8Array(4);
     this.controls.addEventListener("change", this.changed);
     this.stale = true;
     this.magnified = 1;
@@ -117,9 +116,7 @@ export class SpaceView {
     this.drawnAt = now;
     const start = performance.now();
     this.renderer.render(this.scene, this.eye);
-    // Asking for a pixel waits until all are there: without a graphics card that is what takes long.
-    const gl = this.renderer.getContext();
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, this._pixel);
+    this.renderer.getContext().finish(); // what takes long without a graphics card comes after render()
     this.cost = performance.now() - start;
     return true;
   }
@@ -134,7 +131,7 @@ export class SpaceView {
 
   _aim(direction, reach) {
     const length = Math.hypot(...direction);
-    const far = 3.3 * reach;
+    const far = 3 * reach;
     this.eye.position.copy(this.controls.target).add(new three.Vector3(...direction.map((value) => (far * value) / length)));
     this.eye.near = reach / 100;
     this.eye.far = reach * 50;
@@ -175,8 +172,16 @@ export class SpaceView {
   }
 }
 
+function drawnBySoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const name = gl?.getExtension("WEBGL_debug_renderer_info");
+  const software = /swiftshader|llvmpipe|software/i.test(name ? gl.getParameter(name.UNMASKED_RENDERER_WEBGL) : "");
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return software;
+}
+
 /** Half axes (3σ) and directions (target frame) of where the camera is, from a state's covariance. */
-function spread({ pose, covariance }) {
+export function spread({ pose, covariance }) {
   // c = −Rᵀ t with R' = exp([w]×) R and t' = t + v:  c' − c = −Rᵀ (v + [t]× w).
   const [x, y, z] = pose.translation_m;
   const jacobian = [[0, -z, y, 1, 0, 0], [z, 0, -x, 0, 1, 0], [-y, x, 0, 0, 0, 1]];
