@@ -27,7 +27,8 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from rendezview.client import Client, ServiceError
+from rendezview.client import Client
+from rendezview.errors import RendezviewError
 from service_speed import Loop, Served
 
 RATE_HZ = 30.0
@@ -41,7 +42,7 @@ def stream(url: str, loop: Loop, done: threading.Event) -> None:
     ):
 
         def read() -> None:
-            with contextlib.suppress(ServiceError, ConnectionClosed, OSError):
+            with contextlib.suppress(RendezviewError):
                 while True:
                     frames.receive()
 

@@ -9,6 +9,9 @@ export function setToken(value) {
   else sessionStorage.removeItem(KEY);
 }
 
+/** Whether a token can be the name of a subprotocol (RFC 9110, 5.6.2), as the watch socket sends it. */
+export const fitsSocket = (value) => /^[\w!#$%&'*+\-.^`|~]*$/.test(value);
+
 /** A fault of the service; `status` as in HTTP, 0 where it cannot be reached. */
 export class ApiError extends Error {
   constructor(status, message) {

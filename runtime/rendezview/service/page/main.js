@@ -1,6 +1,6 @@
 // The page: what comes in, when it is drawn, and what the operator does.
 
-import { downloadLog, json, setToken, token, watch } from "./api.js";
+import { downloadLog, fitsSocket, json, setToken, token, watch } from "./api.js";
 import { LiveView } from "./live.js";
 import { Past } from "./past.js";
 import { say, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
@@ -23,6 +23,7 @@ let last = null; // what came last: message, jpeg, at (ms)
 let shown = null; // what stands there: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the place among them
 let ended = null; // reason
+let declined = false; // to give a token: not asked again unless by the button
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // what the words were said of
 let fresh = false, slowAt = 0, plotAt = 0, plotCost = 0, moved = false;
@@ -191,8 +192,10 @@ async function poll() {
   try {
     sessions = (await json("/v1/sessions")).sessions;
   } catch (error) {
-    if (error.status === 401 || error.status === 403) askToken(token() ? `${error.message} (the one given is not right)` : error.message);
-    else {
+    if (error.status === 401) {
+      showVerdict(["offline", "NO ACCESS", "the service asks for a token: press Token"]);
+      if (!declined) askToken(token() ? "The token that was given is not right." : "The service asks for a token.");
+    } else {
       showLink("no connection", "bad");
       if (paused === null) showVerdict(["offline", "NO CONNECTION", error.message]);
     }
@@ -334,11 +337,22 @@ function askToken(why) {
 }
 
 function useToken() {
-  setToken(find("token-value").value.trim());
+  const given = find("token-value").value.trim();
+  if (!fitsSocket(given)) {
+    askToken("A browser cannot send this token to a WebSocket: it may hold letters, digits and -._~ but no spaces.");
+    return;
+  }
+  setToken(given);
+  declined = false;
   find("token-value").value = "";
+  find("token-dialog").onclose = () => {
+    find("token-dialog").onclose = refuse;
+    poll();
+  };
   find("token-dialog").close();
-  poll();
 }
+
+const refuse = () => (declined = true);
 
 function download() {
   if (find("download").disabled) return;
@@ -392,7 +406,10 @@ find("download").onclick = download;
 find("token").onclick = () => askToken("A token of the service; kept until this tab is closed.");
 find("token-use").onclick = useToken;
 find("token-cancel").onclick = () => find("token-dialog").close();
-find("token-value").onkeydown = (event) => event.key === "Enter" && useToken();
+find("token-dialog").onclose = refuse;
+find("token-value").onkeydown = (event) => {
+  if (event.key === "Enter") useToken();
+};
 find("help").onclick = KEYS["?"];
 find("help-close").onclick = () => find("help-dialog").close();
 for (const layer of ["contour", "nodes", "silhouette"]) {

@@ -4,6 +4,7 @@ import uPlot from "./vendor/uplot.js";
 
 const DEGREES = 180 / Math.PI;
 const MOST = 900; // points of a curve: more than its pixels help no one
+const HOLE_S = 1; // without frames: no curve is drawn across
 const [RED, GREEN, BLUE, YELLOW] = ["#ff8f87", "#6bdb7b", "#79b8ff", "#f2c14e"];
 
 // Title; curves: name, colour, value of a state, and "right" where it has the other axis.
@@ -78,6 +79,8 @@ export class Plots {
     for (let k = from; k < to; k++) {
       const state = states[k];
       if (step > 1 && state.frame % step) continue;
+      const before = this._states.at(-1)?.received_unix_s ?? Infinity;
+      if (state.received_unix_s - before > HOLE_S) this._states.push({ received_unix_s: before + 0.01 });
       // q and −q are one attitude: of the two the one that stays near the last.
       let quaternion = state.pose?.quat_wxyz;
       if (quaternion && last && quaternion.reduce((sum, value, i) => sum + value * last[i], 0) < 0) {
@@ -102,7 +105,7 @@ export class Plots {
     ctx.fillStyle = "#ff7b7230";
     const states = this._states;
     for (let k = 0; k < states.length; k++) {
-      if (states[k].pose !== null) continue;
+      if (states[k].pose !== null) continue; // nor is a hole a frame without a pose
       const first = k;
       while (k + 1 < states.length && states[k + 1].pose === null) k++;
       const end = states[Math.min(k + 1, states.length - 1)].received_unix_s;
