@@ -57,6 +57,13 @@ class Tracker:
         """camera_from_target of the last frame that gave a pose, or the one given at the start."""
         return self._pose
 
+    @property
+    def rates(self) -> tuple[Array, Array] | None:
+        """Turn (3,) rad/s and velocity (3,) m/s of the view centre, camera frame, of two poses."""
+        if self._time_s is None or not (self._turn_rad_s.any() or self._move_m_s.any()):
+            return None
+        return self._turn_rad_s, self._move_m_s
+
     def predicted(self, time_s: float) -> Pose | None:
         """camera_from_target expected at a time."""
         if self._pose is None or self._time_s is None:

@@ -30,6 +30,8 @@ _SUMMARIES = {
     "stereo": "Track a target's lights with two or more cameras.",
     "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
     "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
+    "serve": "Serve poses: frames in, poses out, a page to watch them.",
+    "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "evaluate": "Compare results with the truth of their scene.",
     "show": "Draw a model, a scene or a log.",
     "export": "Print a model's decision trees.",

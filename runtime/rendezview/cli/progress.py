@@ -1,7 +1,14 @@
-"""A progress bar for long work, shown only on a terminal."""
+"""A progress bar for long work, shown only on a terminal; lines of JSON where a program asks.
+
+With ``RENDEZVIEW_PROGRESS=json`` in the environment each step is a line on stderr:
+``{"stage": "views", "done": 3, "total": 10}``.
+"""
 
 from __future__ import annotations
 
+import json
+import os
+import sys
 from types import TracebackType
 from typing import Self
 
@@ -23,6 +30,7 @@ class ProgressBar:
             disable=not console.is_terminal,
         )
         self._tasks: dict[str, int] = {}
+        self._as_json = os.environ.get("RENDEZVIEW_PROGRESS") == "json"
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -37,6 +45,10 @@ class ProgressBar:
         self._progress.stop()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        if self._as_json:
+            told = json.dumps({"stage": stage, "done": done, "total": total})
+            print(told, file=sys.stderr, flush=True)
+            return
         if stage not in self._tasks:
             self._tasks[stage] = self._progress.add_task(stage, total=total)
         self._progress.update(

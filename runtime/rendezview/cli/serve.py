@@ -1,0 +1,98 @@
+"""``rendezview serve``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from rendezview.errors import RendezviewError
+
+
+def serve(
+    model: Annotated[
+        Path | None, typer.Argument(help="Model file (*.rvm); more can be sent by the API.")
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file, of sessions that give none.")
+    ] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What the service reads itself: scene, folder, video, log (*.mcap), /dev/video0, "
+            "rtsp://…; repeat it for more sessions."
+        ),
+    ] = None,
+    speed: Annotated[
+        float, typer.Option(min=0.0, help="Of sources that are files; 0: as fast as they track.")
+    ] = 1.0,
+    record: Annotated[
+        Path | None, typer.Option(help="Log (*.mcap) of the first session, or a folder for logs.")
+    ] = None,
+    record_images: Annotated[
+        bool | None, typer.Option("--record-images/--no-record-images", help="In the logs.")
+    ] = None,
+    sync: Annotated[
+        str | None, typer.Option(help="fsync of logs: always, interval (a second), never.")
+    ] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen on. [127.0.0.1]")] = None,
+    port: Annotated[int | None, typer.Option(help="Port; 0 for any that is free. [8360]")] = None,
+    tokens: Annotated[
+        Path | None, typer.Option(help="Tokens (TOML): who may read, track, admin.")
+    ] = None,
+    open_to_all: Annotated[
+        bool | None, typer.Option("--open-to-all", help="Let others in without tokens.")
+    ] = None,
+    tls_certificate: Annotated[Path | None, typer.Option(help="PEM file.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="PEM file.")] = None,
+    workers: Annotated[int | None, typer.Option(help="Processes that track. [one a core]")] = None,
+    models: Annotated[
+        Path | None, typer.Option(help="Folder of the models that are sent or trained.")
+    ] = None,
+    settings: Annotated[
+        Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
+    ] = None,
+) -> None:
+    """Serve poses: frames in by HTTP or WebSocket, poses out, a page to watch them at /.
+
+    \b
+    Example: rendezview serve hubble.rvm --camera camera.yaml --record run.mcap
+    """
+    try:
+        from rendezview.service.logs import set_up_logging
+        from rendezview.service.server import run
+        from rendezview.service.service import Service
+        from rendezview.service.settings import load_settings
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] == "rendezview":
+            raise
+        raise RendezviewError(
+            f"`rendezview serve` needs {error.name}, which is not installed: "
+            "pip install 'rendezview[service]'"
+        ) from None
+    flags: dict[str, Any] = {
+        "camera": camera,
+        "record": record,
+        "record_images": record_images,
+        "sync": sync,
+        "host": host,
+        "port": port,
+        "tokens_file": tokens,
+        "open_to_all": open_to_all,
+        "tls_certificate": tls_certificate,
+        "tls_key": tls_key,
+        "workers": workers,
+        "models_folder": models,
+    }
+    loaded = load_settings(settings, flags)
+    service = Service(loaded, model, source, speed)
+    set_up_logging(loaded.log_level)
+    console = Console(stderr=True)
+    run(
+        service,
+        lambda address: console.print(
+            f"rendezview serves at {address}", highlight=False, soft_wrap=True
+        ),
+    )

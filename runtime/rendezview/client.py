@@ -1,0 +1,326 @@
+"""The client of the pose service.
+
+    with Client("http://127.0.0.1:8360") as client:
+        session = client.open(camera)
+        state = session.track(image, time_s)
+
+A `State` is what the service says, field for field; `pose` and `covariance` of it are given as
+this package's own types by `pose_of_state` and ``numpy.array``.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import quote, urlencode, urlsplit
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.pose import Pose
+
+Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
+State = dict[str, Any]
+
+_IDLE_S = 30.0  # then a connection is made anew
+
+
+class ServiceError(RendezviewError):
+    """The service refused; ``status`` is that of HTTP."""
+
+    def __init__(self, message: str, status: int) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+def pose_of_state(state: State) -> Pose | None:
+    """camera_from_target of a state; None where the frame gave none."""
+    pose = state["pose"]
+    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
+
+
+class Client:
+    """One connection to a service; not to be shared between threads."""
+
+    def __init__(self, url: str, token: str | None = None, timeout_s: float = 30.0) -> None:
+        """The connection is made at the first request.
+
+        Raises:
+            RendezviewError: the address is none.
+        """
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise RendezviewError(f"{url}: give the service as http://host:port")
+        self._url = parts
+        kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
+        self._connection: HTTPConnection = kind(parts.hostname, parts.port, timeout=timeout_s)
+        self._used_s = 0.0
+        self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+
+    def open(
+        self,
+        camera: Camera | None = None,
+        *,
+        model: str | None = None,
+        prior: Pose | None = None,
+        sun_camera: npt.ArrayLike | None = None,
+        trees: bool = True,
+        name: str | None = None,
+        record: bool | None = None,
+    ) -> SessionClient:
+        """Open a session; what is left out is as the service was started.
+
+        Raises:
+            RendezviewError: the service is not reached, or refuses.
+        """
+        request: dict[str, Any] = {"id": name, "model": model, "trees": trees, "record": record}
+        if camera is not None:
+            names = ("width", "height", "fx", "fy", "cx", "cy")
+            request["camera"] = {n: getattr(camera, n) for n in names}
+            request["camera"]["distortion"] = list(camera.distortion)
+        if prior is not None:
+            request["prior"] = {
+                "quat_wxyz": prior.quat_wxyz.tolist(),
+                "translation_m": prior.translation_m.tolist(),
+            }
+        if sun_camera is not None:
+            request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
+        info = self.request("POST", "/v1/sessions", json.dumps(request).encode())
+        return SessionClient(self, info["id"])
+
+    def session(self, name: str) -> SessionClient:
+        """A session that is open already."""
+        return SessionClient(self, name)
+
+    def sessions(self) -> list[dict[str, Any]]:
+        """All sessions."""
+        found: list[dict[str, Any]] = self.request("GET", "/v1/sessions")["sessions"]
+        return found
+
+    def send_model(self, name: str, path: Path | str) -> dict[str, Any]:
+        """Send a model file."""
+        content = Path(path).read_bytes()
+        kind = "application/octet-stream"
+        info: dict[str, Any] = self.request("PUT", f"/v1/models/{quote(name)}", content, kind)
+        return info
+
+    def train(self, name: str, mesh: Path | str, unit: str = "m", **options: int) -> dict[str, Any]:
+        """Send a mesh and have a model trained; the job."""
+        query = {"model": name, "file": Path(mesh).name, "unit": unit} | options
+        path = f"/v1/jobs?{urlencode(query)}"
+        content = Path(mesh).read_bytes()
+        job: dict[str, Any] = self.request("POST", path, content, "application/octet-stream")
+        return job
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """A training job and its progress."""
+        job: dict[str, Any] = self.request("GET", f"/v1/jobs/{quote(job_id)}")
+        return job
+
+    def request(
+        self, method: str, path: str, body: bytes | None = None, kind: str = "application/json"
+    ) -> Any:
+        """One request; what JSON it answers.
+
+        Raises:
+            ServiceError: it is refused.
+            RendezviewError: the service is not reached.
+        """
+        content = self.fetch(method, path, body, kind)
+        return json.loads(content) if content else None
+
+    def fetch(
+        self, method: str, path: str, body: bytes | None = None, kind: str = "application/json"
+    ) -> bytes:
+        """One request; the bytes of its answer. Errors as `request`."""
+        headers = self._headers if body is None else self._headers | {"Content-Type": kind}
+        try:
+            response = self._send(method, path, body, headers)
+            content = response.read()
+        except (OSError, HTTPException) as error:
+            self._connection.close()
+            raise RendezviewError(
+                f"{self._url.geturl()}: the service is not reached ({error}): is it running?"
+            ) from None
+        if response.status >= 400:
+            try:
+                message = str(json.loads(content)["error"])
+            except (ValueError, KeyError, TypeError):
+                message = f"the service answers {response.status} {response.reason}"
+            raise ServiceError(message, response.status)
+        return content
+
+    def _send(
+        self, method: str, path: str, body: bytes | None, headers: dict[str, str]
+    ) -> HTTPResponse:
+        now_s = time.monotonic()
+        if now_s - self._used_s > _IDLE_S:
+            self._connection.close()  # the service may have: it closes what is idle
+        self._used_s = now_s
+        if self._connection.sock is None:
+            self._connection.connect()
+            made: Any = self._connection.sock
+            made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._connection.request(method, path, body, headers)
+        return self._connection.getresponse()
+
+    def stream_url(self, name: str, what: str) -> str:
+        """Address of a WebSocket."""
+        scheme = "wss" if self._url.scheme == "https" else "ws"
+        return f"{scheme}://{self._url.netloc}/v1/sessions/{quote(name)}/{what}"
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """What every request says."""
+        return dict(self._headers)
+
+    def close(self) -> None:
+        """Close the connection; the sessions stay open."""
+        self._connection.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+class SessionClient:
+    """One session of a service."""
+
+    def __init__(self, client: Client, name: str) -> None:
+        self.client = client
+        self.name = name
+        self._path = f"/v1/sessions/{quote(name)}"
+
+    def track(self, frame: Frame, time_s: float | None = None) -> State:
+        """Have a frame looked at.
+
+        Raises:
+            ServiceError: the frame is refused (422), or too many wait (429).
+            RendezviewError: the service is not reached.
+        """
+        content, kind = _content(frame)
+        query = "" if time_s is None else f"?time_s={float(time_s)!r}"
+        state: State = self.client.request("POST", f"{self._path}/frames{query}", content, kind)
+        return state
+
+    def stream(self) -> StreamClient:
+        """A WebSocket for frames and states: the way where frames come fast."""
+        return StreamClient(self.client.stream_url(self.name, "stream"), self.client.headers)
+
+    def state(self) -> State:
+        """The last state."""
+        state: State = self.client.request("GET", f"{self._path}/state")
+        return state
+
+    def info(self) -> dict[str, Any]:
+        """The session as it stands."""
+        info: dict[str, Any] = self.client.request("GET", self._path)
+        return info
+
+    def history(self, seconds: float = 300.0, limit: int = 2000) -> list[State]:
+        """States of the last minutes."""
+        path = f"{self._path}/history?seconds={seconds!r}&limit={limit}"
+        states: list[State] = self.client.request("GET", path)["states"]
+        return states
+
+    def log(self) -> bytes:
+        """The log so far, MCAP."""
+        return self.client.fetch("GET", f"{self._path}/log")
+
+    def close(self) -> None:
+        """End the session; its log is complete afterwards."""
+        self.client.request("DELETE", self._path)
+
+
+class StreamClient:
+    """Frames in, states out, each when it can be."""
+
+    def __init__(self, url: str, headers: dict[str, str]) -> None:
+        try:
+            from websockets.sync.client import connect
+        except ModuleNotFoundError:
+            raise RendezviewError(
+                "streams need websockets, which is not installed: pip install 'rendezview[service]'"
+            ) from None
+        try:
+            opening = connect(url, additional_headers=headers, compression=None, max_size=None)
+            self._socket = opening.__enter__()  # left by `close`
+        except Exception as error:
+            raise RendezviewError(f"{url}: the stream does not open ({error})") from None
+
+    def send(self, frame: Frame, time_s: float | None = None) -> None:
+        """Send a frame; it is dropped if a newer one comes before it is looked at."""
+        content, _ = _content(frame)
+        self._socket.send(struct.pack("<d", float("nan") if time_s is None else time_s) + content)
+
+    def receive(self, timeout_s: float | None = None) -> State:
+        """The next state.
+
+        Raises:
+            ServiceError: a frame was refused.
+            TimeoutError: none came in time.
+            RendezviewError: the stream has ended.
+        """
+        from websockets.exceptions import ConnectionClosed
+
+        try:
+            told: State = json.loads(self._socket.recv(timeout_s))
+        except ConnectionClosed as error:
+            raise RendezviewError(f"the stream has ended ({error})") from None
+        if "error" in told:
+            raise ServiceError(told["error"], told["status"])
+        return told
+
+    def __iter__(self) -> Iterator[State]:
+        """States until the stream ends."""
+        while True:
+            try:
+                yield self.receive()
+            except ServiceError:
+                raise
+            except RendezviewError:
+                return
+
+    def close(self) -> None:
+        """End the stream; the session stays open."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _content(frame: Frame) -> tuple[bytes, str]:
+    """The bytes to send, and their type."""
+    if isinstance(frame, bytes):
+        kind = "image/png" if frame[:4] == b"\x89PNG" else "image/jpeg"
+        return frame, kind
+    image = np.asarray(frame)
+    if image.dtype != np.uint8 or image.ndim != 2:
+        raise RendezviewError(
+            f"a frame must be (height, width) grey levels of 8 bit, not {image.shape} {image.dtype}"
+        )
+    return image.tobytes(), "application/octet-stream"

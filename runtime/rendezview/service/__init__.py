@@ -1,0 +1,1 @@
+"""The pose service: frames in, poses out, watched in a browser, recorded."""

@@ -1,0 +1,146 @@
+"""Small things that all routes need: faults, rights, bodies of limited length."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, HTTPConnection
+from starlette.responses import Response
+
+from rendezview.errors import RendezviewError
+from rendezview.service.messages import Fault
+from rendezview.service.security import Right
+from rendezview.service.service import NotReady, Service
+from rendezview.service.sessions import Answer, Full, Session, Waiting
+from rendezview.service.tracking import MOST_TIME_S
+
+FAULTS: dict[int | str, dict[str, Any]] = {
+    code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
+}
+JSON = "application/json"
+
+
+def service_of(connection: HTTPConnection) -> Service:
+    """The service that answers."""
+    service: Service = connection.app.state.service
+    return service
+
+
+def needs(connection: HTTPConnection, right: Right) -> None:
+    """Refuse a caller whose token does not allow it.
+
+    Raises:
+        HTTPException: 403.
+    """
+    has = connection.scope.get("state", {}).get("right", Right.NONE)
+    if has < right:
+        raise HTTPException(403, f"this token does not allow it: one of scope {right.name.lower()}")
+
+
+def session_of(connection: HTTPConnection, name: str) -> Session:
+    """A session by its id.
+
+    Raises:
+        HTTPException: 404.
+    """
+    session = service_of(connection).sessions.get(name)
+    if session is None:
+        raise HTTPException(404, f"session {name[:80]!r}: there is none: see /v1/sessions")
+    return session
+
+
+async def body_of(request: Request, most: int) -> bytes:
+    """The body of a request, refused as soon as it is too long.
+
+    Raises:
+        HTTPException: 413.
+    """
+    said = request.headers.get("content-length", "0")
+    refusal = HTTPException(413, f"too long: at most {most} bytes are taken here")
+    if not said.isdecimal() or int(said) > most:
+        raise refusal
+    parts, length = [], 0
+    async for part in request.stream():
+        length += len(part)
+        if length > most:
+            raise refusal
+        parts.append(part)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+async def look(session: Session, content: bytes, time_s: float | None) -> Answer:
+    """A frame through the session's tracker.
+
+    Raises:
+        HTTPException: 422 for a time that is none.
+        Full: too many frames wait.
+    """
+    now_s = time.time()
+    future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+
+    def answer(result: Answer) -> None:
+        if not future.done():
+            future.set_result(result)
+
+    at_s = now_s if time_s is None else time_s
+    session.queue(Waiting(content, at_s, now_s, time.monotonic(), answer))
+    return await future
+
+
+def frame_time(time_s: float | None) -> float | None:
+    """A frame's time as it was said.
+
+    Raises:
+        HTTPException: 422 for NaN, infinity, or what no clock shows.
+    """
+    if time_s is not None and not (math.isfinite(time_s) and abs(time_s) <= MOST_TIME_S):
+        raise HTTPException(422, f"time_s: must be finite and within ±1e10, not {time_s}")
+    return time_s
+
+
+def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Response:
+    """An answer that says what is wrong."""
+    extra = dict(headers or {})
+    if status in (429, 503):
+        extra.setdefault("Retry-After", "1")
+    text = Fault(error=error, status=status).model_dump_json()
+    return Response(text, status, extra, JSON)
+
+
+def say_faults(app: FastAPI) -> None:
+    """Every error as a `Fault`."""
+
+    async def http(_: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        return fault(error.status_code, str(error.detail), dict(error.headers or {}))
+
+    async def invalid(_: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        return fault(422, f"{where}: {first['msg']}")
+
+    async def users(_: Request, error: Exception) -> Response:
+        return fault(422, str(error))
+
+    async def full(_: Request, error: Exception) -> Response:
+        return fault(429, "too many frames wait, or too many sessions there are: come back later")
+
+    async def not_ready(_: Request, error: Exception) -> Response:
+        return fault(503, "no process that tracks is up: come back in a moment")
+
+    async def gone(_: Request, error: Exception) -> Response:
+        return fault(400, "the request broke off")
+
+    app.add_exception_handler(HTTPException, http)
+    app.add_exception_handler(RequestValidationError, invalid)
+    app.add_exception_handler(RendezviewError, users)
+    app.add_exception_handler(Full, full)
+    app.add_exception_handler(NotReady, not_ready)
+    app.add_exception_handler(ClientDisconnect, gone)

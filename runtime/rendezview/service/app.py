@@ -1,0 +1,94 @@
+"""The application: routes, page, health, and what stands in front of them."""
+
+from __future__ import annotations
+
+import contextlib
+import mimetypes
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+from fastapi import FastAPI, Request
+from starlette.responses import Response
+from starlette.routing import Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Scope
+
+from rendezview.service import model_routes, session_routes, streams
+from rendezview.service.answers import JSON, needs, say_faults, service_of
+from rendezview.service.messages import Health
+from rendezview.service.metrics import Metrics
+from rendezview.service.security import Guard, Right, Token
+from rendezview.service.service import Service
+from rendezview.service.settings import Settings
+
+PAGE = Path(__file__).parent / "page"
+
+# What a bare system may not know.
+for _suffix, _type in {".js": "text/javascript", ".mjs": "text/javascript"}.items():
+    mimetypes.add_type(_type, _suffix)
+
+
+class _Page(StaticFiles):
+    """The page's files, asked for anew each time but not sent again where unchanged."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        response = await super().get_response(path, scope)
+        response.headers["Cache-Control"] = "no-cache"
+        return response
+
+
+def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
+    """The application of a service that is not started yet."""
+
+    @contextlib.asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        await service.start()
+        try:
+            yield
+        finally:
+            await service.stop()
+
+    app = FastAPI(
+        title="rendezview",
+        summary="Where a spacecraft is relative to another one: frames in, poses out.",
+        version=service.version,
+        docs_url=None,  # its scripts come from elsewhere
+        redoc_url=None,
+        lifespan=life,
+    )
+    app.state.service = service
+    say_faults(app)
+    frames = session_routes.post_frame_directly
+    app.router.routes.append(Route("/v1/sessions/{name}/frames", frames, methods=["POST"]))
+    app.include_router(session_routes.router)
+    app.include_router(model_routes.router)
+    app.include_router(streams.router)
+
+    @app.get("/healthz", tags=["operations"])
+    async def healthz(request: Request) -> Health:
+        """The service is alive."""
+        return service_of(request).health()
+
+    @app.get("/readyz", tags=["operations"], responses={503: {"model": Health}})
+    async def readyz(request: Request, response: Response) -> Health:
+        """The service can look at frames."""
+        health = service_of(request).health()
+        response.status_code = 200 if health.status == "ok" else 503
+        return health
+
+    @app.get("/metrics", tags=["operations"], response_class=Response)
+    async def metrics(request: Request) -> Response:
+        """For Prometheus."""
+        needs(request, Right.READ)
+        return Response(service_of(request).metrics.text(), 200, None, "text/plain; version=0.0.4")
+
+    if PAGE.is_dir():
+        app.mount("/", _Page(directory=PAGE, html=True), name="page")
+    return _guarded(app, service.settings, tokens, service.metrics)
+
+
+def _guarded(app: ASGIApp, settings: Settings, tokens: list[Token], metrics: Metrics) -> ASGIApp:
+    return Guard(app, settings, tokens, metrics)
+
+
+__all__ = ["JSON", "PAGE", "make_app"]

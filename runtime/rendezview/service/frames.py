@@ -1,0 +1,135 @@
+"""Frames as they arrive: told by their first bytes, measured before they are decoded."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from enum import StrEnum
+
+import cv2
+import numpy as np
+
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.sequences.frame import GreyImage
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8\xff"
+_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+_BARE_MARKERS = (0x01, *range(0xD0, 0xDA))  # of JPEG, without a length
+_SIZE_MARKERS = tuple(m for m in range(0xC0, 0xD0) if m not in (0xC4, 0xC8, 0xCC))
+
+Bytes = bytes | bytearray | memoryview
+
+
+class FrameKind(StrEnum):
+    """How the bytes of a frame are to be read."""
+
+    RAW = "raw"
+    PNG = "png"
+    JPEG = "jpeg"
+
+
+def kind_of(content: Bytes) -> FrameKind:
+    """PNG and JPEG are told by their first bytes; anything else is raw grey levels."""
+    start = bytes(content[:8])
+    if start == _PNG:
+        return FrameKind.PNG
+    return FrameKind.JPEG if start[:3] == _JPEG else FrameKind.RAW
+
+
+def read_frame(content: Bytes, camera: Camera) -> GreyImage:
+    """The grey picture, uint8 (height, width) of the camera.
+
+    A picture of another size than the camera's is refused before it is decoded, so that a
+    small file cannot ask for a large memory.
+
+    Raises:
+        RendezviewError: another size, cut short, or not a picture.
+    """
+    kind = kind_of(content)
+    if kind is FrameKind.RAW:
+        wanted = camera.width * camera.height
+        if len(content) != wanted:
+            raise RendezviewError(
+                f"a raw frame of this camera has {camera.width} × {camera.height} = {wanted} "
+                f"bytes, not {len(content)}: send grey levels row by row, or a PNG or JPEG file"
+            )
+        # Writable, as all frames are: for another kind of array the loops would be compiled
+        # again, and might round differently.
+        own = bytearray(content) if isinstance(content, bytes) else content
+        return np.frombuffer(own, dtype=np.uint8).reshape(camera.height, camera.width)
+    size = png_size(content) if kind is FrameKind.PNG else jpeg_size(content)
+    whole = _png_is_whole(content) if kind is FrameKind.PNG else _jpeg_ends(content)
+    if size is None or not whole:
+        raise RendezviewError(f"the {kind.upper()} frame is cut short or damaged: send it again")
+    if size != (camera.width, camera.height):
+        raise RendezviewError(
+            f"the frame is {size[0]} × {size[1]} pixels but the camera {camera.width} × "
+            f"{camera.height}: send frames of the session's camera"
+        )
+    try:
+        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), _AS_STORED)
+    except cv2.error:
+        image = None
+    if image is None or image.shape != (camera.height, camera.width):
+        raise RendezviewError(f"the {kind.upper()} frame is damaged: send it again")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def png_size(content: Bytes) -> tuple[int, int] | None:
+    """Width and height that a PNG file's header says; None if it says none."""
+    if len(content) < 33 or bytes(content[12:16]) != b"IHDR":
+        return None
+    width, height = struct.unpack(">II", content[16:24])
+    return width, height
+
+
+def jpeg_size(content: Bytes) -> tuple[int, int] | None:
+    """Width and height that a JPEG file's frame header says; None if there is none."""
+    place = 2
+    while place + 4 <= len(content):
+        if content[place] != 0xFF:
+            return None
+        marker = content[place + 1]
+        if marker == 0xFF:  # fill byte
+            place += 1
+            continue
+        if marker in _BARE_MARKERS:
+            place += 2
+            continue
+        (length,) = struct.unpack(">H", content[place + 2 : place + 4])
+        if marker in _SIZE_MARKERS:
+            if place + 9 > len(content):
+                return None
+            height, width = struct.unpack(">HH", content[place + 5 : place + 9])
+            return width, height
+        if length < 2 or marker == 0xDA:
+            return None
+        place += 2 + length
+    return None
+
+
+def _png_is_whole(content: Bytes) -> bool:
+    """Every chunk with its right checksum up to the last, and a single picture.
+
+    OpenCV's decoder can hang over damaged or animated files.
+    """
+    view = memoryview(content)
+    place = len(_PNG)
+    while place + 12 <= len(view):
+        length, kind = struct.unpack(">I4s", view[place : place + 8])
+        end = place + 12 + length
+        if end > len(view) or kind in (b"acTL", b"fcTL", b"fdAT"):
+            return False
+        (checksum,) = struct.unpack(">I", view[end - 4 : end])
+        if zlib.crc32(view[place + 4 : end - 4]) != checksum:
+            return False
+        if kind == b"IEND":
+            return bool(end == len(view))
+        place = end
+    return False
+
+
+def _jpeg_ends(content: Bytes) -> bool:
+    return b"\xff\xd9" in bytes(content[-64:])

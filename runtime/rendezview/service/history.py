@@ -1,0 +1,64 @@
+"""The last minutes of a session, for looking back: states as they were sent, and pictures."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from dataclasses import dataclass, field
+
+
+@dataclass(slots=True)
+class Past:
+    """States and pictures of the last minutes; bounded in time and number."""
+
+    keep_s: float
+    rate_hz: float
+    image_hz: float
+    _states: deque[tuple[float, int, bytes]] = field(default_factory=deque)
+    _images: deque[tuple[float, int, bytes]] = field(default_factory=deque)
+    _image_at_s: float = -1e300
+
+    def add(self, now_s: float, frame: int, state: bytes) -> None:
+        """A new state; left out where there are more than ``rate_hz`` a second."""
+        if self._states and now_s - self._states[-1][0] < 0.9 / self.rate_hz:
+            return
+        self._states.append((now_s, frame, state))
+        _trim(self._states, now_s - self.keep_s)
+
+    def wants_image(self, now_s: float) -> bool:
+        """Whether a picture of now is to be kept."""
+        return self.image_hz > 0.0 and now_s - self._image_at_s >= 0.9 / self.image_hz
+
+    def add_image(self, now_s: float, frame: int, jpeg: bytes) -> None:
+        """A picture."""
+        self._image_at_s = now_s
+        self._images.append((now_s, frame, jpeg))
+        _trim(self._images, now_s - self.keep_s)
+
+    def states(self, after_s: float, since_frame: int, most: int) -> list[tuple[int, bytes]]:
+        """The states of a span, thinned evenly to at most so many; the newest is among them."""
+        chosen = [(f, s) for at, f, s in self._states if at >= after_s and f >= since_frame]
+        if len(chosen) <= most:
+            return chosen
+        step = -(-len(chosen) // most)
+        return chosen[::-1][::step][::-1]
+
+    def state(self, frame: int) -> bytes | None:
+        """The state of a frame, or of the last one kept before it."""
+        place = bisect_right(self._states, frame, key=lambda entry: entry[1])
+        return self._states[place - 1][2] if place else None
+
+    def image(self, frame: int) -> tuple[int, bytes] | None:
+        """The picture of a frame, or of the last one kept before it."""
+        place = bisect_right(self._images, frame, key=lambda entry: entry[1])
+        return self._images[place - 1][1:] if place else None
+
+    @property
+    def image_frames(self) -> list[int]:
+        """Frames whose picture is kept."""
+        return [frame for _, frame, _ in self._images]
+
+
+def _trim(entries: deque[tuple[float, int, bytes]], oldest_s: float) -> None:
+    while entries and entries[0][0] < oldest_s:
+        entries.popleft()

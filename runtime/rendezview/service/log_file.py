@@ -1,0 +1,281 @@
+"""MCAP files that may end anywhere: finding what is whole, and giving them their ending.
+
+A log is written a chunk a frame, so that what was acknowledged is in the file. Killed, the file
+lacks its index and its last bytes may be half a record. `scan` finds the last whole chunk,
+`mend` cuts what follows and appends the index that readers expect.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.stream_reader import breakup_chunk
+
+from rendezview.errors import RendezviewError
+from rendezview.files import StrPath, write_error
+
+MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")  # opcode, length
+_PARSED: dict[int, Any] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
+    Opcode.MESSAGE_INDEX: MessageIndex,
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.METADATA: Metadata,
+}
+_MOST_RECORD = 4_000_000_000  # longer ones are no records but damage
+
+
+@dataclass(slots=True, eq=False)
+class Scan:
+    """What is whole in a log."""
+
+    end: int = len(MAGIC)  # offset behind the last whole record of data
+    finished: bool = False  # it has its index and its ending
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)  # messages of each channel
+
+    def add(self, record: McapRecord, offset: int, length: int) -> None:
+        """Count a record of the data section, other than chunks and their indexes."""
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self.channels[record.id] = record
+        elif isinstance(record, Metadata):
+            self.metadata.append(MetadataIndex(offset=offset, length=length, name=record.name))
+        elif isinstance(record, Attachment):
+            index = AttachmentIndex(
+                offset=offset,
+                length=length,
+                log_time=record.log_time,
+                create_time=record.create_time,
+                data_size=len(record.data),
+                name=record.name,
+                media_type=record.media_type,
+            )
+            self.attachments.append(index)
+        self.end = offset + length
+
+
+def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:
+    """Whole records of data with offset and length; ends at damage or at the index.
+
+    Args:
+        most: bytes of the file that count; None: all.
+
+    Raises:
+        RendezviewError: the file cannot be read, or is no MCAP file.
+    """
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            size = size if most is None else min(size, most)
+            if file.read(len(MAGIC)) != MAGIC:
+                raise RendezviewError(f"{path}: not an MCAP log: name another file")
+            place = len(MAGIC)
+            while place + _HEAD.size <= size:
+                opcode, length = _HEAD.unpack(file.read(_HEAD.size))
+                end = place + _HEAD.size + length
+                if length > _MOST_RECORD or end > size:
+                    return
+                body = file.read(length)
+                record = _parsed(opcode, body)
+                if record is None:
+                    return
+                yield record, place, end - place
+                if isinstance(record, DataEnd):
+                    return
+                place = end
+    except FileNotFoundError:
+        raise RendezviewError(f"{path}: no such log: check the path") from None
+    except OSError as error:
+        raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def _parsed(opcode: int, body: bytes) -> McapRecord | None:
+    """A record of data; None for damage. Records of no interest are bare."""
+    if opcode == Opcode.DATA_END:
+        return DataEnd(0)
+    kind = _PARSED.get(opcode)
+    if kind is None:
+        return McapRecord()
+    try:
+        record: McapRecord = kind.read(ReadDataStream(io.BytesIO(body)))
+    except (McapError, ValueError, struct.error):
+        return None
+    if isinstance(record, Attachment):
+        stored = struct.unpack("<I", body[-4:])[0]
+        if stored and stored != zlib.crc32(memoryview(body)[:-4]):
+            return None
+    return record
+
+
+def messages(chunk: Chunk) -> list[Message] | None:
+    """The messages of a chunk; None if it is damaged."""
+    try:
+        parts = breakup_chunk(chunk, validate_crc=True)
+    except (McapError, ValueError, struct.error, RuntimeError, EOFError, MemoryError):
+        return None
+    return [part for part in parts if isinstance(part, Message)]
+
+
+def scan(path: StrPath, most: int | None = None) -> Scan:
+    """What is whole in a log: up to the last chunk that has all of its indexes.
+
+    Raises:
+        RendezviewError: the file cannot be read, or is no MCAP file.
+    """
+    found = Scan()
+    chunk: ChunkIndex | None = None
+    missing: set[int] = set()  # channels of the chunk whose index is still to come
+    inside: Counter[int] = Counter()
+    for record, offset, length in records(path, most):
+        if isinstance(record, MessageIndex) and chunk is not None:
+            chunk.message_index_offsets[record.channel_id] = offset
+            chunk.message_index_length += length
+            missing.discard(record.channel_id)
+            if not missing:
+                found.chunks.append(chunk)
+                found.counts += inside
+                found.end, chunk = offset + length, None
+            continue
+        if chunk is not None:
+            break  # it never got its indexes
+        if isinstance(record, Chunk):
+            parts = messages(record)
+            if parts is None:
+                break
+            chunk = chunk_index(record, offset, length)
+            inside = Counter(part.channel_id for part in parts)
+            missing = set(inside)
+        elif isinstance(record, DataEnd):
+            found.finished = _has_ending(path)
+            break
+        else:
+            found.add(record, offset, length)
+    return found
+
+
+def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
+    """The index of a chunk, without its messages'."""
+    return ChunkIndex(
+        message_start_time=chunk.message_start_time,
+        message_end_time=chunk.message_end_time,
+        chunk_start_offset=offset,
+        chunk_length=length,
+        message_index_offsets={},
+        message_index_length=0,
+        compression=chunk.compression,
+        compressed_size=len(chunk.data),
+        uncompressed_size=chunk.uncompressed_size,
+    )
+
+
+def ending(found: Scan) -> bytes:
+    """What stands behind the data of a finished log, written at ``found.end``."""
+    builder = RecordBuilder()
+    DataEnd(0).write(builder)
+    start = found.end + builder.count
+    head = taken(builder)
+    groups: list[tuple[Opcode, list[Any]]] = [
+        (Opcode.SCHEMA, list(found.schemas.values())),
+        (Opcode.CHANNEL, list(found.channels.values())),
+        (Opcode.STATISTICS, [_statistics(found)]),
+        (Opcode.CHUNK_INDEX, found.chunks),
+        (Opcode.ATTACHMENT_INDEX, found.attachments),
+        (Opcode.METADATA_INDEX, found.metadata),
+    ]
+    offsets = []
+    for opcode, group in groups:
+        before = builder.count
+        for record in group:
+            record.write(builder)
+        if builder.count > before:
+            offsets.append(SummaryOffset(opcode, start + before, builder.count - before))
+    offsets_start = start + builder.count
+    for offset in offsets:
+        offset.write(builder)
+    summary = taken(builder)
+    footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
+    Footer(start, offsets_start, zlib.crc32(footer, zlib.crc32(summary))).write(builder)
+    return head + summary + taken(builder) + MAGIC
+
+
+def mend(path: StrPath) -> int | None:
+    """Give a log that was cut off its ending, in place; bytes cut, or None if it is whole.
+
+    Raises:
+        RendezviewError: not an MCAP file, or it cannot be written.
+    """
+    found = scan(path)
+    if found.finished:
+        return None
+    try:
+        with open(path, "r+b") as file:
+            cut = os.fstat(file.fileno()).st_size - found.end
+            file.truncate(found.end)
+            file.seek(found.end)
+            file.write(ending(found))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise write_error(Path(path), error) from error
+    return cut
+
+
+def taken(builder: RecordBuilder) -> bytes:
+    """What a builder has built; it is empty afterwards."""
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _statistics(found: Scan) -> Statistics:
+    return Statistics(
+        attachment_count=len(found.attachments),
+        channel_count=len(found.channels),
+        channel_message_counts=dict(found.counts),
+        chunk_count=len(found.chunks),
+        message_count=sum(found.counts.values()),
+        message_start_time=min((c.message_start_time for c in found.chunks), default=0),
+        message_end_time=max((c.message_end_time for c in found.chunks), default=0),
+        metadata_count=len(found.metadata),
+        schema_count=len(found.schemas),
+    )
+
+
+def _has_ending(path: StrPath) -> bool:
+    with open(path, "rb") as file:
+        file.seek(-len(MAGIC), os.SEEK_END)
+        return file.read() == MAGIC

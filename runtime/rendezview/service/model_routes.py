@@ -1,0 +1,134 @@
+"""Routes of models and trainings."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request
+from fastapi.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+
+from rendezview.service.answers import FAULTS, JSON, body_of, needs, service_of
+from rendezview.service.messages import Geometry, JobInfo, JobList, ModelInfo, ModelList, Name
+from rendezview.service.model_store import StoredModel
+from rendezview.service.security import Right
+
+router = APIRouter(prefix="/v1", tags=["models"], responses=FAULTS)
+
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+
+
+@router.get("/models")
+async def list_models(request: Request) -> ModelList:
+    """All models."""
+    needs(request, Right.READ)
+    store = service_of(request).models
+    found = [stored for name in store.names() if (stored := store.get(name)) is not None]
+    return ModelList(models=[await run_in_threadpool(_info, stored) for stored in found])
+
+
+@router.get("/models/{name}")
+async def get_model(request: Request, name: str) -> ModelInfo:
+    """A model."""
+    needs(request, Right.READ)
+    return await run_in_threadpool(_info, _stored(request, name))
+
+
+@router.get("/models/{name}/geometry", responses={200: {"model": Geometry}})
+async def get_geometry(request: Request, name: str) -> Response:
+    """What a 3-D view draws: contour points and the sphere of views."""
+    needs(request, Right.READ)
+    stored = _stored(request, name)
+    text = await run_in_threadpool(lambda: stored.geometry_json)
+    return Response(text, 200, {"Cache-Control": "private, max-age=600"}, JSON)
+
+
+@router.put("/models/{name}", status_code=201, openapi_extra=_BODY)
+async def put_model(request: Request, name: Name) -> ModelInfo:
+    """Send a model file (*.rvm): it is read and checked, never executed."""
+    needs(request, Right.ADMIN)
+    service = service_of(request)
+    if service.models.get(name) is not None:
+        raise HTTPException(409, f"model {name}: there is one already: choose another name")
+    content = await body_of(request, service.settings.model_bytes)
+    stored = await run_in_threadpool(service.models.add, name, content)
+    return await run_in_threadpool(_info, stored)
+
+
+@router.delete("/models/{name}", status_code=204)
+async def delete_model(request: Request, name: str) -> None:
+    """Delete a model that was sent or trained."""
+    needs(request, Right.ADMIN)
+    stored = _stored(request, name)
+    service = service_of(request)
+    if service.uses(stored.name):
+        raise HTTPException(409, f"model {stored.name}: a session uses it: close that first")
+    service.models.remove(stored.name)
+
+
+@router.get("/jobs")
+async def list_jobs(request: Request) -> JobList:
+    """All trainings, newest first."""
+    needs(request, Right.READ)
+    return JobList(jobs=[job.info() for job in service_of(request).jobs.list()])
+
+
+@router.post("/jobs", status_code=201, openapi_extra=_BODY)
+async def add_job(
+    request: Request,
+    model: Annotated[Name, Query(description="name of the model to make")],
+    file: Annotated[str, Query(max_length=200, description="of the mesh; its ending counts")],
+    unit: Annotated[Literal["m", "cm", "mm", "in", "ft"], Query()] = "m",
+    order: Annotated[int | None, Query(ge=0, le=4)] = None,
+    views: Annotated[int | None, Query(ge=100, le=1_000_000)] = None,
+    held_out: Annotated[int | None, Query(ge=10, le=100_000)] = None,
+    seed: Annotated[int | None, Query(ge=0, le=2**31)] = None,
+) -> JobInfo:
+    """Send a mesh and have a model trained of it, in a process of its own."""
+    needs(request, Right.ADMIN)
+    service = service_of(request)
+    mesh = await body_of(request, service.settings.mesh_bytes)
+    if not mesh:
+        raise HTTPException(422, "the mesh is empty: send its file as the body")
+    numbers = {"order": order, "views": views, "held-out": held_out, "seed": seed}
+    options = {"unit": str(unit)} | {k: str(v) for k, v in numbers.items() if v is not None}
+    return service.jobs.add(model, file, mesh, options).info()
+
+
+@router.get("/jobs/{job_id}")
+async def get_job(request: Request, job_id: str) -> JobInfo:
+    """A training and its progress."""
+    needs(request, Right.READ)
+    job = service_of(request).jobs.get(job_id)
+    if job is None:
+        raise HTTPException(404, f"training {job_id[:80]!r}: there is none: see /v1/jobs")
+    return job.info()
+
+
+@router.delete("/jobs/{job_id}")
+async def cancel_job(request: Request, job_id: str) -> JobInfo:
+    """Cancel a training; one that is over stays as it is."""
+    needs(request, Right.ADMIN)
+    jobs = service_of(request).jobs
+    job = jobs.get(job_id)
+    if job is None:
+        raise HTTPException(404, f"training {job_id[:80]!r}: there is none: see /v1/jobs")
+    await jobs.cancel(job)
+    return job.info()
+
+
+def _stored(request: Request, name: str) -> StoredModel:
+    stored = service_of(request).models.get(name)
+    if stored is None:
+        raise HTTPException(404, f"model {name[:80]!r}: there is none: see /v1/models")
+    return stored
+
+
+def _info(stored: StoredModel) -> ModelInfo:
+    return stored.info

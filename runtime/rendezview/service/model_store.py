@@ -1,0 +1,159 @@
+"""The models that the service has: files in one folder, and one given on the command line."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+import secrets
+from functools import cached_property
+from pathlib import Path
+
+from rendezview.appearance import ViewModel
+from rendezview.errors import RendezviewError
+from rendezview.files import make_folder, write_error
+from rendezview.service.geometry import geometry
+from rendezview.service.messages import ModelInfo
+
+SUFFIX = ".rvm"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+class StoredModel:
+    """One model file; read when it is first asked for."""
+
+    def __init__(self, name: str, path: Path, own: bool) -> None:
+        self.name = name
+        self.path = path
+        self.own = own  # of the store's folder: may be deleted
+
+    @cached_property
+    def model(self) -> ViewModel:
+        """The model.
+
+        Raises:
+            RendezviewError: the file does not hold a model (any more).
+        """
+        return ViewModel.load(self.path)
+
+    @cached_property
+    def info(self) -> ModelInfo:
+        """The model as a message."""
+        return ModelInfo(
+            name=self.name,
+            target=self.model.name,
+            sha256=hashlib.sha256(self.path.read_bytes()).hexdigest(),
+            size_bytes=self.path.stat().st_size,
+            order=self.model.order,
+            nodes=len(self.model.geodesic.nodes),
+            target_radius_m=self.model.target_radius_m,
+            sphere_radius_m=self.model.sphere_radius_m,
+            refines=self.model.contours is not None,
+            loaded=True,
+        )
+
+    @cached_property
+    def geometry_json(self) -> bytes:
+        """What a 3-D view draws."""
+        return geometry(self.name, self.model).model_dump_json().encode()
+
+
+class ModelStore:
+    """Models by name."""
+
+    def __init__(self, folder: Path) -> None:
+        """All models of a folder.
+
+        Raises:
+            RendezviewError: the folder cannot be made.
+        """
+        make_folder(folder)
+        self.folder = folder
+        self._models: dict[str, StoredModel] = {}
+        for path in sorted(folder.glob(f"*{SUFFIX}")):
+            if _NAME.fullmatch(path.stem) and path.is_file():
+                self._models[path.stem] = StoredModel(path.stem, path.resolve(), own=True)
+
+    def give(self, path: Path) -> StoredModel:
+        """A model file elsewhere, under its file's name, read at once.
+
+        Raises:
+            RendezviewError: it is no model.
+        """
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", path.stem).strip("-_")[:64] or "model"
+        stored = StoredModel(name, path.resolve(), own=False)
+        _ = stored.model
+        self._models[name] = stored
+        return stored
+
+    def __len__(self) -> int:
+        return len(self._models)
+
+    def names(self) -> list[str]:
+        """Names, sorted."""
+        return sorted(self._models)
+
+    def get(self, name: str) -> StoredModel | None:
+        """A model by name."""
+        return self._models.get(name)
+
+    def only(self) -> StoredModel | None:
+        """The model, if there is but one."""
+        return next(iter(self._models.values())) if len(self._models) == 1 else None
+
+    def path_for(self, name: str) -> Path:
+        """Where a new model of that name goes.
+
+        Raises:
+            RendezviewError: the name is none, or taken.
+        """
+        if not _NAME.fullmatch(name):
+            raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
+        if name in self._models:
+            raise RendezviewError(f"model {name}: there is one already: choose another name")
+        return self.folder / f"{name}{SUFFIX}"
+
+    def add(self, name: str, content: bytes) -> StoredModel:
+        """A model that was sent: read, checked, and only then kept.
+
+        Raises:
+            RendezviewError: the name is none or taken, or the content no model.
+        """
+        path = self.path_for(name)
+        trial = self.folder / f".{secrets.token_hex(8)}.tmp"
+        try:
+            trial.write_bytes(content)
+            try:
+                model = ViewModel.load(trial)
+            except RendezviewError as error:
+                raise RendezviewError(str(error).replace(str(trial), "the model sent")) from None
+            trial.replace(path)
+        except OSError as error:
+            raise write_error(path, error) from None
+        finally:
+            with contextlib.suppress(OSError):
+                trial.unlink()
+        stored = StoredModel(name, path.resolve(), own=True)
+        stored.model = model
+        self._models[name] = stored
+        return stored
+
+    def found(self, name: str) -> StoredModel:
+        """A file that a training has put into the folder."""
+        stored = StoredModel(name, (self.folder / f"{name}{SUFFIX}").resolve(), own=True)
+        _ = stored.model
+        self._models[name] = stored
+        return stored
+
+    def remove(self, name: str) -> None:
+        """Forget a model and delete its file.
+
+        Raises:
+            RendezviewError: it was given on the command line.
+        """
+        stored = self._models[name]
+        if not stored.own:
+            raise RendezviewError(f"model {name}: was given on the command line, and stays")
+        with contextlib.suppress(FileNotFoundError):
+            stored.path.unlink()
+        del self._models[name]

@@ -1,0 +1,88 @@
+// The camera's picture, and over it what the tracker made of it.
+
+import { apply, rotation } from "./pose.js";
+
+// Outline, step, crease: told apart by lightness too.
+const KINDS = ["#58e0ff", "#ffb454", "#d2a8ff"];
+const NODE = "#f2c14e";
+
+export class LiveView {
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.pen = canvas.getContext("2d", { alpha: false });
+    this.layers = { contour: true, nodes: true, silhouette: false };
+    this.geometry = null;
+    this.camera = null; // of the session: places are in its full pixels
+  }
+
+  /** Draws a picture (or the dark where there is none), contour, outlines, and nodes of a state. */
+  draw({ bitmap, contour, silhouette, state }) {
+    const { canvas, pen } = this;
+    const width = bitmap?.width ?? canvas.width, height = bitmap?.height ?? canvas.height;
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    if (bitmap) pen.drawImage(bitmap, 0, 0);
+    else {
+      pen.fillStyle = "#000";
+      pen.fillRect(0, 0, width, height);
+    }
+    // Pixel (0, 0) of the full frame is the centre of its first pixel; a canvas counts corners.
+    const scale = width / (this.camera?.width ?? width);
+    const place = ([u, v]) => [(u + 0.5) * scale, (v + 0.5) * scale];
+    if (this.layers.silhouette && silhouette) this._outlines(silhouette, place);
+    if (this.layers.contour && contour) this._contour(contour, place);
+    if (this.layers.nodes && state) this._nodes(state);
+  }
+
+  _outlines(outlines, place) {
+    const { pen } = this;
+    pen.strokeStyle = "#56d364";
+    pen.lineWidth = 1;
+    pen.beginPath();
+    for (const outline of outlines) {
+      outline.forEach((point, k) => (k ? pen.lineTo(...place(point)) : pen.moveTo(...place(point))));
+      pen.closePath();
+    }
+    pen.stroke();
+  }
+
+  _contour({ points_px: points, kinds }, place) {
+    KINDS.forEach((colour, kind) => {
+      this.pen.fillStyle = colour;
+      for (let k = 0; k < points.length; k++) {
+        if (kinds[k] !== kind) continue;
+        const [x, y] = place(points[k]);
+        this.pen.fillRect(x - 0.9, y - 0.9, 1.8, 1.8);
+      }
+    });
+  }
+
+  /** The half of the sphere of views that faces the camera, as it stands before it. */
+  _nodes(state) {
+    const { pen, canvas } = this;
+    const radius = 0.11 * Math.min(canvas.width, canvas.height);
+    const x0 = canvas.width - radius - 10, y0 = radius + 10;
+    pen.fillStyle = "#0009";
+    pen.beginPath();
+    pen.arc(x0, y0, radius + 4, 0, 2 * Math.PI);
+    pen.fill();
+    pen.font = "12px system-ui, sans-serif";
+    pen.textAlign = "center";
+    if (state.pose === null || this.geometry === null) {
+      pen.fillStyle = NODE;
+      pen.fillText(`${state.on_nodes.length} on`, x0, y0 + 4);
+      return;
+    }
+    const turn = rotation(state.pose.quat_wxyz);
+    const dot = (direction, size) => {
+      const [x, y, z] = apply(turn, direction);
+      if (z > 0) return;
+      pen.beginPath();
+      pen.arc(x0 + radius * x, y0 + radius * y, size, 0, 2 * Math.PI);
+      pen.fill();
+    };
+    pen.fillStyle = "#7d8b99";
+    for (const node of this.geometry.nodes) dot(node, 0.8);
+    pen.fillStyle = NODE;
+    for (const node of state.on_nodes) dot(node.direction, 1.5 + 2.5 * node.weight);
+  }
+}

@@ -1,0 +1,46 @@
+// The last minutes: states as they came, and pictures and contours of frames gone by.
+
+import { json, request, sessionPath } from "./api.js";
+
+const KEEP_S = 300;
+
+export class Past {
+  constructor(session) {
+    this.session = session;
+    this.states = []; // oldest first
+  }
+
+  get newest() {
+    return this.states.at(-1) ?? null;
+  }
+
+  /** A state that has just come. */
+  add(state) {
+    if (this.newest !== null && state.frame <= this.newest.frame) return;
+    this.states.push(state);
+    // Seldom, and many at once: taking them one by one from the front is slow.
+    const oldest = state.received_unix_s - KEEP_S;
+    if (this.states[0].received_unix_s < oldest - 10) {
+      this.states = this.states.filter((kept) => kept.received_unix_s >= oldest);
+    }
+  }
+
+  /** What the service has kept from before we came, and from before it was looked at again. */
+  async load(limit = 2000) {
+    const kept = await json(`${sessionPath(this.session)}/history?seconds=${KEEP_S}&limit=${limit}`);
+    const byFrame = new Map(this.states.map((state) => [state.frame, state]));
+    for (const state of kept.states) byFrame.set(state.frame, state);
+    this.states = [...byFrame.values()].sort((a, b) => a.frame - b.frame);
+  }
+
+  /** Picture of a frame, or of the last one kept before it, and the contour that belongs to it. */
+  async picture(frame) {
+    const response = await request(`${sessionPath(this.session)}/images/${frame}`);
+    const shown = Number(response.headers.get("X-Frame"));
+    const [blob, contour] = await Promise.all([
+      response.blob(),
+      json(`${sessionPath(this.session)}/contour/${shown}`).catch(() => null),
+    ]);
+    return { frame: shown, bitmap: await createImageBitmap(blob), contour };
+  }
+}

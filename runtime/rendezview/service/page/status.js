@@ -1,0 +1,100 @@
+// The state in words and numbers: found, lost, ambiguous; pose; sensors; recording.
+
+const DEGREES = 180 / Math.PI;
+const SILENT_S = 3;
+const find = (id) => document.getElementById(id);
+
+/** Sets a text only where it has changed: what stays is not laid out again. */
+export function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** The word an operator sees first, and why. */
+export function verdict(state, silentS) {
+  if (state === null) return ["waiting", "WAITING", "no frame has been looked at yet"];
+  if (silentS > SILENT_S) return ["silent", "NO FRAMES", `the last one came ${silentS.toFixed(0)} s ago`];
+  const reason = state.reason ?? state.status;
+  if (state.pose !== null) {
+    const sure = state.confidence === null ? "" : `confidence ${state.confidence.toFixed(3)}`;
+    return ["found", "FOUND", sure];
+  }
+  const several = state.candidates.length > 0 ? ` (${state.candidates.length} poses fit)` : "";
+  if (["ambiguous", "rivals"].includes(state.status) || several) {
+    return ["ambiguous", "AMBIGUOUS", `${state.status}: ${reason}${several}`];
+  }
+  if (state.phase === "coasting") return ["coasting", "COASTING", `${state.status}: ${reason}`];
+  return ["lost", "LOST", `${state.status}: ${reason}`];
+}
+
+export function showVerdict([key, word, reason]) {
+  const banner = find("banner");
+  if (banner.dataset.word !== key) banner.dataset.word = key;
+  say(find("word"), word);
+  say(find("reason"), reason);
+}
+
+const fixed = (value, digits) => (value >= 0 ? "\u2007" : "−") + Math.abs(value).toFixed(digits);
+
+function rows(body, entries) {
+  while (body.rows.length > entries.length) body.deleteRow(-1);
+  entries.forEach(([name, text, kind = ""], place) => {
+    let row = body.rows[place];
+    if (!row) {
+      row = body.insertRow();
+      row.append(document.createElement("th"), document.createElement("td"));
+      row.cells[0].scope = "row";
+    }
+    say(row.cells[0], name);
+    say(row.cells[1], text);
+    if (row.cells[1].className !== kind) row.cells[1].className = kind;
+  });
+}
+
+export function showNumbers(state) {
+  const entries = [];
+  const pose = state?.pose ?? null;
+  for (const [axis, name] of ["x", "y", "z"].entries()) {
+    const sigma = state?.covariance ? ` ± ${(3 * Math.sqrt(state.covariance[axis + 3][axis + 3])).toFixed(3)}` : "";
+    entries.push([name, pose ? `${fixed(pose.translation_m[axis], 3)}${sigma} m` : "–"]);
+  }
+  entries.push(["q wxyz", pose ? pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ") : "–"]);
+  const turn = state?.covariance
+    ? [0, 1, 2].map((k) => (3 * DEGREES * Math.sqrt(state.covariance[k][k])).toFixed(2)).join(" ") + " °"
+    : "–";
+  entries.push(["attitude ±", turn]);
+  entries.push(["range", state?.range_m != null ? `${state.range_m.toFixed(3)} m` : "–"]);
+  const rates = state?.rates ?? null;
+  entries.push(["turning", rates ? `${(DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2)} °/s` : "–"]);
+  entries.push(["moving", rates ? `${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s` : "–"]);
+  entries.push(["residual", state?.fit ? `${state.fit.residual_px.toFixed(2)} px` : "–"]);
+  entries.push(["latency", state ? `${state.latency_ms.toFixed(1)} ms` : "–"]);
+  entries.push(["frame", state ? `${state.frame} · t = ${state.time_s.toFixed(2)} s` : "–"]);
+  rows(find("numbers").tBodies[0], entries);
+}
+
+export function showSensors(sensors) {
+  const entries = [];
+  for (const sensor of sensors) {
+    const rate = sensor.rate_hz === null ? "– Hz" : `${sensor.rate_hz.toFixed(1)} Hz`;
+    entries.push([sensor.name, sensor.healthy ? `● healthy · ${rate}` : `▲ ${sensor.reason}`, sensor.healthy ? "good" : "bad wrap"]);
+    entries.push(["frames · drops", `${sensor.frames} · ${sensor.drops}`, sensor.drops > 0 ? "drops" : ""]);
+  }
+  rows(find("sensors").tBodies[0], entries);
+}
+
+export function showRecording(recording) {
+  const chip = find("recording");
+  const words = {
+    off: "not recorded",
+    on: `● recording ${(recording.size_bytes / 1e6).toFixed(0)} MB`,
+    failed: `▲ recording failed: ${recording.reason ?? "unknown"} (${recording.lost} lost)`,
+  };
+  say(chip, words[recording.state]);
+  chip.className = `chip ${{ off: "", on: "good", failed: "bad" }[recording.state]}`;
+}
+
+export function showLink(text, kind) {
+  const chip = find("link");
+  say(chip, text);
+  chip.className = `chip ${kind}`;
+}

@@ -1,0 +1,324 @@
+"""The log of a session: every acknowledged state is in the file before it is acknowledged.
+
+One write a frame holds a chunk and its indexes, so that a kill at any moment loses nothing that
+was acknowledged. A full disk does not stop the tracking: the log is cut to its last whole
+frame, the fault is told, and every few seconds a new file is tried.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import secrets
+import threading
+import time
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Attachment, Channel, Chunk, Header, MessageIndex, Metadata, Schema
+from mcap.records import Message as McapMessage
+
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.files import write_error
+from rendezview.service import log_schemas
+from rendezview.service.frames import Bytes, kind_of
+from rendezview.service.log_file import MAGIC, Scan, chunk_index, ending, mend, scan, taken
+from rendezview.service.messages import Recording, RecordingState
+from rendezview.service.tracking import StateDict
+
+SESSION_METADATA = "rendezview.session"
+MODEL_ATTACHMENT = "model.rvm"
+_CALIBRATION_EVERY_S = 1.0
+_SYNC_EVERY_S = 1.0
+_RETRY_S = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingOptions:
+    """How a log is kept."""
+
+    images: bool = True
+    sync: Literal["always", "interval", "never"] = "interval"
+    compression: Literal["", "lz4", "zstd"] = "lz4"
+
+
+class LogWriter:
+    """Writes the log of one session; faults of the disk are told, not raised."""
+
+    def __init__(
+        self,
+        path: Path,
+        camera: Camera,
+        metadata: Mapping[str, str],
+        model: bytes | None,
+        options: RecordingOptions | None = None,
+    ) -> None:
+        """Begin a log; one that exists is mended and kept beside, under a numbered name.
+
+        Args:
+            metadata: what replay needs to know of the session.
+            model: the model file, to be kept with the log.
+        """
+        self.options = options or RecordingOptions()
+        self._base = path
+        self._camera = camera
+        self._metadata = dict(metadata)
+        self._model = model
+        self._file: int | None = None
+        self._path = path
+        self._scan = Scan()
+        self._reason: str | None = None
+        self._messages = 0
+        self._lost = 0
+        self._retry_at = 0.0
+        self._calibrated_at = -1e300
+        self._synced_at = 0.0
+        self._syncing: threading.Thread | None = None
+        self._open()
+
+    @property
+    def status(self) -> Recording:
+        """How the log stands."""
+        return Recording(
+            state=RecordingState.ON if self._reason is None else RecordingState.FAILED,
+            reason=self._reason,
+            name=self._path.name,
+            messages=self._messages,
+            size_bytes=self._scan.end,
+            lost=self._lost,
+        )
+
+    @property
+    def path(self) -> Path:
+        """The file that is written now."""
+        return self._path
+
+    def write(self, state: StateDict, state_json: bytes, content: Bytes) -> bool:
+        """Append one frame; False where that failed (`status` says why)."""
+        if self._file is None and not self._try_again():
+            self._lost += 1
+            return False
+        try:
+            self._append(state, state_json, content)
+        except OSError as error:
+            self._fail(error)
+            self._lost += 1
+            return False
+        return True
+
+    def close(self) -> None:
+        """Write the index. Closing again does nothing."""
+        if self._file is None:
+            return
+        file, self._file = self._file, None
+        try:
+            _write_all(file, ending(self._scan), self._scan.end)
+            os.fsync(file)
+        except OSError as error:
+            self._reason = str(write_error(self._path, error))
+            with contextlib.suppress(OSError):
+                os.ftruncate(file, self._scan.end)
+        finally:
+            if self._syncing is not None:
+                self._syncing.join()
+            os.close(file)
+
+    def _append(self, state: StateDict, state_json: bytes, content: Bytes) -> None:
+        log_ns = max(0, int(state["received_unix_s"] * 1e9))
+        frame_ns = max(0, int(state["time_s"] * 1e9))
+        parts: list[tuple[int, bytes]] = [(log_schemas.STATE, state_json)]
+        if state["pose"] is not None:
+            parts.append((log_schemas.POSE, log_schemas.pose_bytes(state["time_s"], state["pose"])))
+            transform = log_schemas.transform_bytes(state["time_s"], state["pose"])
+            parts.append((log_schemas.TRANSFORM, transform))
+        if self.options.images:
+            kind = kind_of(content)
+            parts.append(log_schemas.image_bytes(state["time_s"], content, kind, self._camera))
+        calibrates = state["received_unix_s"] - self._calibrated_at >= _CALIBRATION_EVERY_S
+        if calibrates:
+            calibration = log_schemas.calibration_bytes(state["time_s"], self._camera)
+            parts.append((log_schemas.CALIBRATION, calibration))
+        body = RecordBuilder()
+        places: dict[int, int] = {}
+        for channel, data in parts:
+            places[channel] = body.count
+            McapMessage(channel, log_ns, data, frame_ns, state["frame"] & 0xFFFFFFFF).write(body)
+        whole = taken(body)
+        chunk = Chunk(
+            compression=self.options.compression,
+            data=_compressed(whole, self.options.compression),
+            message_start_time=log_ns,
+            message_end_time=log_ns,
+            uncompressed_crc=zlib.crc32(whole),
+            uncompressed_size=len(whole),
+        )
+        out = RecordBuilder()
+        chunk.write(out)
+        index = chunk_index(chunk, self._scan.end, out.count)
+        for channel, place in places.items():
+            index.message_index_offsets[channel] = self._scan.end + out.count
+            MessageIndex(channel, [(log_ns, place)]).write(out)
+        index.message_index_length = out.count - index.chunk_length
+        blob = taken(out)
+        assert self._file is not None
+        _write_all(self._file, blob, self._scan.end)
+        self._sync()
+        self._scan.end += len(blob)
+        self._scan.chunks.append(index)
+        self._scan.counts.update(places.keys())
+        self._messages += len(places)
+        if calibrates:
+            self._calibrated_at = state["received_unix_s"]
+
+    def _open(self) -> None:
+        """Begin a file, which gets its name with its beginning; a fault is kept in ``_reason``."""
+        self._path = _free_name(self._base)
+        trial = self._path.with_name(f".{self._path.name}.{secrets.token_hex(4)}.tmp")
+        file = None
+        try:
+            file = os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            _write_all(file, self._beginning(), 0)
+            if self.options.sync != "never":
+                os.fsync(file)
+            os.replace(trial, self._path)
+        except OSError as error:
+            if file is not None:
+                os.close(file)
+            with contextlib.suppress(OSError):
+                trial.unlink()
+            self._fail(error)
+            return
+        self._file, self._reason = file, None
+
+    def _beginning(self) -> bytes:
+        builder = RecordBuilder()
+        Header("", "rendezview").write(builder)
+        found = Scan(end=len(MAGIC) + builder.count)
+
+        def add(record: Schema | Channel | Metadata | Attachment) -> None:
+            before = builder.count
+            record.write(builder)
+            found.add(record, len(MAGIC) + before, builder.count - before)
+
+        for number, (topic, name, kind) in log_schemas.TOPICS.items():
+            if kind is None:
+                text = json.dumps(log_schemas.state_schema()).encode()
+                add(Schema(id=number, data=text, encoding="jsonschema", name=name))
+            else:
+                data = log_schemas.descriptors(kind)
+                add(Schema(id=number, data=data, encoding="protobuf", name=name))
+            encoding = "json" if kind is None else "protobuf"
+            add(
+                Channel(
+                    id=number,
+                    topic=topic,
+                    message_encoding=encoding,
+                    metadata={},
+                    schema_id=number,
+                )
+            )
+        add(Metadata(name=SESSION_METADATA, metadata=self._metadata))
+        if self._model is not None and self.options.images:
+            now = time.time_ns()
+            add(
+                Attachment(
+                    create_time=now,
+                    log_time=now,
+                    name=MODEL_ATTACHMENT,
+                    media_type="application/octet-stream",
+                    data=self._model,
+                )
+            )
+        self._scan = found
+        return MAGIC + taken(builder)
+
+    def _fail(self, error: OSError) -> None:
+        self._reason = str(write_error(self._path, error))
+        self._retry_at = time.monotonic() + _RETRY_S
+        if self._file is None:
+            return
+        with contextlib.suppress(OSError):
+            os.ftruncate(self._file, self._scan.end)
+        with contextlib.suppress(OSError):
+            _write_all(self._file, ending(self._scan), self._scan.end)
+        os.close(self._file)
+        self._file = None
+
+    def _try_again(self) -> bool:
+        if time.monotonic() < self._retry_at:
+            return False
+        lost = self._path
+        self._open()
+        if self._file is not None and lost != self._path:
+            with contextlib.suppress(RendezviewError):
+                mend(lost)
+        return self._file is not None
+
+    def _sync(self) -> None:
+        """To the disk, each time, or each second beside the tracking."""
+        if self.options.sync == "never" or self._file is None:
+            return
+        if self.options.sync == "always":
+            os.fsync(self._file)
+            return
+        now = time.monotonic()
+        busy = self._syncing is not None and self._syncing.is_alive()
+        if now - self._synced_at < _SYNC_EVERY_S or busy:
+            return
+        self._synced_at = now
+        self._syncing = threading.Thread(target=_quiet_sync, args=(os.dup(self._file),))
+        self._syncing.start()
+
+
+def mend_folder(folder: Path) -> list[tuple[Path, int]]:
+    """Mend all logs of a folder that were cut off; each with the bytes that were cut."""
+    mended = []
+    for path in sorted(folder.glob("*.mcap")):
+        with contextlib.suppress(RendezviewError):
+            cut = mend(path)
+            if cut is not None:
+                mended.append((path, cut))
+    return mended
+
+
+def finished_copy(path: Path, size: int) -> tuple[int, bytes]:
+    """Bytes of a log that is being written that are whole, and the ending that goes behind."""
+    found = scan(path, size)
+    return found.end, ending(found)
+
+
+def _free_name(path: Path) -> Path:
+    """The path itself, or with the first free number."""
+    number, free = 1, path
+    while free.exists():
+        number += 1
+        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return free
+
+
+def _write_all(file: int, content: bytes, place: int) -> None:
+    view = memoryview(content)
+    while view:
+        written = os.pwrite(file, view, place)
+        place += written
+        view = view[written:]
+
+
+def _quiet_sync(file: int) -> None:
+    with contextlib.suppress(OSError):  # the next write says it
+        os.fsync(file)
+    os.close(file)
+
+
+def _compressed(content: bytes, how: str) -> bytes:
+    if how == "lz4":
+        return bytes(lz4.frame.compress(content))
+    return zstandard.compress(content, 1) if how == "zstd" else content

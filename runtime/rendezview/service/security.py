@@ -1,0 +1,221 @@
+"""Who may do what: tokens with scopes, names the service answers to, rates, and headers."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import time
+import tomllib
+from collections import OrderedDict
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from rendezview.errors import RendezviewError
+from rendezview.files import checked, read_text
+from rendezview.service.messages import Fault
+from rendezview.service.metrics import Metrics
+from rendezview.service.settings import LOOPBACK, Settings
+
+SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
+_CALLERS = 10_000  # remembered for their rates
+_PAGE_POLICY = (
+    "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
+    "connect-src 'self'; worker-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "
+    "form-action 'none'; object-src 'none'"
+)
+HEADERS = (
+    (b"content-security-policy", _PAGE_POLICY.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-frame-options", b"DENY"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+)
+
+
+class Right(IntEnum):
+    """What a token allows; each includes those before."""
+
+    NONE = 0
+    READ = 1  # look
+    TRACK = 2  # sessions and frames
+    ADMIN = 3  # models and trainings
+
+
+class _TokenEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+    scope: Annotated[str, Field(pattern="^(read|track|admin)$")]
+    token: Annotated[str, Field(min_length=16, max_length=512)] | None = None
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")] | None = None
+
+
+_TOKENS = TypeAdapter(dict[str, _TokenEntry])
+
+
+@dataclass(frozen=True)
+class Token:
+    """A token's name, what it allows, and the hash of it: itself it is not kept."""
+
+    name: str
+    right: Right
+    sha256: bytes
+
+
+def read_tokens(path: Path) -> list[Token]:
+    """The tokens of a TOML file: a table for each, ``[operator] scope = "track" token = "…"``.
+
+    ``sha256`` may stand in place of ``token``, which has at least 16 characters.
+
+    Raises:
+        RendezviewError: missing, or wrong.
+    """
+    try:
+        content = tomllib.loads(read_text(path, "tokens (TOML)"))
+    except tomllib.TOMLDecodeError as error:
+        raise RendezviewError(f"{path}: not valid TOML ({error}): mend the file") from None
+    tokens = []
+    for name, entry in checked(_TOKENS, content, str(path)).items():
+        if (entry.token is None) == (entry.sha256 is None):
+            raise RendezviewError(f"{path}: {name}: give either token or sha256")
+        if entry.token is not None:
+            digest = hashlib.sha256(entry.token.encode()).digest()
+        else:
+            digest = bytes.fromhex(entry.sha256 or "")
+        tokens.append(Token(name, Right[entry.scope.upper()], digest))
+    if not tokens:
+        raise RendezviewError(f"{path}: holds no token: add one")
+    return tokens
+
+
+class Guard:
+    """In front of everything: wrong hosts and origins, missing tokens and floods are refused."""
+
+    def __init__(
+        self, app: ASGIApp, settings: Settings, tokens: Iterable[Token], metrics: Metrics
+    ) -> None:
+        self._app = app
+        self._tokens = list(tokens)
+        self._metrics = metrics
+        self._rate = settings.requests_per_s
+        self._hosts = {settings.host.lower(), *LOOPBACK, *map(str.lower, settings.allowed_hosts)}
+        self._any_host = settings.host in ("0.0.0.0", "::") and not settings.allowed_hosts
+        self._callers: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._refusal(scope, headers)
+        if refusal is not None:
+            await _refuse(scope, receive, send, *refusal)
+            self._metrics.requests.labels(str(refusal[0])).inc()
+            return
+        if scope["type"] == "websocket":
+            await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                self._metrics.requests.labels(str(message["status"])).inc()
+                message["headers"] = [*message["headers"], *HEADERS]
+            await send(message)
+
+        await self._app(scope, receive, with_headers)
+
+    def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
+        if not self._any_host and _host(headers.get("host", "")) not in self._hosts:
+            return 421, "the service does not answer to this host name: see allowed_hosts"
+        origin = headers.get("origin")
+        changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD", "OPTIONS")
+        if origin is not None and changes and urlsplit(origin).netloc != headers.get("host"):
+            return 403, "pages of other origins may not use the service"
+        name, right = self._caller(scope, headers)
+        if not self._in_time(name):
+            return 429, "too many requests: wait a moment"
+        scope.setdefault("state", {})["right"] = right
+        if right is Right.NONE and not _is_open(scope):
+            return 401, "a token is needed: send it as `Authorization: Bearer TOKEN`"
+        return None
+
+    def _caller(self, scope: Scope, headers: Headers) -> tuple[str, Right]:
+        client = scope.get("client")
+        address = client[0] if client else "?"
+        if not self._tokens:
+            return address, Right.ADMIN
+        given = _token(headers)
+        if given is not None:
+            digest = hashlib.sha256(given.encode()).digest()
+            for token in self._tokens:
+                if hmac.compare_digest(digest, token.sha256):
+                    return token.name, token.right
+        return address, Right.NONE
+
+    def _in_time(self, name: str) -> bool:
+        """A bucket of one second's requests for each caller."""
+        now_s = time.monotonic()
+        left, at_s = self._callers.pop(name, (self._rate, now_s))
+        left = min(self._rate, left + (now_s - at_s) * self._rate)
+        allowed = left >= 1.0
+        self._callers[name] = (left - 1.0 if allowed else left, now_s)
+        while len(self._callers) > _CALLERS:
+            self._callers.popitem(last=False)
+        return allowed
+
+
+def _token(headers: Headers) -> str | None:
+    kind, _, value = headers.get("authorization", "").partition(" ")
+    if kind.lower() == "bearer" and value:
+        return value.strip()
+    for offered in headers.get("sec-websocket-protocol", "").split(","):
+        if offered.strip().startswith(TOKEN_SUBPROTOCOL):
+            return offered.strip().removeprefix(TOKEN_SUBPROTOCOL)
+    return None
+
+
+def _is_open(scope: Scope) -> bool:
+    """The page's files and the questions of health are for all."""
+    path = scope["path"]
+    if path in ("/healthz", "/readyz"):
+        return True
+    closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/docs", "/v1")
+    return not closed and scope["type"] == "http"
+
+
+def _host(value: str) -> str:
+    try:
+        return (urlsplit(f"//{value}").hostname or "").lower()
+    except ValueError:
+        return ""
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send, status: int, error: str) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008, "reason": error})
+        return
+    body = Fault(error=error, status=status).model_dump_json().encode()
+    extra = [(b"retry-after", b"1")] if status == 429 else []
+    if status == 401:
+        extra = [(b"www-authenticate", b"Bearer")]
+    start = {
+        "type": "http.response.start",
+        "status": status,
+        "headers": [
+            (b"content-type", b"application/json"),
+            (b"content-length", str(len(body)).encode()),
+            *extra,
+            *HEADERS,
+        ],
+    }
+    await send(start)
+    await send({"type": "http.response.body", "body": body})

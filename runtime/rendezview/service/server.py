@@ -1,0 +1,116 @@
+"""uvicorn around the application."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import socket
+import sys
+from collections.abc import Callable
+from types import FrameType
+
+import uvicorn
+
+from rendezview.errors import RendezviewError
+from rendezview.service.app import make_app
+from rendezview.service.security import read_tokens
+from rendezview.service.service import Service
+
+_SHUTDOWN_S = 10
+
+
+class _Server(uvicorn.Server):
+    """Says where it listens once it does, and keeps why it did not start."""
+
+    on_ready: Callable[[str], None] = staticmethod(lambda address: None)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        gc.collect()
+        gc.freeze()  # what is there now stays: it need not be looked through again
+        if self.started and sockets:
+            host, port = sockets[0].getsockname()[:2]
+            scheme = "https" if self.config.is_ssl else "http"
+            self.on_ready(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """A first signal ends the service in order, with code 0; a second one at once."""
+        self.force_exit = self.should_exit
+        self.should_exit = True
+
+
+def run(service: Service, on_ready: Callable[[str], None]) -> None:
+    """Serve until told to end (SIGINT, SIGTERM); logs are complete afterwards.
+
+    Raises:
+        RendezviewError: the address is taken, or the service cannot start.
+    """
+    settings = service.settings
+    tokens = [] if settings.tokens_file is None else read_tokens(settings.tokens_file)
+    app = _Watched(make_app(service, tokens))
+    config = uvicorn.Config(
+        app,
+        http="httptools",
+        ws="websockets-sansio",
+        loop="uvloop" if sys.platform != "win32" else "asyncio",
+        lifespan="on",
+        access_log=False,
+        log_config=None,
+        server_header=False,
+        ws_max_size=settings.frame_bytes + 8,
+        ws_per_message_deflate=False,  # frames are noise, or packed already
+        ws_ping_interval=20.0,
+        ws_ping_timeout=20.0,
+        timeout_graceful_shutdown=_SHUTDOWN_S,
+        timeout_keep_alive=75,
+        limit_concurrency=None,
+        ssl_certfile=settings.tls_certificate,
+        ssl_keyfile=settings.tls_key,
+    )
+    server = _Server(config)
+    server.on_ready = on_ready
+    listener = _listen(settings.host, settings.port)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            server.run(sockets=[listener])
+    except SystemExit:
+        pass
+    except OSError as error:
+        raise RendezviewError(f"the service cannot start: {error}") from None
+    finally:
+        listener.close()
+    if app.failure is not None:
+        raise app.failure
+
+
+class _Watched:
+    """Keeps the error of a start that failed: uvicorn only logs it."""
+
+    def __init__(self, app: object) -> None:
+        self._app = app
+        self.failure: RendezviewError | None = None
+
+    async def __call__(self, scope, receive, send) -> None:  # type: ignore[no-untyped-def]
+        """ASGI."""
+        try:
+            await self._app(scope, receive, send)  # type: ignore[operator]
+        except RendezviewError as error:
+            self.failure = error
+            raise
+        except asyncio.CancelledError:
+            raise
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((host, port))
+    except OSError as error:
+        listener.close()
+        raise RendezviewError(
+            f"{host}:{port}: cannot be listened on ({error.strerror}): choose another --port"
+        ) from None
+    return listener

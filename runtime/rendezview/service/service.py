@@ -1,0 +1,368 @@
+"""The service itself, without HTTP: models, sessions, workers, trainings, and their lives."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import os
+import secrets
+import tempfile
+import time
+from collections.abc import Coroutine
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.files import make_folder
+from rendezview.service.jobs import Jobs
+from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
+from rendezview.service.metrics import Metrics
+from rendezview.service.model_store import ModelStore, StoredModel
+from rendezview.service.pool import Worker, WorkerGone
+from rendezview.service.recording import mend_folder
+from rendezview.service.sessions import Full, Session
+from rendezview.service.settings import Settings
+from rendezview.service.sources import Feeder, Source, open_source
+from rendezview.service.tracking import camera_message
+
+log = logging.getLogger("rendezview.service")
+
+_RESTART_PAUSE_S = 1.0
+_CLOSE_S = 30.0
+_IDLE_CHECK_S = 5.0
+
+
+class NotReady(Exception):
+    """There is no worker to track with, for the moment."""
+
+
+class Service:
+    """Everything the routes act on."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        model: Path | None = None,
+        sources: list[str] | None = None,
+        speed: float = 1.0,
+    ) -> None:
+        """A service that is not started yet.
+
+        Args:
+            model: read at once; more can be sent.
+            sources: each gets a session of its own.
+
+        Raises:
+            RendezviewError: a model, camera or source is missing or wrong.
+        """
+        self.settings = settings
+        self.metrics = Metrics()
+        self.sessions: dict[str, Session] = {}
+        self.watchers = 0
+        self.started_s = time.monotonic()
+        self.stopping = False
+        self.version = metadata.version("rendezview")
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        folder = settings.models_folder
+        if folder is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="rendezview-models-")
+            folder = Path(self._temporary.name)
+        try:
+            self.models = ModelStore(folder)
+            self.given: StoredModel | None = None if model is None else self.models.give(model)
+            self.camera = None if settings.camera is None else Camera.load(settings.camera)
+            self._sources: list[Source] = [open_source(s, self.camera) for s in sources or []]
+            if self._sources and self.given is None:
+                raise RendezviewError("a source needs a model to track with: name one")
+        except RendezviewError:
+            if self._temporary is not None:
+                self._temporary.cleanup()
+            raise
+        self._speed = speed
+        self.jobs = Jobs(self.models, settings.jobs)
+        self._workers: list[Worker] = []
+        self._feeders: dict[str, Feeder] = {}
+        self._opening: set[str] = set()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._first_log_taken = False
+
+    # Life
+
+    async def start(self) -> None:
+        """Start workers and sources; mend logs that an earlier life left cut off.
+
+        Raises:
+            RendezviewError: no worker comes up, or a source's session cannot be opened.
+        """
+        place = self.settings.record
+        if place is not None:
+            folder = place.parent if place.suffix == ".mcap" else place
+            if place.suffix != ".mcap":
+                make_folder(place)
+            elif not folder.is_dir():
+                raise RendezviewError(f"{place}: its folder does not exist: create it first")
+            for path, cut in await asyncio.to_thread(mend_folder, folder):
+                log.warning("log mended", extra={"log": path.name, "cut_bytes": cut})
+        count = self.settings.workers or os.cpu_count() or 1
+        self._workers = [self._new_worker() for _ in range(count)]
+        try:
+            # One first: what it compiles the others find compiled.
+            await self._come_up(self._workers[0])
+            await asyncio.gather(*map(self._come_up, self._workers[1:]))
+        except (WorkerGone, TimeoutError, OSError) as error:
+            raise RendezviewError(
+                f"the processes that track do not start ({error or type(error).__name__})"
+            ) from None
+        for number, source in enumerate(self._sources):
+            name = "main" if number == 0 else f"source-{number + 1}"
+            if source.camera is None:
+                raise RendezviewError(f"{source.name}: no camera: give --camera")
+            assert self.given is not None
+            request = SessionRequest(
+                id=name, model=self.given.name, camera=camera_message(source.camera)
+            )
+            session = await self.open(request, source)
+            feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
+            self._feeders[session.id] = feeder
+            feeder.start()
+        self._spawn(self._housekeeping())
+
+    async def stop(self) -> None:
+        """Complete the logs, tell the watchers, end the processes."""
+        self.stopping = True
+        for task in self._tasks:
+            task.cancel()
+        for session in list(self.sessions.values()):
+            await self.close(session, "the service ends")
+        await self.jobs.stop()
+        for worker in self._workers:
+            worker.stop()
+        await asyncio.gather(*(worker.join(10.0) for worker in self._workers))
+        if self._temporary is not None:
+            self._temporary.cleanup()
+
+    def health(self) -> Health:
+        """Whether frames can be looked at, and what is wrong if not."""
+        reasons = []
+        ready = sum(worker.ready for worker in self._workers)
+        if ready == 0:
+            reasons.append("no process that tracks is up")
+        failures = sum(s.recording.state is RecordingState.FAILED for s in self.sessions.values())
+        status = "stopping" if self.stopping else "not ready" if reasons else "ok"
+        return Health(
+            status=status,  # type: ignore[arg-type]
+            reasons=reasons,
+            version=self.version,
+            uptime_s=time.monotonic() - self.started_s,
+            sessions=len(self.sessions),
+            recording_failures=failures,
+        )
+
+    # Sessions
+
+    async def open(self, request: SessionRequest, source: Source | None = None) -> Session:
+        """A new session.
+
+        Raises:
+            RendezviewError: the request is impossible.
+            Full: there is no room for another.
+            NotReady: no worker is up.
+        """
+        if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
+            raise Full
+        name = request.id or f"s-{secrets.token_hex(4)}"
+        if name in self.sessions or name in self._opening:
+            raise RendezviewError(f"session {name}: there is one already: choose another id")
+        stored = self._model(request.model)
+        if request.camera is None:
+            if self.camera is None:
+                raise RendezviewError("the session has no camera: give one")
+            request = request.model_copy(update={"camera": camera_message(self.camera)})
+        assert request.camera is not None
+        if request.camera.width * request.camera.height > self.settings.frame_bytes:
+            raise RendezviewError(
+                f"camera: frames of {request.camera.width} × {request.camera.height} are larger "
+                f"than this service takes ({self.settings.frame_bytes} bytes)"
+            )
+        records = self.settings.record is not None and self.settings.record_all
+        request = request.model_copy(
+            update={
+                "id": name,
+                "model": stored.name,
+                "record": records if request.record is None else request.record,
+            }
+        )
+        if request.record and self.settings.record is None:
+            raise RendezviewError("record: the service keeps no logs: start it with --record")
+        self._opening.add(name)
+        try:
+            session = Session(
+                name,
+                stored.name,
+                request,
+                self.settings,
+                self.metrics,
+                None if source is None else source.name,
+            )
+            try:
+                await self._place(session, stored.path)
+            except BaseException:
+                session.end("it could not be opened")
+                raise
+        finally:
+            self._opening.discard(name)
+        self.sessions[name] = session
+        self.metrics.sessions.set(len(self.sessions))
+        log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
+        return session
+
+    async def close(self, session: Session, reason: str) -> None:
+        """End a session; its log is complete afterwards."""
+        if self.sessions.pop(session.id, None) is None:
+            return
+        feeder = self._feeders.pop(session.id, None)
+        if feeder is not None:
+            feeder.stop()
+        worker = session.worker
+        session.worker = None
+        session.end(reason)
+        self.metrics.sessions.set(len(self.sessions))
+        if worker is not None:
+            worker.forget(session)
+            with contextlib.suppress(WorkerGone, TimeoutError):
+                asked = worker.ask({"kind": "close", "session": session.id})
+                await asyncio.wait_for(asked, _CLOSE_S)
+        log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
+
+    def uses(self, model: str) -> bool:
+        """Whether a session needs a model."""
+        return any(session.model == model for session in self.sessions.values())
+
+    def _model(self, name: str | None) -> StoredModel:
+        stored = self.given or self.models.only() if name is None else self.models.get(name)
+        if stored is None:
+            known = ", ".join(self.models.names()) or "none"
+            raise RendezviewError(
+                f"model {name}: not here (there are: {known})"
+                if name is not None
+                else f"model: say which one (there are: {known})"
+            )
+        return stored
+
+    async def _place(self, session: Session, model: Path) -> None:
+        """Give a session to the worker with the fewest."""
+        up = [worker for worker in self._workers if worker.ready]
+        if not up:
+            raise NotReady
+        worker = min(up, key=lambda w: len(w.sessions))
+        worker.sessions.add(session)
+        request = session.request
+        log_path = self._log_path(session) if request.record else None
+        try:
+            answer = await worker.ask(
+                {
+                    "kind": "open",
+                    "session": session.id,
+                    "request": request.model_dump(mode="json"),
+                    "model_path": str(model),
+                    "log_path": None if log_path is None else str(log_path),
+                    "log_model": self.settings.record_model,
+                    "recording": {
+                        "images": self.settings.record_images,
+                        "sync": self.settings.sync,
+                        "compression": self.settings.compression,
+                    },
+                }
+            )
+        except WorkerGone:
+            worker.sessions.discard(session)
+            raise NotReady from None
+        if answer["kind"] == "fault":
+            worker.sessions.discard(session)
+            raise RendezviewError(answer["error"])
+        session.worker = worker
+        if answer["recording"] is not None:
+            session.recording = Recording.model_validate(answer["recording"])
+            session.log_path = answer["log_path"]
+        if session.has_waiting:
+            worker.wake(session)
+
+    def _log_path(self, session: Session) -> Path:
+        place = self.settings.record
+        assert place is not None
+        if place.suffix == ".mcap":
+            if not self._first_log_taken:
+                self._first_log_taken = True
+                return place
+            return place.with_name(f"{place.stem}-{session.id}{place.suffix}")
+        return place / f"{session.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
+
+    # Workers
+
+    async def _come_up(self, worker: Worker) -> None:
+        """Start a worker and warm it up; once more if it had to compile."""
+        await worker.start()
+        if self.given is None:
+            return
+        request = {"kind": "warm", "session": "", "model_path": str(self.given.path)}
+        answer = await worker.ask(request)
+        if answer["kind"] == "fault":
+            raise RendezviewError(answer["error"])
+        if answer["compiled"]:
+            log.info("compiled", extra={"loops": answer["compiled"]})
+            await worker.restart()
+            await worker.ask(request)
+
+    def _new_worker(self) -> Worker:
+        worker = Worker(self.settings.frame_bytes, self.settings.frame_timeout_s)
+        worker.on_gone = self._gone
+        return worker
+
+    def _gone(self, worker: Worker) -> None:
+        if not self.stopping:
+            log.error("a process that tracks has ended; it is started anew")
+            self.metrics.restarts.inc()
+            self._spawn(self._replace(worker))
+
+    async def _replace(self, worker: Worker) -> None:
+        """Another process for one that ended; its sessions go on, their trackers anew."""
+        orphans = list(worker.sessions)
+        for session in orphans:
+            session.worker = None
+        fresh = self._new_worker()
+        while True:
+            try:
+                await self._come_up(fresh)
+                break
+            except (WorkerGone, TimeoutError, OSError):
+                await asyncio.sleep(_RESTART_PAUSE_S)
+                fresh = self._new_worker()
+        self._workers[self._workers.index(worker)] = fresh
+        for session in orphans:
+            if session.id not in self.sessions:
+                continue
+            stored = self.models.get(session.model)
+            session.reopened()
+            try:
+                if stored is None:
+                    raise RendezviewError(f"model {session.model}: is gone")
+                await self._place(session, stored.path)
+            except (RendezviewError, NotReady) as error:
+                await self.close(session, f"its tracker cannot be started anew: {error}")
+
+    async def _housekeeping(self) -> None:
+        while True:
+            await asyncio.sleep(_IDLE_CHECK_S)
+            oldest_s = time.monotonic() - self.settings.idle_s
+            for session in list(self.sessions.values()):
+                if session.used_s < oldest_s and session.id not in self._feeders:
+                    await self.close(session, "no frame for a long time")
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)

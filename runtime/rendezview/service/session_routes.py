@@ -1,0 +1,217 @@
+"""Routes of sessions: opening, frames, states, history, logs."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Request
+from fastapi.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.responses import Response, StreamingResponse
+
+from rendezview.service.answers import (
+    FAULTS,
+    JSON,
+    body_of,
+    fault,
+    frame_time,
+    look,
+    needs,
+    service_of,
+    session_of,
+)
+from rendezview.service.messages import (
+    Contour,
+    History,
+    PoseMessage,
+    PoseWithCovarianceStamped,
+    SessionInfo,
+    SessionList,
+    SessionRequest,
+    State,
+    TransformStamped,
+)
+from rendezview.service.recording import finished_copy
+from rendezview.service.ros import pose_with_covariance_stamped, transform_stamped
+from rendezview.service.security import Right
+from rendezview.service.tracking import camera_of, contour_at, pose_of
+
+router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
+
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_FRAME_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": dict.fromkeys(("image/png", "image/jpeg", "application/octet-stream"), _BINARY),
+    }
+}
+_JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": _BINARY}}}
+_MCAP: dict[int | str, dict[str, Any]] = {200: {"content": {"application/octet-stream": _BINARY}}}
+Frame = Annotated[int, Query(ge=0, le=2**53)]
+_COPY_BYTES = 1 << 20
+
+
+@router.get("")
+async def list_sessions(request: Request) -> SessionList:
+    """All sessions."""
+    needs(request, Right.READ)
+    sessions = service_of(request).sessions.values()
+    return SessionList(sessions=[session.info() for session in sessions])
+
+
+@router.post("", status_code=201)
+async def open_session(request: Request, asked: SessionRequest) -> SessionInfo:
+    """Open a session: a camera and a target."""
+    needs(request, Right.TRACK)
+    session = await service_of(request).open(asked)
+    return session.info()
+
+
+@router.get("/{name}")
+async def get_session(request: Request, name: str) -> SessionInfo:
+    """A session as it stands."""
+    needs(request, Right.READ)
+    return session_of(request, name).info()
+
+
+@router.delete("/{name}", status_code=204)
+async def close_session(request: Request, name: str) -> None:
+    """End a session; its log is completed."""
+    needs(request, Right.TRACK)
+    await service_of(request).close(session_of(request, name), "closed by a request")
+
+
+@router.post(
+    "/{name}/frames",
+    openapi_extra=_FRAME_BODY,
+    responses={200: {"model": State}, 410: FAULTS[404]},
+)
+async def post_frame(request: Request, name: str, time_s: float | None = None) -> Response:
+    """Look at a frame: PNG, JPEG, or width × height grey bytes."""
+    needs(request, Right.TRACK)
+    session = session_of(request, name)
+    at_s = frame_time(time_s)
+    content = await body_of(request, service_of(request).settings.frame_bytes)
+    if not content:
+        raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
+    answer = await look(session, content, at_s)
+    if answer.status != 200:
+        return fault(answer.status, answer.error)
+    return Response(answer.body, 200, None, JSON)
+
+
+async def post_frame_directly(request: Request) -> Response:
+    """The same, without what makes the page of the API: this is asked for every frame."""
+    text = request.query_params.get("time_s")
+    try:
+        time_s = None if text is None else float(text)
+    except ValueError:
+        raise HTTPException(422, f"time_s: {text!r:.40} is no number") from None
+    return await post_frame(request, request.path_params["name"], time_s)
+
+
+@router.get(
+    "/{name}/state",
+    responses={200: {"model": State | PoseWithCovarianceStamped | TransformStamped}},
+)
+async def get_state(
+    request: Request,
+    name: str,
+    as_: Annotated[
+        Literal["state", "pose_with_covariance_stamped", "transform_stamped"], Query(alias="as")
+    ] = "state",
+) -> Response:
+    """The last state; 404 where there is none (or no pose, if a ROS type is asked for)."""
+    needs(request, Right.READ)
+    last = session_of(request, name).last
+    if last is None:
+        raise HTTPException(404, "no frame has been looked at yet")
+    if as_ == "state":
+        return Response(last, 200, None, JSON)
+    convert = transform_stamped if as_ == "transform_stamped" else pose_with_covariance_stamped
+    message = convert(json.loads(last))
+    if message is None:
+        raise HTTPException(404, "the last frame gave no pose: see its state for the reason")
+    return Response(message.model_dump_json(), 200, None, JSON)
+
+
+@router.get("/{name}/history", responses={200: {"model": History}})
+async def get_history(
+    request: Request,
+    name: str,
+    seconds: Annotated[float, Query(gt=0.0, le=1e6)] = 300.0,
+    limit: Annotated[int, Query(ge=1, le=100_000)] = 2000,
+    since_frame: Frame = 0,
+) -> Response:
+    """States of the last minutes, thinned evenly to at most ``limit``."""
+    needs(request, Right.READ)
+    session = session_of(request, name)
+    states = session.past.states(time.monotonic() - seconds, since_frame, limit)
+    head = {
+        "session": session.id,
+        "oldest_frame": states[0][0] if states else None,
+        "newest_frame": states[-1][0] if states else None,
+        "images": session.past.image_frames,
+    }
+    text = json.dumps(head).encode()
+    joined = b",".join(state for _, state in states)
+    return Response(text[:-1] + b',"states":[' + joined + b"]}", 200, None, JSON)
+
+
+@router.get("/{name}/images/{frame}", responses=_JPEG, response_class=Response)
+async def get_image(request: Request, name: str, frame: int) -> Response:
+    """The JPEG of a frame, or of the last one kept before it."""
+    needs(request, Right.READ)
+    kept = session_of(request, name).past.image(frame)
+    if kept is None:
+        raise HTTPException(404, f"no picture is kept of frame {frame} or before it")
+    headers = {"X-Frame": str(kept[0]), "Cache-Control": "private, max-age=600"}
+    return Response(kept[1], 200, headers, "image/jpeg")
+
+
+@router.get("/{name}/contour/{frame}")
+async def get_contour(request: Request, name: str, frame: int) -> Contour | None:
+    """Contour points at the pose kept of a frame; null where it gave none."""
+    needs(request, Right.READ)
+    session = session_of(request, name)
+    kept = session.past.state(frame)
+    if kept is None:
+        raise HTTPException(404, f"no state is kept of frame {frame} or before it")
+    pose = json.loads(kept)["pose"]
+    stored = service_of(request).models.get(session.model)
+    if pose is None or stored is None or session.request.camera is None:
+        return None
+    camera = camera_of(session.request.camera)
+    model = await run_in_threadpool(lambda: stored.model)
+    return contour_at(model, camera, pose_of(PoseMessage.model_validate(pose)))
+
+
+@router.get("/{name}/log", responses=_MCAP, response_class=Response)
+async def get_log(request: Request, name: str) -> Response:
+    """The log so far, whole as a file: MCAP."""
+    needs(request, Right.READ)
+    session = session_of(request, name)
+    if session.log_path is None:
+        raise HTTPException(404, "this session is not recorded")
+    path = Path(session.log_path)
+    size = session.recording.size_bytes
+    end, ending = await run_in_threadpool(finished_copy, path, size)
+    headers = {
+        "Content-Disposition": f'attachment; filename="{path.name}"',
+        "Content-Length": str(end + len(ending)),
+    }
+    return StreamingResponse(
+        _copied(path, end, ending), 200, headers, media_type="application/octet-stream"
+    )
+
+
+def _copied(path: Path, end: int, ending: bytes) -> Iterator[bytes]:
+    with open(path, "rb") as file:
+        while end > 0 and (part := file.read(min(end, _COPY_BYTES))):
+            end -= len(part)
+            yield part
+    yield ending

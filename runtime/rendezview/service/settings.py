@@ -1,0 +1,107 @@
+"""Configuration of the service: by file, environment and flags, the later winning."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from rendezview.errors import RendezviewError
+from rendezview.files import describe, read_text
+
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+class Settings(BaseSettings):
+    """What can be set; environment variables are ``RENDEZVIEW_SERVE_<NAME>``."""
+
+    model_config = SettingsConfigDict(env_prefix="RENDEZVIEW_SERVE_", extra="forbid")
+
+    host: str = "127.0.0.1"
+    port: int = Field(default=8360, ge=0, le=65535)  # 0: any free one
+    allowed_hosts: list[str] = []  # names the service is called by, beside its own
+    tls_certificate: Path | None = None  # PEM
+    tls_key: Path | None = None
+    tokens_file: Path | None = None  # TOML, see `security.read_tokens`
+    open_to_all: bool = False  # serve others than this machine without tokens
+
+    models_folder: Path | None = None  # uploaded and trained models; a temporary one otherwise
+    camera: Path | None = None  # of sessions that give none
+    record: Path | None = None  # *.mcap of the first session, or a folder
+    record_all: bool = True  # sessions that do not say so are recorded, if `record` is given
+    record_images: bool = True
+    record_model: bool = True  # with images: a log that can be replayed on its own
+    sync: Literal["always", "interval", "never"] = "interval"  # fsync; `interval`: each second
+    compression: Literal["", "lz4", "zstd"] = "lz4"
+
+    workers: int = Field(default=0, ge=0, le=256)  # processes that track; 0: one a core
+    sessions: int = Field(default=16, ge=1, le=1024)
+    watchers: int = Field(default=32, ge=1)  # of all sessions
+    waiting: int = Field(default=4, ge=1, le=256)  # frames of a session by plain requests
+    frame_bytes: int = Field(default=32_000_000, ge=1024, le=1_000_000_000)
+    model_bytes: int = Field(default=500_000_000, ge=1024)
+    mesh_bytes: int = Field(default=200_000_000, ge=1024)
+    message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
+    requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
+    frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is started anew
+    idle_s: float = Field(default=3600.0, gt=0.0)  # sessions without frames that long are ended
+    history_s: float = Field(default=300.0, ge=0.0)
+    history_rate_hz: float = Field(default=30.0, gt=0.0)
+    history_image_hz: float = Field(default=4.0, ge=0.0)
+    history_image_px: int = Field(default=480, ge=16, le=4096)
+    jobs: int = Field(default=1, ge=0, le=64)  # trainings at once; 0: none
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        return init_settings, env_settings
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether only this machine can reach the service."""
+        return self.host in LOOPBACK or self.host.startswith("127.")
+
+
+def load_settings(file: Path | None, flags: dict[str, Any]) -> Settings:
+    """Settings of a TOML file, over them the environment, over them the flags that were given.
+
+    Raises:
+        RendezviewError: the file is missing or wrong, or a setting impossible.
+    """
+    content: dict[str, Any] = {}
+    if file is not None:
+        try:
+            content = tomllib.loads(read_text(file, "settings of the service (TOML)"))
+        except tomllib.TOMLDecodeError as error:
+            raise RendezviewError(f"{file}: not valid TOML ({error}): mend the file") from None
+        unknown = sorted(set(content) - set(Settings.model_fields))
+        if unknown:
+            raise RendezviewError(
+                f"{file}: {unknown[0]}: unknown key, remove it or correct its spelling"
+            )
+    given = {name: value for name, value in flags.items() if value is not None}
+    try:
+        environment = Settings().model_dump(exclude_unset=True)
+        settings = Settings(**(content | environment | given))
+    except ValidationError as error:
+        raise RendezviewError(f"settings of the service: {describe(error)}") from None
+    except ValueError as error:  # an environment variable that is no JSON
+        raise RendezviewError(f"settings of the service: {error}") from None
+    if (settings.tls_certificate is None) != (settings.tls_key is None):
+        raise RendezviewError("TLS needs both a certificate and a key: give --tls-key too")
+    if not settings.is_loopback and settings.tokens_file is None and not settings.open_to_all:
+        raise RendezviewError(
+            f"{settings.host} lets others than this machine in: give --tokens FILE, or say "
+            "--open-to-all if the network is trusted"
+        )
+    return settings

@@ -1,0 +1,165 @@
+"""WebSockets: frames in and states out; and states, contours and pictures for watchers."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import struct
+import time
+from collections import deque
+from typing import Annotated
+
+from fastapi import APIRouter, Query, WebSocket
+from starlette.exceptions import HTTPException
+from starlette.websockets import WebSocketDisconnect
+
+from rendezview.service.answers import needs, service_of, session_of
+from rendezview.service.messages import Fault, WatchEnd
+from rendezview.service.security import SUBPROTOCOL, Right
+from rendezview.service.sessions import Answer, Session, Waiting, Watcher
+from rendezview.service.tracking import MOST_TIME_S
+
+router = APIRouter(prefix="/v1/sessions")
+
+_TIME = struct.Struct("<d")
+_OUTBOX = 64  # answers that are not read yet; then no more frames are taken
+_REFUSED, _GONE = 1008, 1001
+
+
+@router.websocket("/{name}/stream")
+async def stream(socket: WebSocket, name: str) -> None:
+    """Frames in, states out; while one is looked at the newest waits, others are dropped."""
+    session = await _accepted(socket, name, Right.TRACK)
+    if session is None:
+        return
+    outbox: deque[Answer] = deque()
+    news, room = asyncio.Event(), asyncio.Event()
+    room.set()
+
+    def answer(result: Answer) -> None:
+        if result.status == 0:  # dropped
+            return
+        outbox.append(result)
+        if len(outbox) >= _OUTBOX:
+            room.clear()
+        news.set()
+
+    async def send() -> None:
+        while True:
+            await news.wait()
+            news.clear()
+            while outbox:
+                result = outbox.popleft()
+                if result.status == 200:
+                    await socket.send({"type": "websocket.send", "text": result.body.decode()})
+                else:
+                    text = Fault(error=result.error, status=result.status).model_dump_json()
+                    await socket.send({"type": "websocket.send", "text": text})
+                    if result.status == 410:
+                        await socket.close(_GONE, result.error[:100])
+                        return
+            room.set()
+
+    sender = asyncio.create_task(send())
+    try:
+        while not sender.done():
+            message = await socket.receive()
+            if message["type"] != "websocket.receive":
+                break
+            content = message.get("bytes")
+            if content is None or len(content) <= _TIME.size:
+                answer(Answer(422, b"", "a frame is a binary message: 8 bytes of time, a picture"))
+            else:
+                _take(session, content, answer)
+            await room.wait()
+    except (WebSocketDisconnect, RuntimeError):
+        pass
+    finally:
+        sender.cancel()
+        with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+            await sender
+
+
+def _take(session: Session, content: bytes, answer: object) -> None:
+    (time_s,) = _TIME.unpack_from(content)
+    now_s = time.time()
+    if math.isnan(time_s):
+        time_s = now_s
+    if not abs(time_s) <= MOST_TIME_S:
+        answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))  # type: ignore[operator]
+        return
+    picture = content[_TIME.size :]
+    session.replace(Waiting(picture, time_s, now_s, time.monotonic(), answer))  # type: ignore[arg-type]
+
+
+@router.websocket("/{name}/watch")
+async def watch(
+    socket: WebSocket,
+    name: str,
+    rate_hz: Annotated[float, Query(gt=0.0, le=120.0)] = 30.0,
+    image: bool = True,
+    width: Annotated[int, Query(ge=16, le=4096)] = 640,
+    contour: bool = True,
+    silhouette: bool = False,
+) -> None:
+    """States out, the newest at most so often, and what belongs to them."""
+    session = await _accepted(socket, name, Right.READ)
+    if session is None:
+        return
+    service = service_of(socket)
+    if service.watchers >= service.settings.watchers:
+        await socket.close(_REFUSED, "too many watch already")
+        return
+    watcher = Watcher(rate_hz, width if image else 0, contour, silhouette)
+    session.watchers.add(watcher)
+    service.watchers += 1
+    service.metrics.watchers.set(service.watchers)
+    listener = asyncio.create_task(_until_gone(socket))
+    shower = asyncio.create_task(_show(socket, watcher))
+    try:
+        await asyncio.wait({listener, shower}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        session.watchers.discard(watcher)
+        service.watchers -= 1
+        service.metrics.watchers.set(service.watchers)
+        for task in (listener, shower):
+            task.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await task
+
+
+async def _show(socket: WebSocket, watcher: Watcher) -> None:
+    while True:
+        await watcher.news.wait()
+        watcher.news.clear()
+        if watcher.message is not None:
+            (text, picture), watcher.message = watcher.message, None
+            await socket.send({"type": "websocket.send", "text": text.decode()})
+            if picture:
+                await socket.send({"type": "websocket.send", "bytes": picture})
+        if watcher.ended is not None:
+            end = WatchEnd(reason=watcher.ended).model_dump_json()
+            await socket.send({"type": "websocket.send", "text": end})
+            await socket.close(_GONE, watcher.ended[:100])
+            return
+
+
+async def _until_gone(socket: WebSocket) -> None:
+    """What a watcher says is not for us; that it goes is."""
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass
+
+
+async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | None:
+    offered = socket.scope.get("subprotocols", [])
+    try:
+        needs(socket, right)
+        session = session_of(socket, name)
+    except HTTPException as error:
+        # Accepted first: a browser is told nothing of a refused handshake.
+        await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+        await socket.close(_REFUSED, str(error.detail)[:100])
+        return None
+    await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
+    return session

@@ -1,0 +1,256 @@
+"""One session's tracker: frames to states. The worker runs it, and so does replay."""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba.core.event import install_recorder
+
+from rendezview.appearance import Recognizer, Sighting, Tracker, ViewModel
+from rendezview.appearance.align import nearest_view
+from rendezview.appearance.contours import NO_POINT, POINT_UNIT
+from rendezview.appearance.refine import Sky
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.pose import Pose
+from rendezview.sequences.frame import GreyImage
+from rendezview.service.messages import (
+    CameraMessage,
+    Contour,
+    Phase,
+    PoseMessage,
+    SessionRequest,
+)
+
+# A `State` as it is written: nothing is validated, for it is our own and of every frame.
+StateDict = dict[str, Any]
+
+MOST_TIME_S = 1e10  # either side of zero: what the stamps of a log can say
+_OUTLINE_POINTS = 600  # of a silhouette that is shown
+
+
+def camera_of(message: CameraMessage) -> Camera:
+    """The camera of a message.
+
+    Raises:
+        RendezviewError: the number of distortion coefficients is impossible.
+    """
+    try:
+        return Camera(**(message.model_dump() | {"distortion": tuple(message.distortion)}))
+    except ValueError as error:
+        raise RendezviewError(f"camera: {error}") from None
+
+
+def camera_message(camera: Camera) -> CameraMessage:
+    """A camera as a message."""
+    return CameraMessage(
+        width=camera.width,
+        height=camera.height,
+        fx=camera.fx,
+        fy=camera.fy,
+        cx=camera.cx,
+        cy=camera.cy,
+        distortion=list(camera.distortion),
+    )
+
+
+def pose_of(message: PoseMessage) -> Pose:
+    """The pose of a message.
+
+    Raises:
+        RendezviewError: the quaternion is zero.
+    """
+    try:
+        return Pose.from_quat_wxyz(message.quat_wxyz, message.translation_m)
+    except ValueError as error:
+        raise RendezviewError(f"pose: {error}") from None
+
+
+def pose_dict(pose: Pose) -> dict[str, list[float]]:
+    """A pose as a `PoseMessage` has it."""
+    return {
+        "quat_wxyz": _quat_wxyz(pose.rotation.tolist()),
+        "translation_m": pose.translation_m.tolist(),
+    }
+
+
+def _quat_wxyz(r: list[list[float]]) -> list[float]:
+    """Unit quaternion of a rotation, scalar first, w ≥ 0 (Shepperd 1978).
+
+    `Pose.quat_wxyz` is the same, a tenth of a millisecond slower.
+    """
+    trace = r[0][0] + r[1][1] + r[2][2]
+    squares = [trace, r[0][0], r[1][1], r[2][2]]
+    i = squares.index(max(squares))
+    if i == 0:
+        quat = [1.0 + trace, r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
+    else:
+        a, b, c = i - 1, i % 3, (i + 1) % 3
+        quat = [r[c][b] - r[b][c], 0.0, 0.0, 0.0]
+        quat[1 + a] = 1.0 + 2.0 * r[a][a] - trace
+        quat[1 + b] = r[b][a] + r[a][b]
+        quat[1 + c] = r[c][a] + r[a][c]
+    size = math.copysign(math.hypot(*quat), quat[0])
+    return [q / size for q in quat]
+
+
+class Follower:
+    """A tracker with the names and counters that its states carry."""
+
+    def __init__(self, session: str, model: ViewModel, request: SessionRequest) -> None:
+        """A tracker as a session's request, camera included, asks for it.
+
+        Raises:
+            RendezviewError: camera, prior or direction to the Sun are impossible.
+        """
+        if request.camera is None:
+            raise RendezviewError("the session has no camera: give one")
+        self.session = session
+        self.model = model
+        self.camera = camera_of(request.camera)
+        self.sun_camera = request.sun_camera
+        if self.sun_camera is not None and not any(self.sun_camera):
+            raise RendezviewError("sun_camera: a direction must not be zero")
+        prior = None if request.prior is None else pose_of(request.prior)
+        recognizer = Recognizer(model, self.camera, trees=request.trees)
+        self.tracker = Tracker(recognizer, prior)
+        self._nodes = model.geodesic.nodes.tolist()
+        self._frames = 0
+        self._last_s = -math.inf
+        self._last_pose_s: float | None = None
+
+    def look(
+        self, image: GreyImage, time_s: float, received_unix_s: float
+    ) -> tuple[StateDict, Sighting]:
+        """The state that a frame gives; ``latency_ms``, ``drops`` and ``recorded`` are to be set.
+
+        Raises:
+            RendezviewError: the time does not rise, or the image does not fit the camera. The
+                tracker is as it was.
+        """
+        if not (abs(time_s) <= MOST_TIME_S and time_s > self._last_s):
+            raise RendezviewError(
+                f"time_s: {time_s} is not later than the frame's before ({self._last_s}), or "
+                "beyond 1e10: send frames in order of time"
+            )
+        start = time.perf_counter()
+        sighting = self.tracker.update(time_s, image, self.sun_camera)
+        track_ms = 1e3 * (time.perf_counter() - start)
+        self._last_s = time_s
+        if sighting.pose is not None:
+            self._last_pose_s = time_s
+        state = self._state(sighting, time_s, received_unix_s, track_ms)
+        self._frames += 1
+        return state, sighting
+
+    def _state(
+        self, sighting: Sighting, time_s: float, received_unix_s: float, track_ms: float
+    ) -> StateDict:
+        pose, found, confidence = sighting.pose, sighting.found, sighting.confidence
+        rates = None if pose is None else self.tracker.rates
+        covariance = sighting.covariance
+        return {
+            "session": self.session,
+            "frame": self._frames,
+            "time_s": time_s,
+            "received_unix_s": received_unix_s,
+            "phase": self._phase(sighting, time_s),
+            "status": str(sighting.status),
+            "reason": sighting.reason,
+            "pose": None if pose is None else pose_dict(pose),
+            "covariance": None if covariance is None else covariance.tolist(),
+            "confidence": confidence,
+            "score": sighting.score if confidence is None else confidence,
+            "range_m": None if pose is None else math.hypot(*pose.apply(self.model.centre_m)),
+            "rates": None
+            if rates is None
+            else {"angular_rad_s": rates[0].tolist(), "linear_m_s": rates[1].tolist()},
+            "candidates": [pose_dict(p) for p in sighting.candidates],
+            "fit": None
+            if found is None
+            else {
+                "outline": found.best.outline,
+                "inner": found.best.inner,
+                "seen": found.best.seen,
+                "residual_px": found.best.residual_px,
+                "margin": found.margin,
+            },
+            "on_nodes": [
+                {"index": node, "weight": weight, "direction": self._nodes[node]}
+                for node, weight in zip(
+                    sighting.on_nodes.tolist(), sighting.weights.tolist(), strict=True
+                )
+            ],
+            "stage_ms": dict(sighting.stage_ms),
+            "track_ms": track_ms,
+            "latency_ms": 0.0,
+            "drops": 0,
+            "recorded": False,
+        }
+
+    def _phase(self, sighting: Sighting, time_s: float) -> Phase:
+        if sighting.pose is not None:
+            return Phase.TRACKING
+        since_s = math.inf if self._last_pose_s is None else time_s - self._last_pose_s
+        if since_s <= self.tracker.options.longest_prediction_s:
+            return Phase.COASTING
+        return Phase.SEARCHING
+
+
+def warm_up(model: ViewModel) -> int:
+    """Have all loops compiled, or read from their cache, before the first frame counts.
+
+    A blob before a noisy sky, black and bright, without a prior and near one, goes through all
+    of them, always in the same order: which copy of a shared loop a process uses depends on what
+    it has loaded first, and copies that were compiled apart may round differently. For the
+    same reason a process that had to compile should be started anew before its poses are kept.
+
+    Returns:
+        how many loops were compiled, not read from the cache.
+    """
+    camera = Camera.from_fov(320, 240, np.deg2rad(40.0))
+    rng = np.random.default_rng(0)
+    ahead = np.array([0.0, 0.0, 3.0 * model.sphere_radius_m])
+    prior = Pose(np.eye(3), ahead - model.centre_m)
+    recognizer = Recognizer(model, camera)
+    with install_recorder("numba:compile") as recorder:
+        for sky_grey in (0, 100):
+            noise = rng.integers(sky_grey, sky_grey + 12, size=(240, 320), dtype=np.uint8)
+            image = noise.copy()
+            image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
+            for known in (None, prior):
+                recognizer.recognize(image, known)
+            if recognizer.finder is not None:
+                recognizer.finder.at(image, Sky.of(image), prior, np.pi)
+        contour_at(model, camera, prior)
+    return len(recorder.buffer) // 2  # each has a start and an end
+
+
+def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
+    """The contour points of the view nearest to a pose, projected; None without any."""
+    contours = model.contours
+    if contours is None:
+        return None
+    centre = pose.apply(model.centre_m)
+    shell, view = nearest_view(model.lattice.nodes, contours.shells_m, pose.rotation, centre)
+    kinds = contours.kind[shell, view]
+    used = kinds != NO_POINT
+    points_m = contours.point[shell, view][used] * (POINT_UNIT * model.target_radius_m)
+    points_px = camera.project(points_m @ pose.rotation.T + centre)
+    inside = np.isfinite(points_px).all(axis=1) & (np.abs(points_px) < 1e5).all(axis=1)
+    return Contour.model_construct(
+        points_px=np.round(points_px[inside], 1).tolist(), kinds=kinds[used][inside].tolist()
+    )
+
+
+def silhouette_px(sighting: Sighting) -> list[list[list[float]]] | None:
+    """The outlines that were found, thinned for drawing."""
+    if sighting.silhouette is None:
+        return None
+    outlines: tuple[npt.NDArray[np.float64], ...] = sighting.silhouette.outlines_px
+    step = 1 + sum(len(o) for o in outlines) // _OUTLINE_POINTS
+    return [np.round(o[::step], 1).tolist() for o in outlines]

@@ -1,0 +1,88 @@
+"""What the service and its workers say to each other: a JSON header and some bytes behind it.
+
+The bytes of frames do not go this way but through memory that both have.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import socket
+import struct
+import tempfile
+from typing import Any
+
+_HEAD = struct.Struct("<II")  # lengths of the JSON and of the bytes
+Header = dict[str, Any]
+
+
+def pack(header: Header, content: bytes = b"") -> bytes:
+    """One message."""
+    text = json.dumps(header, separators=(",", ":")).encode()
+    return _HEAD.pack(len(text), len(content)) + text + content
+
+
+class Unpacker:
+    """Messages from bytes that come in pieces."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[tuple[Header, bytes]]:
+        """The messages that are complete now."""
+        self._buffer += data
+        found = []
+        while len(self._buffer) >= _HEAD.size:
+            text, content = _HEAD.unpack_from(self._buffer)
+            end = _HEAD.size + text + content
+            if len(self._buffer) < end:
+                break
+            view = memoryview(self._buffer)
+            header = json.loads(bytes(view[_HEAD.size : _HEAD.size + text]))
+            found.append((header, bytes(view[_HEAD.size + text : end])))
+            view.release()
+            del self._buffer[:end]
+        return found
+
+
+def receive(connection: socket.socket) -> tuple[Header, bytes] | None:
+    """The next message, waited for; None when the other side is gone."""
+    head = _exactly(connection, _HEAD.size)
+    if head is None:
+        return None
+    text, content = _HEAD.unpack(head)
+    body = _exactly(connection, text + content)
+    if body is None:
+        return None
+    return json.loads(body[:text]), bytes(body[text:])
+
+
+def _exactly(connection: socket.socket, count: int) -> bytes | None:
+    parts, missing = [], count
+    while missing:
+        try:
+            part = connection.recv(missing)
+        except ConnectionError:
+            return None
+        if not part:
+            return None
+        parts.append(part)
+        missing -= len(part)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def shared_memory(size: int) -> int:
+    """A file descriptor of memory without a name, to be mapped by two processes."""
+    if hasattr(os, "memfd_create"):
+        descriptor = os.memfd_create("rendezview")
+    else:  # macOS
+        with tempfile.TemporaryFile() as file:
+            descriptor = os.dup(file.fileno())
+    os.ftruncate(descriptor, size)
+    return descriptor
+
+
+def mapped(descriptor: int, size: int) -> mmap.mmap:
+    """That memory."""
+    return mmap.mmap(descriptor, size)

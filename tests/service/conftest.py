@@ -1,0 +1,131 @@
+"""A real service on a free port, and frames to send it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.appearance import ViewModel
+from rendezview.camera import Camera
+from rendezview.client import Client
+from rendezview.pose import Pose
+
+TOUR = 24  # frames
+
+
+@dataclass
+class Served:
+    """`rendezview serve` as a process of its own; its group is killed with it."""
+
+    process: subprocess.Popen[str]
+    url: str
+    folder: Path
+    lines: list[str] = field(default_factory=list)
+
+    def client(self, token: str | None = None) -> Client:
+        return Client(self.url, token)
+
+    def kill(self) -> None:
+        """-9, workers included: as when the power of a process is gone."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self) -> None:
+        """As an operator ends it."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            self.process.wait(30)
+
+
+Serve = Callable[..., Served]
+
+
+@pytest.fixture(scope="session")
+def model_path(tmp_path_factory: pytest.TempPathFactory, refining_model: ViewModel) -> Path:
+    path = tmp_path_factory.mktemp("served") / "bumpy.rvm"
+    refining_model.save(path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serve]:
+    """Starts a service; those that still run at the end are killed."""
+    started: list[Served] = []
+
+    def start(*flags: str, **environment: str) -> Served:
+        folder = tmp_path_factory.mktemp("service")
+        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+        process = subprocess.Popen(
+            [*command, "serve", str(model_path), "--port", "0", "--workers", "1", *flags],
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=folder,
+            env=os.environ | environment,
+            start_new_session=True,
+        )
+        served = Served(process, "", folder)
+        assert process.stderr is not None
+        for line in process.stderr:
+            served.lines.append(line)
+            if "serves at" in line:
+                served.url = line.split("serves at ")[1].strip()
+                break
+        else:
+            pytest.fail("".join(served.lines))
+
+        def drain() -> None:
+            assert process.stderr is not None
+            served.lines.extend(process.stderr)
+
+        threading.Thread(target=drain, daemon=True).start()
+        started.append(served)
+        return served
+
+    yield start
+    for served in started:
+        if served.process.poll() is None:
+            served.kill()
+        served.process.communicate()
+
+
+@pytest.fixture(scope="session")
+def service(start_service: Serve, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """The one that most tests share: it records into ``folder`` of its own."""
+    logs = tmp_path_factory.mktemp("logs")
+    served = start_service("--record", str(logs), RENDEZVIEW_SERVE_SESSIONS="6")
+    served.folder = logs
+    yield served
+    served.stop()
+
+
+@pytest.fixture
+def client(service: Served) -> Iterator[Client]:
+    with service.client() as client:
+        yield client
+
+
+@pytest.fixture(scope="session")
+def tour(
+    refining_model: ViewModel, bumpy_mesh, camera: Camera, draw
+) -> list[tuple[float, Pose, np.ndarray]]:
+    """Times, true poses and frames (H, W) of a target that turns slowly; every one is found."""
+    rng = np.random.default_rng(5)
+    start = Rotation.from_rotvec([0.4, 1.0, 0.2])
+    rate = np.deg2rad([1.0, -0.8, 0.5])  # per frame
+    frames = []
+    for k in range(TOUR):
+        rotation = (Rotation.from_rotvec(k * rate) * start).as_matrix()
+        centre = np.array([0.05 - 0.01 * k, 0.02 * k, 9.0 + 0.03 * k])
+        truth = Pose(rotation, centre - rotation @ refining_model.centre_m)
+        frames.append((0.1 * k, truth, draw(bumpy_mesh, truth, camera, rng)))
+    return frames

@@ -1,0 +1,221 @@
+"""Health, metrics, models, trainings, sources, and life after a worker's death."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+import trimesh
+
+from rendezview.client import ServiceError
+from rendezview.errors import RendezviewError
+from rendezview.sequences import BopSceneWriter
+from rendezview.service.messages import JobInfo, ModelInfo
+from rendezview.service.service import Service
+from rendezview.service.settings import Settings
+
+
+def test_the_service_says_that_it_lives_and_is_ready(service):
+    for path in ("healthz", "readyz"):
+        answer = httpx.get(service.url + path)
+        assert answer.status_code == 200
+        assert answer.json()["status"] == "ok"
+
+
+def test_metrics_count_frames_and_forget_sessions(service, client, camera, tour):
+    session = client.open(camera, name="counted")
+    for time_s, _, image in tour[:3]:
+        session.track(image, time_s)
+    text = httpx.get(service.url + "metrics").text
+    counted = [line for line in text.splitlines() if line.startswith("rendezview_frames_total{")]
+    assert sum(float(line.split()[-1]) for line in counted if '"counted"' in line) == 3.0
+    assert 'rendezview_latency_seconds_count{session="counted"} 3.0' in text
+    session.close()
+    assert '"counted"' not in httpx.get(service.url + "metrics").text
+
+
+def test_openapi_names_every_route(service):
+    paths = httpx.get(service.url + "openapi.json").json()["paths"]
+    assert "post" in paths["/v1/sessions/{name}/frames"]
+    assert {"/v1/models/{name}", "/v1/jobs", "/healthz", "/metrics"} <= set(paths)
+
+
+def test_faults_have_one_form(service):
+    for method, path, status in [
+        ("GET", "v1/nothing", 404),
+        ("PATCH", "v1/sessions", 405),
+        ("GET", "v1/sessions/nobody", 404),
+        ("GET", "v1/models/..%2f..%2fetc%2fpasswd", 404),
+        ("GET", "v1/sessions/nobody/history?seconds=-1", 422),
+        ("POST", "v1/sessions", 422),
+        ("GET", "..%2f..%2fetc/passwd", 404),
+        ("GET", "%2e%2e/settings.py", 404),
+    ]:
+        answer = httpx.request(method, service.url + path)
+        assert answer.status_code == status, path
+        assert answer.json()["status"] == status
+        assert answer.json()["error"]
+
+
+def test_models_are_sent_checked_used_and_deleted(service, client, model_path, camera):
+    ModelInfo.model_validate(client.send_model("sent", model_path))
+    with pytest.raises(ServiceError, match="there is one already") as refused:
+        client.send_model("sent", model_path)
+    assert refused.value.status == 409
+    session = client.open(camera, model="sent")
+    with pytest.raises(ServiceError, match="a session uses it"):
+        client.request("DELETE", "/v1/models/sent")
+    session.close()
+    client.request("DELETE", "/v1/models/sent")
+    with pytest.raises(ServiceError, match="stays"):
+        client.request("DELETE", "/v1/models/bumpy")
+    whole = model_path.read_bytes()
+    for name, content in [
+        ("cut", whole[:-1000]),
+        ("turned", whole[:5000] + bytes([whole[5000] ^ 1]) + whole[5001:]),
+        ("pickled", b"\x80\x04\x95" + bytes(100)),
+        ("empty", b""),
+        ("..%2fup", whole),
+        (".hidden", whole),
+    ]:
+        with pytest.raises(ServiceError) as refused:
+            client.request("PUT", f"/v1/models/{name}", content, "application/octet-stream")
+        assert refused.value.status in (404, 405, 422), name
+    assert [m["name"] for m in client.request("GET", "/v1/models")["models"]] == ["bumpy"]
+
+
+def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):
+    mesh = tmp_path / "block.stl"
+    trimesh.creation.box((2.0, 1.0, 0.6)).export(mesh)
+    job = client.train("block", mesh, order=1, views=150, held_out=20)
+    JobInfo.model_validate(job)
+    other = client.train("never", mesh, order=2, views=100_000)
+    seen = set()
+    until = time.monotonic() + 120
+    while (now := client.job(job["id"]))["state"] in ("queued", "running"):
+        assert time.monotonic() < until
+        seen.add(now["stage"])
+        time.sleep(0.05)
+        if other is not None and other["state"] == "queued":
+            other = client.request("DELETE", f"/v1/jobs/{other['id']}")
+    assert now["state"] == "done", now["reason"]
+    assert len(seen - {None}) >= 2  # progress was told
+    assert other["state"] == "cancelled"
+    session = client.open(camera, model="block")
+    black = np.zeros((camera.height, camera.width), np.uint8)
+    assert session.track(black, 0.0)["status"] == "empty"
+    session.close()
+
+
+def test_trainings_that_cannot_be_are_refused(client, tmp_path):
+    bad = tmp_path / "bad.stl"
+    bad.write_bytes(b"this is no mesh")
+    job = client.train("bad", bad)
+    until = time.monotonic() + 60
+    while (now := client.job(job["id"]))["state"] in ("queued", "running"):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert now["state"] == "failed"
+    assert now["reason"]
+    assert str(tmp_path) not in now["reason"]
+    for query, said in [
+        ("model=a&file=x.py", "no mesh"),
+        ("model=bumpy&file=x.stl", "there is one already"),
+        ("model=..%2fa&file=x.stl", "model"),
+        ("model=a&file=x.stl&unit=parsec", "unit"),
+    ]:
+        with pytest.raises(ServiceError, match=said):
+            client.request("POST", f"/v1/jobs?{query}", b"solid", "application/octet-stream")
+
+
+def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_path):
+    scene = tmp_path / "scene"
+    with BopSceneWriter(scene, camera) as writer:
+        for k, (time_s, pose, image) in enumerate(tour[:8]):
+            writer.add(k, image, pose, time_s)
+    place = tmp_path / "run.mcap"
+    served = start_service("--source", str(scene), "--record", str(place), "--speed", "0")
+    with served.client() as client:
+        until = time.monotonic() + 20
+        while not (info := client.session("main").info())["finished"]:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+    assert (info["frames"], info["drops"], info["reason"]) == (8, 0, None)
+    served.stop()
+    assert served.process.returncode == 0
+    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
+    done = subprocess.run([*command, str(place)], capture_output=True, text=True, check=False)
+    assert "8 frames" in done.stderr
+    assert "bit for bit" in done.stderr
+
+
+def test_the_service_outlives_a_worker(start_service, camera, tour, tmp_path):
+    served = start_service("--record", str(tmp_path))
+    with served.client() as client:
+        session = client.open(camera, prior=tour[0][1])
+        before = [session.track(image, time_s) for time_s, _, image in tour[:3]]
+        children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children")
+        (worker,) = map(int, children.read_text().split())
+        os.kill(worker, signal.SIGKILL)
+        until = time.monotonic() + 30
+        while True:
+            assert time.monotonic() < until
+            try:
+                after = session.track(tour[3][2], tour[3][0])
+                break
+            except ServiceError as error:
+                if error.status != 503:
+                    raise
+                time.sleep(0.1)
+        assert after["frame"] == len(before)
+        assert after["status"] == "ok"
+        assert "rendezview_worker_restarts_total 1.0" in client.fetch("GET", "/metrics").decode()
+    served.stop()
+    logs = sorted(tmp_path.glob("*.mcap"))
+    assert len(logs) == 2
+
+
+@pytest.mark.parametrize(
+    ("model", "settings", "sources", "said"),
+    [
+        ("nothing.rvm", {}, [], "no such model file"),
+        (None, {"camera": Path("nothing.yaml")}, [], "no such file"),
+        (None, {}, ["nothing"], "no such file"),
+        (None, {}, ["/dev/video99"], "--camera"),
+        (None, {}, ["rtsp://nobody.example/1"], "--camera"),
+    ],
+)
+def test_a_service_that_cannot_be_is_refused(model_path, model, settings, sources, said):
+    with pytest.raises(RendezviewError, match=said):
+        Service(Settings(**settings), Path(model) if model else model_path, sources)
+
+
+def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
+    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+    for arguments, said in [
+        (["serve", model_path, "--host", "0.0.0.0"], "--tokens"),
+        (["replay", model_path], "not an MCAP"),
+    ]:
+        done = subprocess.run(
+            [*command, *map(str, arguments)],
+            capture_output=True, text=True, cwd=tmp_path, check=False, timeout=60,
+        )  # fmt: skip
+        assert done.returncode == 1, arguments
+        assert said in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_the_log_of_the_service_is_json_lines(service, client, camera):
+    client.open(camera, name="logged").close()
+    time.sleep(0.1)
+    lines = [json.loads(line) for line in service.lines if line.startswith("{")]
+    opened = [line for line in lines if line.get("session") == "logged"]
+    assert [line["state"] for line in opened] == ["opened", "closed"]

@@ -1,0 +1,366 @@
+"""The page in a real Chromium, on a real service."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from scipy.spatial.transform import Rotation
+
+from rendezview.camera import Camera
+from rendezview.client import Client, SessionClient
+from rendezview.pose import Pose
+
+playwright = pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
+
+# WebGL without a graphics card; everything else drawn as plainly as can be.
+_FLAGS = ("--disable-gpu", "--enable-unsafe-swiftshader")
+_DESK, _PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+_MOST_S = 15.0
+
+
+def _browser_path(play: Any) -> str | None:
+    """RENDEZVIEW_TEST_BROWSER, the system's Chromium, or the one that playwright installs."""
+    given = os.environ.get("RENDEZVIEW_TEST_BROWSER")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    own = play.chromium.executable_path
+    found = given or next(filter(None, map(shutil.which, names)), None)
+    return found or (own if Path(own).exists() else None)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with playwright.sync_playwright() as play:
+        path = _browser_path(play)
+        if path is None:
+            pytest.skip("no Chromium: `playwright install chromium`, or RENDEZVIEW_TEST_BROWSER")
+        flags = [*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+        try:
+            browser = play.chromium.launch(executable_path=path, args=flags)
+        except playwright.Error as error:
+            if "RENDEZVIEW_TEST_BROWSER" in os.environ:
+                raise
+            pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Opens pages, each with a memory of its own; at the end none has met an error."""
+    contexts, complaints = [], []
+
+    def note(message: Any) -> None:
+        # A refused token is an answer that Chromium lists as an error.
+        if message.type == "error" and "401" not in message.text:
+            complaints.append(message.text)
+
+    def open_it(url: str, size: dict[str, int] = _DESK, script: str = "", **more: Any) -> Any:
+        context = browser.new_context(viewport=size, accept_downloads=True, **more)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", note)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        if script:
+            page.add_init_script(script)
+        page.goto(url)
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def until(page: Any, expression: str) -> Any:
+    """The value of an expression, once it is true: the page's own policy forbids to wait in it."""
+    end_s = time.monotonic() + _MOST_S
+    while not (value := page.evaluate(expression)):
+        if time.monotonic() > end_s:
+            shown = page.inner_text("#banner")
+            pytest.fail(f"never came true: {expression}; the page says {shown!r}")
+        time.sleep(0.02)
+    return value
+
+
+def word_is(page: Any, word: str) -> None:
+    until(page, f"document.getElementById('word').textContent === '{word}'")
+
+
+class Feed:
+    """Frames of a tour to and fro, at some a second, until it is told otherwise."""
+
+    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 12.0):
+        self.images = images
+        self._done = threading.Event()
+        self._stream = session.stream()
+        self._rate_hz = rate_hz
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with self._stream as stream:
+            k = 0
+            while not self._done.wait(1.0 / self._rate_hz):
+                images = self.images
+                stream.send(images[k % len(images)], 0.1 * k)
+                stream.receive()
+                k += 1
+
+    def stop(self) -> None:
+        self._done.set()
+        self._thread.join(10.0)
+
+
+@pytest.fixture
+def feed(
+    client: Client, camera: Camera, tour: list[tuple[float, Pose, np.ndarray]]
+) -> Iterator[Callable[..., tuple[SessionClient, Feed]]]:
+    """Opens sessions and sends them the tour."""
+    feeds: list[Feed] = []
+    sessions: list[SessionClient] = []
+
+    def start(name: str, at: Client = client) -> tuple[SessionClient, Feed]:
+        session = at.open(camera, name=name, prior=tour[0][1])
+        images = [image for _, _, image in tour]
+        feeds.append(Feed(session, images + images[-2:0:-1]))
+        sessions.append(session)
+        return session, feeds[-1]
+
+    yield start
+    for one in feeds:
+        one.stop()
+    names = {one["id"] for one in client.sessions()}
+    for session in sessions:
+        if session.name in names:
+            session.close()
+
+
+def test_the_page_shows_what_the_service_found(service, feed, open_page) -> None:
+    session, one = feed("seen")
+    page = open_page(f"{service.url}#seen")
+    word_is(page, "FOUND")
+    until(page, "rendezview.webgl && rendezview.spaces > 1 && rendezview.updates > 5")
+    one.stop()
+    last = session.state()["frame"]
+    until(page, f"rendezview.frame === {last}")
+    page.keyboard.press(" ")
+    until(page, "document.querySelectorAll('#plots canvas').length === 6")
+    # Numbers: of the very state that the API says.
+    numbers = page.inner_text("#numbers")
+    for value in session.state()["pose"]["translation_m"]:
+        assert f"{abs(value):.3f}" in numbers
+    # Contour: blue where the API's contour points are; the frame itself is grey.
+    colour = """async () => {
+      const contour = await (await fetch('/v1/sessions/seen/contour/%d')).json();
+      const canvas = document.getElementById('frame'), pen = canvas.getContext('2d');
+      const scale = canvas.width / 320;
+      const hits = contour.points_px.map(([u, v]) => {
+        const [x, y] = [(u + 0.5) * scale, (v + 0.5) * scale].map(Math.floor);
+        const [r, g, b] = pen.getImageData(x, y, 1, 1).data;
+        return Math.max(r, g, b) - Math.min(r, g, b) > 60;
+      });
+      return hits.filter(Boolean).length / hits.length;
+    }"""
+    width = session.info()["camera"]["width"]
+    shown = page.inner_text("#frame-note")
+    until(page, "!document.getElementById('frame-note').textContent.includes('…')")
+    shown = page.inner_text("#frame-note")
+    frame = int(shown.split()[-1])
+    script = colour.replace("320", str(width)) % frame
+    assert page.evaluate(script) > 0.95
+    page.keyboard.press("c")
+    time.sleep(0.2)
+    assert page.evaluate(script) < 0.5
+
+
+def test_a_lost_target_is_said_with_its_reason_and_found_again(service, feed, open_page) -> None:
+    _, one = feed("lost")
+    page = open_page(f"{service.url}#lost")
+    word_is(page, "FOUND")
+    images, one.images = one.images, [np.zeros_like(one.images[0])]
+    word_is(page, "LOST")
+    assert page.inner_text("#reason").startswith("empty: ")
+    assert "–" in page.inner_text("#numbers")
+    one.images = images
+    word_is(page, "FOUND")
+
+
+def test_frames_that_stay_away_are_said(service, feed, open_page) -> None:
+    session, one = feed("silent")
+    page = open_page(f"{service.url}#silent")
+    word_is(page, "FOUND")
+    one.stop()
+    word_is(page, "NO FRAMES")
+    session.close()
+    word_is(page, "ENDED")
+
+
+def test_who_pauses_looks_back_while_frames_go_on(service, feed, open_page) -> None:
+    session, _ = feed("back")
+    page = open_page(f"{service.url}#back")
+    until(page, "rendezview.updates > 12")
+    page.keyboard.press(" ")
+    note = "Number(document.getElementById('frame-note').textContent.split(' ')[1])"
+    before = until(page, note)
+    count = session.info()["frames"]
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowLeft")
+    until(page, f"{note} === {before - 2}")
+    page.keyboard.press("Home")
+    until(page, f"{note} === 0")
+    until(page, "document.getElementById('when').textContent === 'paused · now FOUND'")
+    end_s = time.monotonic() + _MOST_S
+    while session.info()["frames"] < count + 5 and time.monotonic() < end_s:
+        time.sleep(0.05)
+    assert page.evaluate(note) == 0
+    page.keyboard.press("End")
+    until(page, f"{note} > {before}")
+
+
+def test_the_log_that_is_downloaded_can_be_read(service, feed, open_page) -> None:
+    feed("log")
+    page = open_page(f"{service.url}#log")
+    until(page, "rendezview.updates > 5 && !document.getElementById('download').disabled")
+    with page.expect_download() as waiting:
+        page.keyboard.press("d")
+    content = Path(waiting.value.path()).read_bytes()
+    states = list(make_reader(io.BytesIO(content)).iter_messages(topics="/rendezview/state"))
+    assert len(states) > 5
+
+
+def test_another_session_can_be_picked(service, feed, open_page) -> None:
+    feed("one")
+    feed("two")
+    page = open_page(f"{service.url}#one")
+    word_is(page, "FOUND")
+    until(page, "document.getElementById('sessions').options.length >= 2")
+    page.keyboard.press("s")
+    page.select_option("#sessions", "two")
+    until(
+        page, "location.hash === '#two' && document.getElementById('word').textContent === 'FOUND'"
+    )
+
+
+def test_a_token_is_asked_for_and_used(start_service, camera, open_page, tmp_path) -> None:
+    secret = "correct-horse-battery"
+    tokens = tmp_path / "tokens.toml"
+    tokens.write_text(f'[page]\nscope = "track"\ntoken = "{secret}"\n')
+    served = start_service("--tokens", str(tokens))
+    with served.client(secret) as client:
+        client.open(camera, name="closed")
+        page = open_page(served.url)
+        until(page, "document.getElementById('token-dialog').open")
+        page.keyboard.type("wrong")
+        page.keyboard.press("Enter")
+        until(page, "document.getElementById('token-why').textContent.includes('not right')")
+        page.fill("#token-value", "one with spaces")
+        page.keyboard.press("Enter")
+        until(page, "document.getElementById('token-why').textContent.includes('no spaces')")
+        page.fill("#token-value", secret)
+        page.keyboard.press("Enter")
+        until(page, "document.getElementById('link').textContent.includes('● connected')")
+        assert page.input_value("#sessions") == "closed"
+        client.session("closed").close()
+    word_is(page, "ENDED")
+
+
+def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page) -> None:
+    feed("phone")
+    page = open_page(f"{service.url}#phone", _PHONE, has_touch=True, is_mobile=True)
+    until(page, "rendezview.spaces > 0")
+    assert page.evaluate("document.documentElement.scrollWidth") <= _PHONE["width"]
+    for part in ("#word", "#frame", "#pause"):  # of the first screen
+        box = page.locator(part).bounding_box()
+        assert box["x"] >= 0
+        assert box["y"] + box["height"] <= _PHONE["height"], part
+    page.tap("#pause")
+    until(page, "!document.getElementById('scrub').disabled")
+
+
+def test_every_control_is_reached_by_keys_and_shows_it(service, feed, open_page) -> None:
+    feed("keys")
+    page = open_page(f"{service.url}#keys")
+    until(page, "rendezview.updates > 3 && !document.getElementById('download').disabled")
+    page.keyboard.press(" ")
+    reached = []
+    for _ in range(13):
+        page.keyboard.press("Tab")
+        name, outline = page.evaluate(
+            "[document.activeElement.id, getComputedStyle(document.activeElement).outlineStyle]"
+        )
+        reached.append(name)
+        assert name == "" or outline == "solid", name
+    layers = {"layer-contour", "layer-nodes", "layer-silhouette"}
+    assert {"sessions", "download", "token", "help", "scene", "pause", "scrub", "span"} <= {
+        *reached
+    }
+    assert layers <= {*reached}
+    # The controls in the view are all within the window of 1280 × 800.
+    box = page.locator("#span").bounding_box()
+    assert box["y"] + box["height"] <= _DESK["height"]
+    assert page.evaluate("document.documentElement.scrollWidth") <= _DESK["width"]
+
+
+def test_without_webgl_all_else_is_there(service, feed, open_page) -> None:
+    feed("plain")
+    script = """const get = HTMLCanvasElement.prototype.getContext;
+      HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+        return kind.startsWith('webgl') ? null : get.call(this, kind, ...more);
+      }; console.error = () => {};"""
+    page = open_page(f"{service.url}#plain", script=script)
+    until(page, "document.getElementById('space-note').textContent.includes('no WebGL')")
+    until(page, "document.querySelectorAll('#plots canvas').length === 6")
+    word_is(page, "FOUND")
+
+
+def test_what_is_ambiguous_is_not_called_lost(service, open_page) -> None:
+    page = open_page(service.url)
+    script = """async (state) => (await import('/status.js')).verdict(state, 0)"""
+    state = {"pose": None, "phase": "searching", "status": "ambiguous", "reason": "two fit"}
+    assert page.evaluate(script, state | {"candidates": [{}, {}]}) == [
+        "ambiguous",
+        "AMBIGUOUS",
+        "ambiguous: two fit (2 poses fit)",
+    ]
+    lost = state | {"status": "lost", "candidates": []}
+    assert page.evaluate(script, lost)[1] == "LOST"
+
+
+def test_the_ellipsoid_is_that_of_drawn_poses(service, open_page) -> None:
+    rng = np.random.default_rng(3)
+    rotation = Rotation.from_rotvec([0.4, -1.1, 0.7])
+    translation = np.array([0.5, -0.3, 20.0])
+    half = rng.normal(size=(6, 6)) * np.repeat([2e-3, 2e-2], 3)[:, None]
+    covariance = half @ half.T
+    deltas = rng.multivariate_normal(np.zeros(6), covariance, 100_000)
+    turned = Rotation.from_rotvec(deltas[:, :3]) * rotation
+    places = -turned.inv().apply(translation + deltas[:, 3:])
+    values, vectors = np.linalg.eigh(np.cov(places.T))
+    state = {
+        "pose": {
+            "quat_wxyz": np.roll(rotation.as_quat(), 1).tolist(),
+            "translation_m": translation.tolist(),
+        },
+        "covariance": covariance.tolist(),
+    }
+    page = open_page(service.url)
+    script = """async (state) => {
+      const space = await import('/space.js'), pose = await import('/pose.js');
+      return {...space.spread(state), at: pose.cameraPosition(state.pose)};
+    }"""
+    got = page.evaluate(script, state)
+    order = np.argsort(got["half"])
+    np.testing.assert_allclose(np.array(got["half"])[order], 3 * np.sqrt(values), rtol=0.02)
+    alignment = np.abs(np.sum(np.array(got["directions"])[order] * vectors.T, axis=1))
+    assert alignment.min() > 0.99
+    np.testing.assert_allclose(got["at"], -rotation.inv().apply(translation), atol=1e-12)

@@ -1,0 +1,222 @@
+"""Logs: read by another reader, whole after a kill, and repeated bit for bit."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from rendezview.errors import RendezviewError
+from rendezview.service.log_file import mend, scan
+from rendezview.service.messages import SessionRequest
+from rendezview.service.recording import LogWriter, RecordingOptions
+from rendezview.service.replay import model_of, read_log, repeat
+from rendezview.service.tracking import Follower, camera_message, pose_dict
+from rendezview.service.worker import session_notes
+
+
+@pytest.fixture
+def request_of(camera, tour):
+    return SessionRequest.model_validate(
+        {"camera": camera_message(camera).model_dump(), "prior": pose_dict(tour[0][1])}
+    )
+
+
+@pytest.fixture
+def recorded(tmp_path, refining_model, model_path, camera, tour, request_of):
+    """A log that is still open, its writer, and the states in it."""
+    from pydantic_core import to_json
+
+    follower = Follower("bench", refining_model, request_of)
+    notes = session_notes("bench", request_of, "bumpy", model_path)
+    path = tmp_path / "run.mcap"
+    writer = LogWriter(path, camera, notes, model_path.read_bytes(), RecordingOptions())
+    states = []
+    for time_s, _, image in tour:
+        state, _ = follower.look(image, time_s, 1.7e9 + time_s)
+        state["recorded"] = True
+        assert writer.write(state, to_json(state), image.tobytes())
+        states.append(state)
+    yield path, writer, states
+    writer.close()
+
+
+def _messages(path: Path) -> dict[str, list]:
+    """By the reader of the mcap package, which needs the file's ending."""
+    found: dict[str, list] = {}
+    with open(path, "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message in reader.iter_messages():
+            if channel.message_encoding == "json":
+                found.setdefault(channel.topic, []).append(json.loads(message.data))
+        for _, channel, _, decoded in reader.iter_decoded_messages(
+            topics=["/target/pose", "/tf", "/camera/image", "/camera/calibration"]
+        ):
+            found.setdefault(channel.topic, []).append(decoded)
+        assert reader.get_summary() is not None
+    return found
+
+
+def test_a_log_is_read_by_another_reader(recorded, camera, tour):
+    path, writer, states = recorded
+    writer.close()
+    found = _messages(path)
+    assert found["/rendezview/state"] == json.loads(json.dumps(states))
+    assert len(found["/target/pose"]) == len(found["/tf"]) == len(states)
+    pose, transform = found["/target/pose"][3], found["/tf"][3]
+    w, x, y, z = states[3]["pose"]["quat_wxyz"]
+    assert (pose.pose.orientation.w, pose.pose.orientation.x) == (w, x)
+    assert (transform.rotation.y, transform.rotation.z) == (y, z)
+    assert (transform.parent_frame_id, transform.child_frame_id) == ("camera", "target")
+    assert pose.pose.position.z == states[3]["pose"]["translation_m"][2]
+    assert pose.timestamp.seconds + 1e-9 * pose.timestamp.nanos == pytest.approx(tour[3][0])
+    image = found["/camera/image"][3]
+    assert image.encoding == "mono8"
+    assert image.data == tour[3][2].tobytes()
+    calibration = found["/camera/calibration"][0]
+    assert (calibration.width, calibration.height) == (camera.width, camera.height)
+    assert list(calibration.K) == camera.matrix.ravel().tolist()
+
+
+def test_a_log_cut_anywhere_keeps_every_whole_frame(recorded, tmp_path):
+    path, writer, _ = recorded
+    whole = path.read_bytes()  # not closed: as a kill leaves it
+    ends = []
+    for chunk in writer._scan.chunks:
+        ends.append(chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length)
+    first = writer._scan.chunks[0].chunk_start_offset
+    rng = np.random.default_rng(2)
+    cut_at = [*ends[:2], ends[0] - 1, ends[1] + 1, *rng.integers(first, len(whole), 12), len(whole)]
+    for cut in map(int, cut_at):
+        copy = tmp_path / "cut.mcap"
+        copy.write_bytes(whole[:cut])
+        kept = sum(end <= cut for end in ends)
+        assert mend(copy) == cut - ([first, *ends][kept])
+        assert mend(copy) is None
+        assert len(_messages(copy).get("/rendezview/state", [])) == kept
+
+
+def test_damage_in_the_middle_keeps_what_is_before_it(recorded):
+    path, writer, states = recorded
+    writer.close()
+    content = bytearray(path.read_bytes())
+    chunk = writer._scan.chunks[4]
+    place = chunk.chunk_start_offset + chunk.chunk_length // 2
+    content[place : place + 8] = bytes(8 * [content[place] ^ 0x55])
+    path.write_bytes(content)
+    mend(path)
+    assert _messages(path)["/rendezview/state"] == json.loads(json.dumps(states[:4]))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP0\r", b"no log at all", b"\x00" * 100])
+def test_what_is_no_log_is_refused(tmp_path, content):
+    path = tmp_path / "no.mcap"
+    path.write_bytes(content)
+    for look in (scan, mend, read_log):
+        with pytest.raises(RendezviewError, match="not an MCAP"):
+            look(path)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("closed", [True, False])
+def test_a_run_is_repeated_bit_for_bit(recorded, closed):
+    path, writer, states = recorded
+    if closed:
+        writer.close()
+    log = read_log(path)
+    model = model_of(log, None)  # the log's own
+    *_, (_, so_far) = repeat(log, model)
+    assert (so_far.frames, so_far.differing, so_far.gap) == (len(states), 0, None)
+    assert so_far.poses == sum(state["pose"] is not None for state in states) > 20
+
+
+def test_another_run_is_not_taken_for_the_same(recorded, refining_model):
+    path, _, _ = recorded
+    log = read_log(path)
+    other = log.request.model_dump(mode="json")
+    other["camera"]["fx"] *= 1.0000001
+    log.notes["request"] = json.dumps(other)
+    *_, (_, so_far) = repeat(log, refining_model)
+    assert so_far.differing == so_far.frames
+    assert 0.0 < so_far.largest < 1e-3
+
+
+def _replay(*arguments: object) -> str:
+    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "replay"]
+    done = subprocess.run(
+        [*command, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+def test_a_full_disk_is_told_and_recording_resumes(tmp_path, camera, tour, monkeypatch):
+    """By the process' own limit of a file's size, which fails as a full disk does."""
+    from rendezview.service import recording
+
+    monkeypatch.setattr(recording, "_RETRY_S", 0.05)
+    content = np.random.default_rng(0).integers(0, 256, camera.width * camera.height, np.uint8)
+    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    outcomes = []
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, before[1]))
+    try:
+        for k in range(12):
+            outcomes.append(_write(writer, k, content.tobytes()))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    told = writer.status
+    assert outcomes[0]
+    assert not outcomes[-1]
+    assert told.state == "failed"
+    assert "cannot be written" in told.reason
+    assert told.lost == outcomes.count(False)
+    time.sleep(0.1)
+    assert _write(writer, 12, content.tobytes())
+    assert writer.status.state == "on"
+    writer.close()
+    kept = [_messages(path)["/rendezview/state"] for path in sorted(tmp_path.glob("*.mcap"))]
+    frames = sorted(state["frame"] for states in kept for state in states)
+    assert frames == [k for k, fine in enumerate([*outcomes, True]) if fine]
+
+
+def _write(writer: LogWriter, k: int, content: bytes) -> bool:
+    state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": 1.7e9 + k, "pose": None}
+    return writer.write(state, json.dumps(state).encode(), content)
+
+
+def test_the_log_of_a_running_session_is_a_whole_file(client, camera, tour, tmp_path):
+    session = client.open(camera, prior=tour[0][1])
+    states = [session.track(image, time_s) for time_s, _, image in tour[:5]]
+    path = tmp_path / "got.mcap"
+    path.write_bytes(session.log())
+    assert _messages(path)["/rendezview/state"] == states
+    session.close()
+
+
+def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, tour, tmp_path):
+    place = tmp_path / "run.mcap"
+    served = start_service("--record", str(place))
+    with served.client() as client:
+        session = client.open(camera, prior=tour[0][1])
+        states = [session.track(image, time_s) for time_s, _, image in tour[:8]]
+    served.kill()
+    assert all(state["recorded"] for state in states)
+    copy = tmp_path / "aside" / "copy.mcap"
+    copy.parent.mkdir()
+    copy.write_bytes(place.read_bytes())
+    again = start_service("--record", str(place))
+    assert any("log mended" in line for line in again.lines)
+    again.stop()
+    assert _messages(place)["/rendezview/state"] == states
+    assert "8 frames, 8 poses: all repeated bit for bit" in _replay(place)
+    assert "completed" in _replay(copy, "--mend")
+    assert mend(copy) is None

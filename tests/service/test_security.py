@@ -1,0 +1,167 @@
+"""Who may do what, and what is refused at the door."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import httpx
+import pytest
+
+from rendezview.client import Client, ServiceError
+from rendezview.errors import RendezviewError
+from rendezview.service.metrics import Metrics
+from rendezview.service.security import Guard, Right, read_tokens
+from rendezview.service.settings import Settings, load_settings
+
+TOKENS = """
+[eve]
+scope = "read"
+token = "eve-may-only-look-here"
+[bob]
+scope = "track"
+token = "bob-may-send-his-frames"
+[ann]
+scope = "admin"
+sha256 = "1d5f4a1e65a9e4a5b6a6c5a2c2b0a28b8a2a8b0a1c5b6d7e8f9a0b1c2d3e4f50"
+"""
+
+
+@pytest.fixture
+def tokens_path(tmp_path: Path) -> Path:
+    path = tmp_path / "tokens.toml"
+    path.write_text(TOKENS)
+    return path
+
+
+def _ask(guard: Guard, path: str, method: str = "GET", **headers: str) -> httpx.Response:
+    async def ask() -> httpx.Response:
+        transport = httpx.ASGITransport(guard, client=("10.0.0.7", 1))
+        async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1:8360") as c:
+            named = {k.replace("_", "-"): v for k, v in headers.items()}
+            return await c.request(method, path, headers=named)
+
+    return asyncio.run(ask())
+
+
+async def _says_right(scope, receive, send) -> None:
+    body = str(int(scope["state"]["right"])).encode()
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": body})
+
+
+def _guard(tokens_path: Path | None = None, **settings: object) -> Guard:
+    tokens = [] if tokens_path is None else read_tokens(tokens_path)
+    return Guard(_says_right, Settings(**settings), tokens, Metrics())
+
+
+@pytest.mark.parametrize(
+    ("token", "right"),
+    [("eve-may-only-look-here", Right.READ), ("bob-may-send-his-frames", Right.TRACK)],
+)
+def test_a_token_gives_its_right_and_no_more(tokens_path, token, right):
+    guard = _guard(tokens_path)
+    assert _ask(guard, "/v1/sessions", Authorization=f"Bearer {token}").text == str(int(right))
+    offered = {"Sec-WebSocket-Protocol": f"rendezview, token.{token}"}
+    assert _ask(guard, "/v1/sessions", **offered).text == str(int(right))
+
+
+@pytest.mark.parametrize("header", ["", "Bearer", "Bearer x", "Basic ZXZlOg==", "Bearer eve-may"])
+def test_without_a_right_token_there_is_health_and_the_page_only(tokens_path, header):
+    guard = _guard(tokens_path)
+    for path in ("/v1/sessions", "/metrics", "/openapi.json", "/v1/"):
+        answer = _ask(guard, path, Authorization=header)
+        assert answer.status_code == 401, path
+        assert "token" in answer.json()["error"]
+    for path in ("/healthz", "/readyz", "/", "/page.js"):
+        assert _ask(guard, path, Authorization=header).status_code == 200, path
+
+
+def test_other_host_names_and_other_pages_are_refused():
+    guard = _guard()
+    assert _ask(guard, "/healthz", Host="localhost:8360").status_code == 200
+    assert _ask(guard, "/healthz", Host="evil.example").status_code == 421
+    evil = {"Origin": "http://evil.example"}
+    assert _ask(guard, "/v1/sessions", "POST", **evil).status_code == 403
+    assert _ask(guard, "/v1/sessions", "DELETE", **evil).status_code == 403
+    own = {"Origin": "http://127.0.0.1:8360"}
+    assert _ask(guard, "/v1/sessions", "POST", **own).status_code == 200
+    named = _guard(allowed_hosts=["lab.example"])
+    assert _ask(named, "/healthz", Host="lab.example").status_code == 200
+
+
+def test_a_flood_is_held_back():
+    guard = _guard(requests_per_s=20.0)
+    statuses = [_ask(guard, "/v1/sessions").status_code for _ in range(200)]
+    assert statuses[0] == 200
+    assert 429 in statuses
+
+
+def test_every_answer_says_what_a_browser_may_do_with_it():
+    answer = _ask(_guard(), "/healthz")
+    assert "default-src 'self'" in answer.headers["content-security-policy"]
+    assert answer.headers["x-content-type-options"] == "nosniff"
+
+
+@pytest.mark.parametrize(
+    "text", ["", "x = 1", "[a]\nscope='king'\ntoken='0123456789abcdef'", "[a]\nscope='read'", "[[",
+             "[a]\nscope='read'\ntoken='short'"],
+)  # fmt: skip
+def test_wrong_tokens_files_are_refused(tmp_path, text):
+    path = tmp_path / "tokens.toml"
+    path.write_text(text)
+    with pytest.raises(RendezviewError, match=r"tokens\.toml"):
+        read_tokens(path)
+
+
+def test_settings_come_from_flags_then_environment_then_file(tmp_path, monkeypatch):
+    path = tmp_path / "service.toml"
+    path.write_text('port = 1000\nworkers = 3\nlog_level = "debug"\n')
+    monkeypatch.setenv("RENDEZVIEW_SERVE_PORT", "2000")
+    monkeypatch.setenv("RENDEZVIEW_SERVE_WORKERS", "4")
+    settings = load_settings(path, {"port": 3000, "workers": None})
+    assert (settings.port, settings.workers, settings.log_level) == (3000, 4, "debug")
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [
+        ({"host": "0.0.0.0"}, "--tokens"),
+        ({"tls_certificate": Path("x.pem")}, "--tls-key"),
+        ({"port": 99999}, "port"),
+        ({"sync": "sometimes"}, "sync"),
+    ],
+)
+def test_impossible_settings_are_refused(flags, said):
+    with pytest.raises(RendezviewError, match=said):
+        load_settings(None, flags)
+
+
+def test_unknown_settings_are_refused(tmp_path):
+    path = tmp_path / "service.toml"
+    path.write_text("prot = 1000\n")
+    with pytest.raises(RendezviewError, match="prot: unknown key"):
+        load_settings(path, {})
+
+
+def test_a_service_with_tokens_lets_each_do_his_part(start_service, tokens_path, camera):
+    served = start_service("--tokens", str(tokens_path))
+    with Client(served.url) as nobody, pytest.raises(ServiceError) as refused:
+        nobody.sessions()
+    assert refused.value.status == 401
+    with Client(served.url, "eve-may-only-look-here") as eve:
+        assert eve.sessions() == []
+        with pytest.raises(ServiceError, match="scope track"):
+            eve.open(camera)
+    with Client(served.url, "bob-may-send-his-frames") as bob:
+        session = bob.open(camera)
+        with pytest.raises(ServiceError, match="scope admin"):
+            bob.send_model("mine", tokens_path)
+        with session.stream() as stream:
+            stream.send(b"\x89PNG\r\n\x1a\n" + bytes(50))
+            with pytest.raises(ServiceError, match="cut short"):
+                stream.receive(10.0)
+        session.close()
+    served.stop()
+    assert served.process.returncode == 0
+    assert not any("eve-may" in line or "bob-may" in line for line in served.lines)

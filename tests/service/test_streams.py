@@ -1,0 +1,125 @@
+"""WebSockets: the newest frame wins, and watchers see what they ask for."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+import time
+
+import cv2
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from rendezview.client import ServiceError, pose_of_state
+from rendezview.service.messages import WatchState
+
+
+@pytest.fixture
+def session(client, camera, tour):
+    opened = client.open(camera, prior=tour[0][1])
+    yield opened
+    with contextlib.suppress(ServiceError):
+        opened.close()
+
+
+def test_a_stream_gives_a_state_for_each_frame_that_is_waited_for(session, tour):
+    with session.stream() as stream:
+        for k, (time_s, truth, image) in enumerate(tour[:5]):
+            stream.send(image, time_s)
+            state = stream.receive(10.0)
+            assert (state["frame"], state["time_s"], state["drops"]) == (k, time_s, 0)
+            assert pose_of_state(state).angle_to(truth) < np.deg2rad(2.0)
+
+
+def test_the_newest_frame_wins_and_drops_are_counted(session, tour):
+    image = tour[0][2]
+    sent = 60
+    with session.stream() as stream:
+        for k in range(sent):
+            stream.send(image, float(k))
+        seen = []
+        while not seen or seen[-1]["time_s"] < sent - 1:
+            seen.append(stream.receive(10.0))
+    assert len(seen) < sent
+    assert seen[-1]["drops"] == sent - len(seen)
+    assert session.info()["sensors"][0]["drops"] == sent - len(seen)
+    times = [state["time_s"] for state in seen]
+    assert times == sorted(times)
+
+
+def test_what_is_no_frame_is_answered_and_the_stream_goes_on(service, session, tour):
+    url = session.client.stream_url(session.name, "stream")
+    image = tour[0][2]
+    with connect(url, compression=None, max_size=None) as socket:
+        for message in (b"", b"\x00" * 8, b"\x00" * 20, "text", struct.pack("<d", np.inf) + b"x"):
+            socket.send(message)
+            told = json.loads(socket.recv(10.0))
+            assert told["status"] == 422, told
+            assert told["error"]
+        socket.send(struct.pack("<d", 1.0) + image.tobytes())
+        assert json.loads(socket.recv(10.0))["status"] == "ok"
+
+
+def test_a_watcher_sees_states_contours_and_pictures(session, tour):
+    url = session.client.stream_url(session.name, "watch?rate_hz=100&width=200&silhouette=1")
+    with connect(url, max_size=None) as socket:
+        _until(lambda: session.info()["watchers"] == 1)
+        for time_s, _, image in tour[:3]:
+            state = session.track(image, time_s)
+            told = json.loads(socket.recv(10.0))
+            WatchState.model_validate(told)
+            assert told["state"] == state
+            assert len(told["contour"]["points_px"]) > 30
+            assert told["silhouette_px"][0]
+            assert told["image_follows"]
+            picture = socket.recv(10.0)
+            assert int.from_bytes(picture[:8], "little") == state["frame"]
+            grey = cv2.imdecode(np.frombuffer(picture[8:], np.uint8), cv2.IMREAD_GRAYSCALE)
+            # The history's pictures are larger; a watcher never gets less than it asked for.
+            assert grey.shape[1] in (200, 400)
+            time.sleep(0.02)
+        session.close()
+        assert json.loads(socket.recv(10.0))["type"] == "end"
+    _until(lambda: session.client.sessions() == [])
+
+
+def test_a_watcher_sees_no_more_than_it_asked_for(session, tour):
+    url = session.client.stream_url(session.name, "watch?rate_hz=4&image=0&contour=0")
+    with connect(url, max_size=None) as socket:
+        _until(lambda: session.info()["watchers"] == 1)
+        start = time.monotonic()
+        k = 0
+        while time.monotonic() - start < 1.0:
+            session.track(tour[0][2], float(k := k + 1))
+        spent_s = time.monotonic() - start
+        told = []
+        with contextlib.suppress(TimeoutError):
+            while True:
+                told.append(json.loads(socket.recv(0.3)))
+    assert k > 8
+    assert 2 <= len(told) <= 4 * spent_s + 2
+    assert all(m["contour"] is None and not m["image_follows"] for m in told)
+
+
+@pytest.mark.parametrize("what", ["stream", "watch"])
+def test_a_stream_of_no_session_is_closed_with_the_reason(service, client, what):
+    url = client.stream_url("nobody", what)
+    with connect(url) as socket, pytest.raises(Exception, match="there is none"):
+        socket.recv(10.0)
+
+
+def test_watchers_that_go_are_forgotten(session):
+    url = session.client.stream_url(session.name, "watch")
+    for _ in range(3):
+        with connect(url):
+            _until(lambda: session.info()["watchers"] == 1)
+        _until(lambda: session.info()["watchers"] == 0)
+
+
+def _until(condition, seconds: float = 5.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
