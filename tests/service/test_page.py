@@ -99,8 +99,9 @@ def word_is(page: Any, word: str) -> None:
 class Feed:
     """Frames of a tour to and fro, at some a second, until it is told otherwise."""
 
-    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 12.0):
+    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 20.0):
         self.images = images
+        self.step_s = 0.1  # of the frames' own time
         self._done = threading.Event()
         self._stream = session.stream()
         self._rate_hz = rate_hz
@@ -109,12 +110,12 @@ class Feed:
 
     def _run(self) -> None:
         with self._stream as stream:
-            k = 0
+            k, time_s = 0, 0.0
             while not self._done.wait(1.0 / self._rate_hz):
                 images = self.images
-                stream.send(images[k % len(images)], 0.1 * k)
+                stream.send(images[k % len(images)], time_s)
                 stream.receive()
-                k += 1
+                k, time_s = k + 1, time_s + self.step_s
 
     def stop(self) -> None:
         self._done.set()
@@ -188,10 +189,12 @@ def test_a_lost_target_is_said_with_its_reason_and_found_again(service, feed, op
     page = open_page(f"{service.url}#lost")
     word_is(page, "FOUND")
     images, one.images = one.images, [np.zeros_like(one.images[0])]
+    word_is(page, "COASTING")
+    one.step_s = 1.0
     word_is(page, "LOST")
     assert page.inner_text("#reason").startswith("empty: ")
     assert "–" in page.inner_text("#numbers")
-    one.images = images
+    one.images, one.step_s = images, 0.1
     word_is(page, "FOUND")
 
 
