@@ -15,10 +15,10 @@ from rendezview.reflectors.acquisition import (
     Acquirer,
     Acquisition,
     AcquisitionOptions,
-    _expect,
     merged,
 )
 from rendezview.reflectors.difference import LitDark, ThresholdOptions
+from rendezview.reflectors.matching import expect_spots
 from rendezview.reflectors.pattern import Face, ReflectorPattern, SixNumbers
 from rendezview.reflectors.rates import RateEstimator, Rates
 from rendezview.reflectors.refinement import Refined, adjust, camera_numbers, solve_spots
@@ -304,7 +304,7 @@ class ReflectorSensor:
     def _show(self, pose: Pose, out: Array) -> None:
         """(N, 3) place and size of every reflector at a pose; NaN where it cannot be seen."""
         pattern = self.constellation
-        _expect(
+        expect_spots(
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
             pose.rotation, pose.translation_m, self.camera.fx, self.acquirer.options.blur_px, out,
         )  # fmt: skip
