@@ -30,7 +30,7 @@ from rendezview.reflectors.spots import (
     Spots,
 )
 from rendezview.reflectors.status import Status
-from rendezview.reflectors.triplets import Hourglass, hourglass_of, search
+from rendezview.reflectors.triplets import hourglass_of, search
 
 _MOST_TRIPLETS = 20_000
 _MOST_CANDIDATES = 12  # are looked at one by one, the best first
@@ -93,7 +93,8 @@ class _Triangle:
 
     group: str
     members: npt.NDArray[np.int64]  # (3,) left, centre, right, of the whole constellation
-    glass: Hourglass
+    glass: Array  # (5,) hourglass
+    longest_side: float
     base_m: float
     diameter_m: float
     both_ways: bool
@@ -127,6 +128,7 @@ class Acquirer:
             p.name: np.argsort([g != p.name for g in self._groups], kind="stable") for p in patterns
         }
         self._lens = camera_numbers(camera, self.options.blur_px)
+        self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # work space
 
     def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
         """Find the target.
@@ -182,7 +184,8 @@ class Acquirer:
                     _Triangle(
                         pattern.name,
                         np.array(triangle, dtype=np.int64) + first,
-                        glass,
+                        glass.as_array(),
+                        glass.longest_side,
                         float(np.linalg.norm(positions[right] - positions[left])),
                         float(pattern.diameters_m[list(triangle)].mean()),
                         not any(order == (2, 1, 0) for order in only.symmetries()),
@@ -224,17 +227,17 @@ class Acquirer:
             last = float(np.linalg.norm(expected))
             window = last * np.array([1 - options.reacquisition, 1 + options.reacquisition])
         window = np.array([max(window[0], options.nearest_m), min(window[1], options.farthest_m)])
-        triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)
+        triplets = self._triplets
         found: list[tuple[npt.NDArray[np.int64], Array, Array]] = []
         for number, triangle in enumerate(self._triangles):
             foreshortened = math.cos(options.tilt_rad)
             limits = (
                 triangle.base_m * camera.fx * foreshortened / window[1],
                 1.05 * triangle.base_m * camera.fx / window[0],
-                options.size_limit, options.peak_limit, foreshortened, triangle.glass.longest_side,
+                options.size_limit, options.peak_limit, foreshortened, triangle.longest_side,
             )  # fmt: skip
             count = search(
-                directions, flat, sizes, peaks, order, triangle.glass.as_array(), triangle.base_m,
+                directions, flat, sizes, peaks, order, triangle.glass, triangle.base_m,
                 triangle.diameter_m, camera.fx, options.blur_px, limits, triangle.both_ways,
                 triplets,
             )  # fmt: skip
@@ -287,7 +290,7 @@ class Acquirer:
         mine = set(where.tolist())
         rivals = [item for item in judged[1:] if item[0] == most and set(item[4].tolist()) != mine]
         rival = -max((item[1] for item in rivals), default=-math.inf)
-        others = ~np.isin(rows[:, 1:], where).all(axis=1)
+        others = ~(rows[:, 1:, None] == where).any(axis=2).all(axis=1)
         if alone and others.any():
             rival = float(scores[others].min())
         if rival + score < self.options.rival_margin:
