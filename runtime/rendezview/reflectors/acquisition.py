@@ -11,14 +11,11 @@ import numpy.typing as npt
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array, Pose
+from rendezview.reflectors.discs import camera_numbers
 from rendezview.reflectors.judgement import judge
 from rendezview.reflectors.matching import match_spots
 from rendezview.reflectors.pattern import ReflectorPattern
-from rendezview.reflectors.refinement import (
-    Refined,
-    camera_numbers,
-    refine,
-)
+from rendezview.reflectors.refinement import Refined, refine
 from rendezview.reflectors.spots import (
     AMPLITUDE,
     BOTTOM,
@@ -104,6 +101,7 @@ class Acquirer:
     """Looks for the groups of a target in the spots of one camera.
 
     ``constellation`` holds the reflectors of all groups; numbers of reflectors are its own.
+    One thread at a time: the work space is kept.
     """
 
     def __init__(

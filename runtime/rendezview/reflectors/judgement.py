@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numba import njit
 
+from rendezview.reflectors.discs import disc_radius, placed, turned
 from rendezview.reflectors.p3p import MAX_ROOTS, p3p_roots
-from rendezview.reflectors.refinement import disc_radius
 from rendezview.reflectors.triplets import expected_size
 
 _CORRECTIONS = 2
@@ -246,28 +246,6 @@ def _scaled(bb, pp, bp, area, wide, along, across):  # type: ignore[no-untyped-d
     h = bb * (x * x + y * y) + pp - 2.0 * bp * x
     w = 2.0 * area / (h + math.sqrt(max(h * h - 4.0 * y * y * area, 0.0)))
     return w, math.sqrt(w) / wide, x, y
-
-
-@njit(cache=True, nogil=True, inline="always")
-def placed(rotation, translation, points, i):  # type: ignore[no-untyped-def]
-    """Point i of the target in the camera frame."""
-    p, q, r = points[i, 0], points[i, 1], points[i, 2]
-    return (
-        rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r + translation[0],
-        rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r + translation[1],
-        rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r + translation[2],
-    )
-
-
-@njit(cache=True, nogil=True, inline="always")
-def turned(rotation, vectors, i):  # type: ignore[no-untyped-def]
-    """Vector i of the target on the camera's axes."""
-    p, q, r = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-    return (
-        rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r,
-        rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r,
-        rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r,
-    )
 
 
 @njit(cache=True, nogil=True)

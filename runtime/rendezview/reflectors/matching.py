@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from rendezview.reflectors.judgement import placed, turned
-from rendezview.reflectors.refinement import disc_radius, project_disc
+from rendezview.reflectors.discs import disc_radius, placed, project_disc, turned
 from rendezview.reflectors.spots import SIZE
 from rendezview.reflectors.triplets import expected_size
 
