@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from rendezview.reflectors.acquisition import facing_root
+from rendezview.reflectors.judgement import facing_root
 from rendezview.reflectors.p3p import solve_p3p_batch
 from rendezview.reflectors.triangulation import pose_from_distances, triangulate_batch
 

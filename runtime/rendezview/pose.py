@@ -6,6 +6,7 @@ coordinates to camera coordinates, and ``a_from_b @ b_from_c`` is ``a_from_c``.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +37,9 @@ class Pose:
                 f"a pose needs a (3, 3) rotation and a (3,) translation, "
                 f"not {rotation.shape} and {translation_m.shape}"
             )
-        if not (np.isfinite(rotation).all() and np.isfinite(translation_m).all()):
+        if not _all_finite(rotation, translation_m):
             raise ValueError("a pose must be finite")
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0.0:
+        if not _is_rotation(rotation):
             raise ValueError(f"rotation is not orthonormal with determinant +1: {rotation}")
         rotation.setflags(write=False)
         translation_m.setflags(write=False)
@@ -98,6 +99,31 @@ class Pose:
             Rotation.from_rotvec(step[:3]).as_matrix() @ self.rotation,
             self.translation_m + step[3:],
         )
+
+
+@njit(cache=True, nogil=True)
+def _all_finite(rotation: Array, translation_m: Array) -> bool:
+    for i in range(3):
+        if not math.isfinite(translation_m[i]):
+            return False
+        for j in range(3):
+            if not math.isfinite(rotation[i, j]):
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _is_rotation(r: Array) -> bool:
+    """Whether (3, 3) is orthonormal to 1e-6 and right-handed."""
+    for i in range(3):
+        for j in range(i + 1):
+            dot = r[i, 0] * r[j, 0] + r[i, 1] * r[j, 1] + r[i, 2] * r[j, 2]
+            if not abs(dot - (1.0 if i == j else 0.0)) <= 1e-6:
+                return False
+    x = r[1, 1] * r[2, 2] - r[1, 2] * r[2, 1]
+    y = r[1, 2] * r[2, 0] - r[1, 0] * r[2, 2]
+    z = r[1, 0] * r[2, 1] - r[1, 1] * r[2, 0]
+    return bool(r[0, 0] * x + r[0, 1] * y + r[0, 2] * z >= 0.0)
 
 
 def rotation_angle(rotation: npt.ArrayLike) -> float:

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rendezview.reflectors.acquisition import facing_root
+from rendezview.reflectors.judgement import facing_root
 from rendezview.reflectors.p3p import solve_p3p, solve_p3p_batch
 
 TARGET = np.array([[0.0, 0.0, 0.1016], [-0.18415, 0.0, 0.0], [0.18415, 0.0, 0.0]])

@@ -4,6 +4,7 @@ from rendezview.reflectors.acquisition import Acquirer, AcquisitionOptions
 from rendezview.reflectors.cameras import RangedCamera, SwitchingSensor
 from rendezview.reflectors.closed_form import Calibration, calibrate, closed_form
 from rendezview.reflectors.difference import LitDark, Opening, ThresholdOptions
+from rendezview.reflectors.discs import predict_spots
 from rendezview.reflectors.p3p import solve_p3p, solve_p3p_batch
 from rendezview.reflectors.pattern import (
     ReflectorPattern,
@@ -12,10 +13,12 @@ from rendezview.reflectors.pattern import (
     pose_of,
     six_numbers,
 )
-from rendezview.reflectors.refinement import predict_spots, refine
-from rendezview.reflectors.sensor import Reading, ReflectorSensor, TrackingOptions
+from rendezview.reflectors.reading import Reading
+from rendezview.reflectors.refinement import refine
+from rendezview.reflectors.sensor import ReflectorSensor
 from rendezview.reflectors.spots import Centroid, Spots, find_spots
 from rendezview.reflectors.status import Status
+from rendezview.reflectors.track import TrackingOptions
 
 __all__ = [
     "Acquirer",

@@ -7,20 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Array, Pose
-from rendezview.reflectors.p3p import MAX_ROOTS, p3p_roots
+from rendezview.reflectors.discs import camera_numbers
+from rendezview.reflectors.judgement import judge
+from rendezview.reflectors.matching import match_spots
 from rendezview.reflectors.pattern import ReflectorPattern
-from rendezview.reflectors.refinement import (
-    Refined,
-    camera_numbers,
-    disc_radius,
-    project_disc,
-    refine,
-)
+from rendezview.reflectors.refinement import Refined, refine
 from rendezview.reflectors.spots import (
     AMPLITUDE,
     BOTTOM,
@@ -32,7 +27,7 @@ from rendezview.reflectors.spots import (
     Spots,
 )
 from rendezview.reflectors.status import Status
-from rendezview.reflectors.triplets import Hourglass, expected_size, hourglass_of, search
+from rendezview.reflectors.triplets import hourglass_of, search
 
 _MOST_TRIPLETS = 20_000
 _MOST_CANDIDATES = 12  # are looked at one by one, the best first
@@ -95,7 +90,8 @@ class _Triangle:
 
     group: str
     members: npt.NDArray[np.int64]  # (3,) left, centre, right, of the whole constellation
-    glass: Hourglass
+    glass: Array  # (5,) hourglass
+    longest_side: float
     base_m: float
     diameter_m: float
     both_ways: bool
@@ -105,6 +101,7 @@ class Acquirer:
     """Looks for the groups of a target in the spots of one camera.
 
     ``constellation`` holds the reflectors of all groups; numbers of reflectors are its own.
+    One thread at a time: the work space is kept.
     """
 
     def __init__(
@@ -129,6 +126,7 @@ class Acquirer:
             p.name: np.argsort([g != p.name for g in self._groups], kind="stable") for p in patterns
         }
         self._lens = camera_numbers(camera, self.options.blur_px)
+        self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # work space
 
     def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
         """Find the target.
@@ -184,7 +182,8 @@ class Acquirer:
                     _Triangle(
                         pattern.name,
                         np.array(triangle, dtype=np.int64) + first,
-                        glass,
+                        glass.as_array(),
+                        glass.longest_side,
                         float(np.linalg.norm(positions[right] - positions[left])),
                         float(pattern.diameters_m[list(triangle)].mean()),
                         not any(order == (2, 1, 0) for order in only.symmetries()),
@@ -226,17 +225,17 @@ class Acquirer:
             last = float(np.linalg.norm(expected))
             window = last * np.array([1 - options.reacquisition, 1 + options.reacquisition])
         window = np.array([max(window[0], options.nearest_m), min(window[1], options.farthest_m)])
-        triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)
+        triplets = self._triplets
         found: list[tuple[npt.NDArray[np.int64], Array, Array]] = []
         for number, triangle in enumerate(self._triangles):
             foreshortened = math.cos(options.tilt_rad)
             limits = (
                 triangle.base_m * camera.fx * foreshortened / window[1],
                 1.05 * triangle.base_m * camera.fx / window[0],
-                options.size_limit, options.peak_limit, foreshortened, triangle.glass.longest_side,
+                options.size_limit, options.peak_limit, foreshortened, triangle.longest_side,
             )  # fmt: skip
             count = search(
-                directions, flat, sizes, peaks, order, triangle.glass.as_array(), triangle.base_m,
+                directions, flat, sizes, peaks, order, triangle.glass, triangle.base_m,
                 triangle.diameter_m, camera.fx, options.blur_px, limits, triangle.both_ways,
                 triplets,
             )  # fmt: skip
@@ -246,13 +245,13 @@ class Acquirer:
                 continue
             scores, poses = np.empty(count), np.empty((count, 12))
             members = triangle.members
-            _judge(
+            judge(
                 triplets[:count], directions, sizes, peaks, self.constellation.positions_m[members],
                 self.constellation.normals[members], self.constellation.diameters_m[members],
                 camera.fx, options.blur_px,
                 (options.size_sigma, options.peak_sigma, options.beam_sigma,
                  math.cos(1.2 * options.tilt_rad)),
-                window, scores, poses,
+                window, options.score_limit, True, scores, poses,
             )  # fmt: skip
             good = np.flatnonzero(scores <= options.score_limit)
             if good.size:
@@ -289,7 +288,7 @@ class Acquirer:
         mine = set(where.tolist())
         rivals = [item for item in judged[1:] if item[0] == most and set(item[4].tolist()) != mine]
         rival = -max((item[1] for item in rivals), default=-math.inf)
-        others = ~np.isin(rows[:, 1:], where).all(axis=1)
+        others = ~(rows[:, 1:, None] == where).any(axis=2).all(axis=1)
         if alone and others.any():
             rival = float(scores[others].min())
         if rival + score < self.options.rival_margin:
@@ -351,7 +350,7 @@ class Acquirer:
         that stand where the pose shows them and are as large."""
         which = np.empty(len(self.constellation), np.int64)
         where = np.empty(len(self.constellation), np.int64)
-        count = _match(
+        count = match_spots(
             self._lens, self.constellation.positions_m, self.constellation.normals,
             self.constellation.diameters_m, np.ascontiguousarray(pose.rotation),
             np.ascontiguousarray(pose.translation_m), self.camera.fx, self.options.blur_px,
@@ -385,148 +384,3 @@ def merged(patterns: list[ReflectorPattern]) -> ReflectorPattern:
         normals=np.concatenate([pattern.normals for pattern in patterns]),
         diameters_m=np.concatenate([pattern.diameters_m for pattern in patterns]),
     )
-
-
-@njit(cache=True, nogil=True)
-def _judge(  # type: ignore[no-untyped-def]
-    triplets, directions, sizes, peaks, points, normals, diameters, focal_px, blur_px,
-    tolerances, window, scores, poses,
-):  # fmt: skip
-    """χ² of every triplet: its sizes at its own ranges, its brightnesses among themselves.
-
-    Of the poses of a triplet the one whose reflectors all face the camera is kept: the post
-    towards the camera. Of several the one that faces it most.
-    """
-    rays = np.empty((3, 3))
-    rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
-    size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
-    shine = np.empty(3)
-    for n in range(triplets.shape[0]):
-        scores[n] = np.inf
-        for i in range(3):
-            for j in range(3):
-                rays[i, j] = directions[triplets[n, i], j]
-        roots = p3p_roots(rays, points, 1e-3, rotations, translations)
-        k = facing_root(rotations, translations, roots, points, normals)
-        if k < 0:
-            continue
-        rotation, translation = rotations[k], translations[k]
-        chi = 0.0
-        for i in range(3):
-            x, y, z = _place(rotation, translation, points, i)
-            far = math.sqrt(x * x + y * y + z * z)
-            if far < window[0] or far > window[1]:
-                chi = np.inf
-                break
-            nx = rotation[0] @ normals[i]
-            ny = rotation[1] @ normals[i]
-            nz = rotation[2] @ normals[i]
-            facing = -(nx * x + ny * y + nz * z) / far
-            if facing < least_facing:
-                chi = np.inf
-                break
-            radius = disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-            s = triplets[n, i]
-            expected = expected_size(blur_px, radius)
-            error = math.log(sizes[s] / expected) / size_sigma
-            chi += error * error
-            # Illumination falls with range², and blur thins a small disc.
-            shine[i] = math.log(peaks[s] * (far * expected / radius) ** 2)
-        # Beam and return fall smoothly across the target: the middle shines like the mean.
-        uneven = (shine[0] - shine[2]) / beam_sigma
-        bright = (shine[1] - 0.5 * (shine[0] + shine[2])) / peak_sigma
-        chi += uneven * uneven + bright * bright
-        scores[n] = chi
-        poses[n, :9] = rotation.reshape(-1)
-        poses[n, 9:] = translation
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _place(rotation, translation, points, i):  # type: ignore[no-untyped-def]
-    p, q, r = points[i, 0], points[i, 1], points[i, 2]
-    return (
-        rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r + translation[0],
-        rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r + translation[1],
-        rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r + translation[2],
-    )
-
-
-@njit(cache=True, nogil=True)
-def facing_root(rotations, translations, count, points, normals):  # type: ignore[no-untyped-def]
-    """Of the roots the one whose least-facing reflector faces the camera most; −1 if none does.
-
-    Bales: only one has the post towards the camera, the others cannot be seen.
-    """
-    best, chosen = 0.0, -1
-    for k in range(count):
-        least = 1.0
-        for i in range(points.shape[0]):
-            x, y, z = _place(rotations[k], translations[k], points, i)
-            far = math.sqrt(x * x + y * y + z * z)
-            facing = 0.0
-            for a in range(3):
-                n = (
-                    rotations[k, a, 0] * normals[i, 0]
-                    + rotations[k, a, 1] * normals[i, 1]
-                    + rotations[k, a, 2] * normals[i, 2]
-                )
-                facing -= n * (x if a == 0 else y if a == 1 else z) / far
-            least = min(least, facing)
-        if least > best:
-            best, chosen = least, k
-    return chosen
-
-
-@njit(cache=True, nogil=True)
-def _expect(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, out
-):
-    """(N, 3) place and size of every reflector at a pose; NaN where it faces away or is behind."""
-    for i in range(points.shape[0]):
-        x, y, z = _place(rotation, translation, points, i)
-        far = math.sqrt(x * x + y * y + z * z)
-        nx = rotation[0] @ normals[i]
-        ny = rotation[1] @ normals[i]
-        nz = rotation[2] @ normals[i]
-        facing = -(nx * x + ny * y + nz * z) / far
-        out[i, 0], out[i, 1] = project_disc(lens, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-        if not (facing > 0.0 and z > 0.0):
-            out[i, 0] = np.nan
-            continue
-        out[i, 2] = expected_size(
-            blur_px, disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-        )
-
-
-@njit(cache=True, nogil=True)
-def _match(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, order, table,
-    usable, three, limits, which, where,
-):  # fmt: skip
-    """Reflectors and the spots that stand where a pose shows them and are as large."""
-    match_px, size_limit = limits
-    expected = np.empty((points.shape[0], 3))
-    _expect(lens, points, normals, diameters, rotation, translation, focal_px, blur_px, expected)
-    bx, by = table[three[2], 0] - table[three[0], 0], table[three[2], 1] - table[three[0], 1]
-    base = max(math.sqrt(bx * bx + by * by), 1.0)
-    count = 0
-    for k in order:
-        x, y, size = expected[k]
-        if not (math.isfinite(x) and math.isfinite(y)):
-            continue
-        away = math.hypot(x - table[three[1], 0], y - table[three[1], 1])
-        # Away from the three a pose's error grows: by so many base lengths.
-        nearest, chosen = match_px * max(1.0, away / base), -1
-        for s in usable:
-            offset = math.hypot(table[s, 0] - x, table[s, 1] - y)
-            if offset >= nearest or abs(math.log(table[s, SIZE] / size)) > size_limit:
-                continue
-            taken = False
-            for c in range(count):
-                taken = taken or where[c] == s
-            if not taken:
-                nearest, chosen = offset, s
-        if chosen >= 0:
-            which[count], where[count] = k, chosen
-            count += 1
-    return count

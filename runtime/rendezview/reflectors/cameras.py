@@ -9,7 +9,8 @@ from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
 from rendezview.reflectors.difference import LitDark
 from rendezview.reflectors.pattern import ReflectorPattern
-from rendezview.reflectors.sensor import Reading, ReflectorSensor
+from rendezview.reflectors.reading import Reading
+from rendezview.reflectors.sensor import ReflectorSensor
 from rendezview.reflectors.status import Status
 
 

@@ -14,6 +14,7 @@ from enum import StrEnum
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
@@ -139,14 +140,12 @@ def noise_grey(frames: LitDark) -> float:
     Half the pixels' differences from their right neighbours lie within 0.6745 · √2 of it;
     spots and edges are few and do not count.
     """
-    rows = frames.lit[::_NOISE_STEP].astype(np.int16)
-    if frames.dark is not None:
-        rows = rows - frames.dark[::_NOISE_STEP]
-    steps = np.abs(np.diff(rows, axis=1)).ravel()
-    if not steps.size:
+    counts = np.zeros(512, np.int64)
+    _count_steps(frames.lit, frames.dark_or_nothing, counts)
+    total = int(counts.sum())
+    if not total:
         return 1.0
-    counts = np.bincount(steps, minlength=2)
-    half = 0.5 * steps.size
+    half = 0.5 * total
     below = np.cumsum(counts)
     level = int(np.searchsorted(below, half))
     before = below[level - 1] if level else 0
@@ -154,6 +153,21 @@ def noise_grey(frames: LitDark) -> float:
     low, width = (0.0, 0.5) if level == 0 else (level - 0.5, 1.0)
     median = low + width * (half - before) / max(int(counts[level]), 1)
     return max(float(median) / (0.6745 * math.sqrt(2.0)), 0.3)  # 0.3: rounding alone
+
+
+@njit(cache=True, nogil=True)
+def _count_steps(lit, dark, counts):  # type: ignore[no-untyped-def]
+    """How often neighbours in a row differ by so many grey levels; the difference's where dark."""
+    for v in range(0, lit.shape[0], _NOISE_STEP):
+        if dark.shape[0] > 0:
+            last = np.int64(lit[v, 0]) - np.int64(dark[v, 0])
+            for u in range(1, lit.shape[1]):
+                value = np.int64(lit[v, u]) - np.int64(dark[v, u])
+                counts[abs(value - last)] += 1
+                last = value
+        else:
+            for u in range(1, lit.shape[1]):
+                counts[abs(np.int64(lit[v, u]) - np.int64(lit[v, u - 1]))] += 1
 
 
 def threshold_of(options: ThresholdOptions, noise: float, frames: LitDark) -> float:
@@ -174,8 +188,18 @@ def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:
     if options.upper_grey is not None:
         mask[frames.lit > options.upper_grey] = 0
     if frames.dark is not None and options.dark_grey < 255.0:
-        mask[frames.dark > options.dark_grey] = 0
-    if options.opening is not Opening.NONE and mask.any():
+        clear = cv2.threshold(frames.dark, options.dark_grey, 255, cv2.THRESH_BINARY_INV)[1]
+        mask = cv2.bitwise_and(mask, clear, dst=mask)
+    if options.opening is Opening.NONE:
+        return np.asarray(mask, dtype=np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    if width and height:
+        # Only where there is anything; the rim about it is dark, as all the rest.
+        rows, columns = (
+            slice(max(top - 2, 0), top + height + 2),
+            slice(max(left - 2, 0), left + width + 2),
+        )
         kernel, erode_at, dilate_at = _KERNELS[options.opening]
-        mask = cv2.dilate(cv2.erode(mask, kernel, anchor=erode_at), kernel, anchor=dilate_at)
+        part = cv2.erode(mask[rows, columns], kernel, anchor=erode_at)
+        mask[rows, columns] = cv2.dilate(part, kernel, anchor=dilate_at)
     return np.asarray(mask, dtype=np.uint8)

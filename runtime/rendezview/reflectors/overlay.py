@@ -12,7 +12,7 @@ from rendezview.camera import Camera
 from rendezview.pose import Pose
 from rendezview.reflectors.difference import Grey, LitDark
 from rendezview.reflectors.pattern import ReflectorPattern
-from rendezview.reflectors.sensor import Reading
+from rendezview.reflectors.reading import Reading
 
 _SCALE = 2
 _SPOT, _REFLECTOR, _WORDS = (120, 120, 120), (0, 165, 255), (230, 230, 230)  # blue green red

@@ -1,12 +1,4 @@
-"""Least squares of a pose on any three or more spots, through the camera's full model.
-
-A reflector is a disc. What a centroid measures is the middle of the ellipse it is seen as, not
-the picture of its centre: ``e = c c_z − a² (e_z − n n_z)`` over its third component, for a disc
-of radius a at c with normal n (the third column of the disc's dual conic ``c cᵀ − a²(I − n nᵀ)``).
-At 1 m and 30° of tilt a disc of 25 mm is off by 0.04 px. The laser's light falls with range²
-across the disc too, which moves the middle of the brightness towards its near edge by as much:
-by 2 k² a² / r² of the in-plane part of c, with k² a² the second moment under the spot's window.
-"""
+"""Least squares of a pose on any three or more spots, through the camera's full model."""
 
 from __future__ import annotations
 
@@ -19,6 +11,8 @@ from numba import njit
 
 from rendezview.camera import Camera
 from rendezview.pose import Array, Pose
+from rendezview.reflectors.discs import camera_numbers, project_disc, turned
+from rendezview.reflectors.normal_equations import invert, solve
 from rendezview.reflectors.pattern import ReflectorPattern
 
 Ints = npt.NDArray[np.int64]
@@ -37,29 +31,6 @@ class Refined:
     residuals_px: Array  # (K, 2) seen minus predicted
     iterations: int
     converged: bool
-
-
-def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
-    """(13,) fx fy cx cy, eight distortion coefficients and the blur, for the compiled loops."""
-    distortion = (*camera.distortion, *([0.0] * 8))[:8]
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *distortion, blur_px])
-
-
-def predict_spots(
-    camera: Camera,
-    pattern: ReflectorPattern,
-    camera_from_target: Pose,
-    blur_px: float = 0.75,
-) -> Array:
-    """(N, 2) where the centroids of all reflectors are seen, px; NaN behind the camera."""
-    out = np.empty((len(pattern), 2))
-    arm = pattern.positions_m - pattern.centre_m
-    shift = camera_from_target.apply(pattern.centre_m)
-    _project_all(
-        camera_numbers(camera, blur_px), arm, pattern.normals, pattern.diameters_m,
-        np.ascontiguousarray(camera_from_target.rotation), shift, out,
-    )  # fmt: skip
-    return out
 
 
 def refine(
@@ -129,68 +100,6 @@ def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def project_disc(lens, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    """Pixel of the middle of a disc's spot; disc at (x, y, z), unit normal n, camera frame."""
-    a2 = radius * radius
-    r2 = x * x + y * y + z * z
-    square = a2 * lens[0] * lens[0] / r2  # of the radius in pixels
-    k = 0.5 + 0.131 * square / (square + 5.0 * lens[12] * lens[12])  # as in `expected_size`
-    across, near = nx * x + ny * y + nz * z, 2.0 * k * k * a2 / r2
-    x, y, z = (
-        x - near * (x - across * nx),
-        y - near * (y - across * ny),
-        z - near * (z - across * nz),
-    )
-    w = z * z - a2 * (1.0 - nz * nz)
-    if not (z > 0.0 and w > 0.0):
-        return np.nan, np.nan
-    u, v = (x * z + a2 * nx * nz) / w, (y * z + a2 * ny * nz) / w
-    fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 = (
-        lens[0], lens[1], lens[2], lens[3], lens[4], lens[5],
-        lens[6], lens[7], lens[8], lens[9], lens[10], lens[11],
-    )  # fmt: skip
-    r2 = u * u + v * v
-    radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    du = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
-    dv = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
-    return fx * du + cx, fy * dv + cy
-
-
-@njit(cache=True, nogil=True, inline="always")
-def disc_radius(focal_px, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
-    """Root mean square of the two half axes of a disc's ellipse, px: its extent in a round window.
-
-    Of the disc's plane (I − n nᵀ) under the projection's derivative; off the boresight the
-    picture is stretched.
-    """
-    u, v = x / z, y / z
-    a, b = nx - nz * u, ny - nz * v
-    return radius * focal_px / z * math.sqrt(max(0.5 * (2.0 + u * u + v * v - a * a - b * b), 0.0))
-
-
-@njit(cache=True, nogil=True)
-def _project_all(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, rotation, shift, out
-):
-    for i in range(arms.shape[0]):
-        px, py, pz = _turn(rotation, arms, i)
-        nx, ny, nz = _turn(rotation, normals, i)
-        out[i, 0], out[i, 1] = project_disc(
-            lens, px + shift[0], py + shift[1], pz + shift[2], nx, ny, nz, 0.5 * diameters[i]
-        )
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _turn(rotation, vectors, i):  # type: ignore[no-untyped-def]
-    a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
-    return (
-        rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c,
-        rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c,
-        rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c,
-    )
-
-
-@njit(cache=True, nogil=True)
 def adjust(  # type: ignore[no-untyped-def]
     lens, arms, normals, diameters, spots, sigma, prior, rotation, shift, covariance, residuals
 ):
@@ -239,7 +148,7 @@ def adjust(  # type: ignore[no-untyped-def]
             covariance[:] = normal
             for a in range(6):
                 covariance[a, a] *= 1.0 + damping
-            if not _solve(covariance, rhs, offset):
+            if not solve(covariance, rhs, offset):
                 return -1
             _apply(rotation, shift, offset, trial_r, trial_t)
             turn = math.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
@@ -269,7 +178,7 @@ def adjust(  # type: ignore[no-untyped-def]
         if not accepted:
             cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
             done = True
-    if not _invert(normal, covariance):
+    if not invert(normal, covariance):
         return -1
     _orthonormal(rotation)
     return used if done else _ITERATIONS
@@ -345,8 +254,8 @@ def _cost(  # type: ignore[no-untyped-def]
 ):
     total = 0.0
     for i in range(arms.shape[0]):
-        px, py, pz = _turn(rotation, arms, i)
-        nx, ny, nz = _turn(rotation, normals, i)
+        px, py, pz = turned(rotation, arms, i)
+        nx, ny, nz = turned(rotation, normals, i)
         u, v = project_disc(
             lens, px + shift[0], py + shift[1], pz + shift[2], nx, ny, nz, 0.5 * diameters[i]
         )
@@ -358,8 +267,8 @@ def _cost(  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _jacobian(lens, arms, normals, diameters, rotation, shift, i, out):  # type: ignore[no-untyped-def]
     """(2, 6) of spot i by central differences: a turn moves arm and normal, a shift the centre."""
-    arm = _turn(rotation, arms, i)
-    n = _turn(rotation, normals, i)
+    arm = turned(rotation, arms, i)
+    n = turned(rotation, normals, i)
     radius = 0.5 * diameters[i]
     x, y, z = arm[0] + shift[0], arm[1] + shift[1], arm[2] + shift[2]
     h, g = 1e-5, 1e-5 * z
@@ -420,58 +329,6 @@ def _difference(rotation, shift, from_r, from_t, out):  # type: ignore[no-untype
     )
     for j in range(3):
         out[3 + j] = shift[j] - from_t[j]
-
-
-@njit(cache=True, nogil=True)
-def _solve(matrix, rhs, out):  # type: ignore[no-untyped-def]
-    """Cholesky solution in place of ``matrix`` (6, 6), scaled to a unit diagonal."""
-    n = 6
-    scale = np.empty(n)
-    for a in range(n):
-        if not matrix[a, a] > 0.0:
-            return False
-        scale[a] = 1.0 / math.sqrt(matrix[a, a])
-    for a in range(n):
-        for b in range(n):
-            matrix[a, b] *= scale[a] * scale[b]
-    for a in range(n):
-        for b in range(a + 1):
-            total = matrix[a, b]
-            for c in range(b):
-                total -= matrix[a, c] * matrix[b, c]
-            if a == b:
-                if not total > 1e-14:
-                    return False
-                matrix[a, a] = math.sqrt(total)
-            else:
-                matrix[a, b] = total / matrix[b, b]
-    for a in range(n):
-        total = rhs[a] * scale[a]
-        for c in range(a):
-            total -= matrix[a, c] * out[c]
-        out[a] = total / matrix[a, a]
-    for a in range(n - 1, -1, -1):
-        total = out[a]
-        for c in range(a + 1, n):
-            total -= matrix[c, a] * out[c]
-        out[a] = total / matrix[a, a]
-    for a in range(n):
-        out[a] *= scale[a]
-    return True
-
-
-@njit(cache=True, nogil=True)
-def _invert(matrix, out):  # type: ignore[no-untyped-def]
-    work, unit, column = np.empty((6, 6)), np.empty(6), np.empty(6)
-    for a in range(6):
-        work[:] = matrix
-        unit[:] = 0.0
-        unit[a] = 1.0
-        if not _solve(work, unit, column):
-            return False
-        for b in range(6):
-            out[b, a] = column[b]
-    return True
 
 
 @njit(cache=True, nogil=True)

@@ -18,8 +18,10 @@ from rendezview.reflectors.acquisition import AcquisitionOptions
 from rendezview.reflectors.closed_form import Calibration, base_and_post, calibrate, closed_form
 from rendezview.reflectors.difference import LitDark, ThresholdOptions, registered
 from rendezview.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
-from rendezview.reflectors.sensor import Reading, ReflectorSensor, TrackingOptions
+from rendezview.reflectors.reading import Reading
+from rendezview.reflectors.sensor import ReflectorSensor
 from rendezview.reflectors.status import Status
+from rendezview.reflectors.track import TrackingOptions
 from rendezview.sequences import Frame, Sequence
 
 

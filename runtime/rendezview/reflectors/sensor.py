@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -15,15 +14,18 @@ from rendezview.reflectors.acquisition import (
     Acquirer,
     Acquisition,
     AcquisitionOptions,
-    _expect,
     merged,
 )
 from rendezview.reflectors.difference import LitDark, ThresholdOptions
-from rendezview.reflectors.pattern import Face, ReflectorPattern, SixNumbers
-from rendezview.reflectors.rates import RateEstimator, Rates
-from rendezview.reflectors.refinement import Refined, adjust, camera_numbers, solve_spots
+from rendezview.reflectors.discs import camera_numbers
+from rendezview.reflectors.matching import expect_spots
+from rendezview.reflectors.pattern import Face, ReflectorPattern
+from rendezview.reflectors.rates import RateEstimator
+from rendezview.reflectors.reading import Reading
+from rendezview.reflectors.refinement import Refined, adjust, solve_spots
 from rendezview.reflectors.spots import COLUMNS, SIGMA, Spots, find_spots
 from rendezview.reflectors.status import Status
+from rendezview.reflectors.track import Track, TrackingOptions
 from rendezview.reflectors.windows import (
     SEEN,
     carry,
@@ -31,66 +33,6 @@ from rendezview.reflectors.windows import (
     read_windows,
     window_noise,
 )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackingOptions:
-    """Windows, and when to give up."""
-
-    window_sizes: float = 4.0  # half width over a spot's σ …
-    window_px: float = 6.0  # … and what the motion may add to it
-    coasting_px: float = 4.0  # … and each reading without that spot
-    window_share: float = 0.45  # of the distance to the next reflector, at most
-    size_limit: float = 0.25  # ln of size over expected size
-    least_shape: float = 0.45
-    apart_sizes: float = 6.0  # reflectors nearer than so many σ run together: not looked for
-    coast: int = 5  # readings without a pose before the whole picture is searched again
-    memory: int = 50  # … and before the last range says nothing
-    confirm: bool = True  # a first find counts when the next reading agrees
-    gate_sigma: float = 6.0  # of a redundant fit: a spot further off is no reflector
-    floor_px: float = 0.01  # error of a centroid beside the noise: pixels, lens, reflector edge
-    rate_readings: int = 8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reading:
-    """What the sensor says of one pair of pictures; no pose without ``Status.OK``."""
-
-    status: Status
-    reason: str | None
-    pose: Pose | None = None  # camera_from_target
-    covariance: Array | None = None  # (6, 6)
-    six: SixNumbers | None = None
-    rates: Rates | None = None
-    spots: Spots = field(default_factory=lambda: Spots(np.empty((0, COLUMNS))))
-    reflectors: tuple[str | None, ...] = ()  # name of the reflector of each spot
-    group: str | None = None  # whose face the six numbers are of
-    roll_ambiguous: bool = False  # turned by a symmetry of the reflectors it would look the same
-    tracked: bool = False  # by windows, not by a search of the whole picture
-    stage_ms: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def triplet(self) -> list[int] | None:
-        """Numbers of the spots that are reflectors, in the order of the reflectors."""
-        named = [k for k, name in enumerate(self.reflectors) if name is not None]
-        return named or None
-
-
-@dataclass(slots=True, eq=False)
-class _Track:
-    """What is remembered between readings."""
-
-    time_s: float
-    pose: Pose
-    places: Array  # (N, 2) of the last reading, NaN where not seen
-    before: Array  # (N, 2) of the reading before that
-    before_s: float
-    brightness: Array  # (N,) of each reflector when it was last seen, grey
-    noise: float
-    roll_ambiguous: bool
-    covariance: Array
-    misses: int = 0
-    unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 class ReflectorSensor:
@@ -124,7 +66,7 @@ class ReflectorSensor:
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
         self._rates = RateEstimator(self.tracking.rate_readings)
         self._lens = camera_numbers(camera, self.acquirer.options.blur_px)
-        self._track: _Track | None = None
+        self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf
         n = len(self.constellation)
@@ -146,7 +88,7 @@ class ReflectorSensor:
         """Begin to track from a pose known otherwise (another camera or sensor)."""
         n = len(self.constellation)
         nowhere = np.full((n, 2), np.nan)
-        self._track = _Track(
+        self._track = Track(
             time_s, pose, nowhere, nowhere.copy(), time_s, np.full(n, np.nan), 2.0,
             not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
         )  # fmt: skip
@@ -281,7 +223,7 @@ class ReflectorSensor:
         return self._reading(time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True)
 
     def _windows(
-        self, time_s: float, track: _Track, push: Array | None
+        self, time_s: float, track: Track, push: Array | None
     ) -> tuple[Array, Array, Array]:
         """Where spots are expected (N, 3), half widths (N,) and thresholds (N,)."""
         options, expected = self.tracking, self._expected
@@ -304,12 +246,12 @@ class ReflectorSensor:
     def _show(self, pose: Pose, out: Array) -> None:
         """(N, 3) place and size of every reflector at a pose; NaN where it cannot be seen."""
         pattern = self.constellation
-        _expect(
+        expect_spots(
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
             pose.rotation, pose.translation_m, self.camera.fx, self.acquirer.options.blur_px, out,
         )  # fmt: skip
 
-    def _solve(self, track: _Track, seen: npt.NDArray[np.int64]) -> Refined | None:
+    def _solve(self, track: Track, seen: npt.NDArray[np.int64]) -> Refined | None:
         """Least squares from the last pose."""
         rotation, translation = np.array(track.pose.rotation), np.empty(3)
         covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
@@ -323,7 +265,7 @@ class ReflectorSensor:
         return Refined(Pose(rotation, translation), covariance, residuals, iterations, True)
 
     def _without_strangers(
-        self, track: _Track, refined: Refined, seen: npt.NDArray[np.int64]
+        self, track: Track, refined: Refined, seen: npt.NDArray[np.int64]
     ) -> tuple[Refined | None, npt.NDArray[np.int64]]:
         """Drop the spot that fits worst for as long as one is out of the gate."""
         current: Refined | None = refined
@@ -349,7 +291,7 @@ class ReflectorSensor:
     def _miss(
         self,
         time_s: float,
-        track: _Track,
+        track: Track,
         seen: npt.NDArray[np.int64],
         spots: Spots,
         names: tuple[str, ...],
@@ -388,7 +330,7 @@ class ReflectorSensor:
             if np.isfinite(place[0])
         ]
 
-    def _nudge(self, track: _Track, seen: npt.NDArray[np.int64]) -> None:
+    def _nudge(self, track: Track, seen: npt.NDArray[np.int64]) -> None:
         """Move the remembered pose by the least that brings it under the spots that are seen."""
         if not track.covariance.any():
             return
@@ -424,7 +366,7 @@ class ReflectorSensor:
             before, before_s = self._nowhere, time_s
             self._rates.clear()
         carry(table, self._dim if last is None else last.brightness, since, bright, unseen)
-        self._track = _Track(
+        self._track = Track(
             time_s, refined.camera_from_target, table[:, :2], before, before_s, bright, noise,
             ambiguous, refined.covariance, unseen=unseen,
         )  # fmt: skip
@@ -453,6 +395,3 @@ class ReflectorSensor:
             Status.OK, None, pose, refined.covariance, six, rates, spots, names, whole.name,
             ambiguous, tracked, stage_ms,
         )  # fmt: skip
-
-
-_NO_PRIOR = np.zeros((6, 6))

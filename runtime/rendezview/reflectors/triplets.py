@@ -145,7 +145,7 @@ def expected_size(blur_px, radius_px):  # type: ignore[no-untyped-def]
     return math.sqrt(blur_px * blur_px + k * k * square)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def search(  # type: ignore[no-untyped-def]
     directions, flat, sizes, peaks, order, glass, base_m, diameter_m, focal_px, blur_px,
     limits, both_ways, out,
@@ -167,100 +167,125 @@ def search(  # type: ignore[no-untyped-def]
     count = directions.shape[0]
     shortest, longest, size_tolerance, peak_tolerance, foreshortened, longest_side = limits
     reach = math.hypot(abs(glass[0]) + glass[3], abs(glass[1]) + glass[2] * glass[3] + glass[4])
-    # Of each spot the bases it may belong to, as angles in pixels, from its size.
+    reach = 1.1 * min(reach, math.sqrt(longest_side))
+    # Of each spot the bases it may belong to, as chords, from its size. All by rising x.
     low, high = np.empty(count), np.empty(count)
-    log_size, log_peak = np.log(sizes), np.log(peaks)
-    alike = _ALIKE  # sizes may differ so, by depth and tilt
-    for i in range(count):
-        low[i], high[i] = _bases(
-            sizes[i], base_m, diameter_m, blur_px, size_tolerance, foreshortened
-        )
-    found = 0
+    log_size, log_peak = np.empty(count), np.empty(count)
+    at, ray = np.empty((count, 2)), np.empty((count, 3))
+    shortest, longest = shortest / focal_px, longest / focal_px
+    widest = 0.0
     for p in range(count):
-        i = order[p]
-        for q in range(p + 1, count):
-            j = order[q]
-            bx, by = flat[j, 0] - flat[i, 0], flat[j, 1] - flat[i, 1]
-            base = math.sqrt(bx * bx + by * by)
-            # Off the boresight the flat picture is stretched: a rough bound first.
-            if base > 1.6 * min(high[i], high[j]):
-                if bx > 1.6 * high[i]:
-                    break
-                continue
-            if base < low[i] or base < low[j] or base < shortest or base > 1.6 * longest:
-                continue
-            if abs(log_peak[i] - log_peak[j]) > peak_tolerance:
-                continue
-            if abs(log_size[i] - log_size[j]) > alike:
-                continue
-            dx = directions[j, 0] - directions[i, 0]
-            dy = directions[j, 1] - directions[i, 1]
-            dz = directions[j, 2] - directions[i, 2]
-            chord = math.sqrt(dx * dx + dy * dy + dz * dz)
-            true_px = chord * focal_px
-            if (
-                true_px > min(high[i], high[j], longest)
-                or true_px < max(low[i], low[j])
-                or chord == 0.0
+        s = order[p]
+        a, b = _bases(sizes[s], base_m, diameter_m, blur_px, size_tolerance, foreshortened)
+        low[p], high[p] = a / focal_px, b / focal_px
+        log_size[p], log_peak[p] = math.log(sizes[s]), math.log(peaks[s])
+        at[p, 0], at[p, 1] = flat[s, 0], flat[s, 1]
+        for axis in range(3):
+            ray[p, axis] = directions[s, axis]
+        # Off the boresight the flat picture is stretched by as much as 1 / cos².
+        widest = max(widest, 1.0 / (ray[p, 2] * ray[p, 2]))
+    firsts, members, left, top, columns, rows = _grid(at, reach * shortest * focal_px)
+    found = 0
+    for i in range(count):
+        least, most = max(low[i], shortest), min(high[i], longest)
+        break_px = widest * most * focal_px
+        for j in range(i + 1, count):
+            bx = at[j, 0] - at[i, 0]
+            if bx > break_px:
+                break
+            dx, dy, dz = ray[j, 0] - ray[i, 0], ray[j, 1] - ray[i, 1], ray[j, 2] - ray[i, 2]
+            square = dx * dx + dy * dy + dz * dz
+            lower, upper = max(least, low[j]), min(most, high[j])
+            # One branch: no processor can guess how each of these turns out.
+            if not (
+                (square <= upper * upper)
+                & (square >= lower * lower)
+                & (abs(log_size[i] - log_size[j]) <= _ALIKE)  # by depth and tilt
+                & (abs(log_peak[i] - log_peak[j]) <= peak_tolerance)
+                & (square > 0.0)
             ):
                 continue
-            mx = 0.5 * (directions[i, 0] + directions[j, 0])
-            my = 0.5 * (directions[i, 1] + directions[j, 1])
-            mz = 0.5 * (directions[i, 2] + directions[j, 2])
-            m = math.sqrt(mx * mx + my * my + mz * mz)
-            dx, dy, dz = dx / chord, dy / chord, dz / chord
-            # across = m × base: a quarter turn clockwise on the screen
-            cx = (my * dz - mz * dy) / m
-            cy = (mz * dx - mx * dz) / m
-            cz = (mx * dy - my * dx) / m
-            middle_x, radius = 0.5 * (flat[i, 0] + flat[j, 0]), 1.1 * reach * base
-            middle_y = 0.5 * (flat[i, 1] + flat[j, 1])
-            # First spot with x ≥ middle_x − radius.
-            a, b = 0, count
-            while a < b:
-                half = (a + b) // 2
-                if flat[order[half], 0] < middle_x - radius:
-                    a = half + 1
-                else:
-                    b = half
-            for r in range(a, count):
-                k = order[r]
-                if flat[k, 0] > middle_x + radius:
-                    break
-                if k in (i, j) or abs(flat[k, 1] - middle_y) > radius:
-                    continue
-                if abs(log_peak[k] - 0.5 * (log_peak[i] + log_peak[j])) > 0.5 * peak_tolerance:
-                    continue
-                if abs(log_size[k] - 0.5 * (log_size[i] + log_size[j])) > alike:
-                    continue
-                if true_px < 0.9 * low[k] or true_px > 1.1 * high[k]:
-                    continue
-                ex = directions[k, 0] - mx
-                ey = directions[k, 1] - my
-                ez = directions[k, 2] - mz
-                x = (ex * dx + ey * dy + ez * dz) / chord
-                y = (ex * cx + ey * cy + ez * cz) / chord
-                # The base is the single longest side.
-                square = (abs(x) + 0.5) ** 2 + y * y
-                if square > longest_side:
-                    continue
-                if _within(glass, x, y):
-                    if found == out.shape[0]:
+            chord = math.sqrt(square)
+            mx, my, mz = (
+                0.5 * (ray[i, 0] + ray[j, 0]),
+                0.5 * (ray[i, 1] + ray[j, 1]),
+                0.5 * (ray[i, 2] + ray[j, 2]),
+            )
+            m = chord * math.sqrt(mx * mx + my * my + mz * mz)
+            # across = m × base: a quarter turn clockwise on the screen; both over the chord²
+            cx, cy, cz = (my * dz - mz * dy) / m, (mz * dx - mx * dz) / m, (mx * dy - my * dx) / m
+            cx, cy, cz = cx / chord, cy / chord, cz / chord
+            dx, dy, dz = dx / square, dy / square, dz / square
+            size, peak = 0.5 * (log_size[i] + log_size[j]), 0.5 * (log_peak[i] + log_peak[j])
+            by = at[j, 1] - at[i, 1]
+            radius = reach * math.sqrt(bx * bx + by * by)
+            middle_x, middle_y = 0.5 * (at[i, 0] + at[j, 0]), 0.5 * (at[i, 1] + at[j, 1])
+            c0 = max(int((middle_x - radius - left) * columns[1]), 0)
+            c1 = min(int((middle_x + radius - left) * columns[1]), int(columns[0]) - 1)
+            r0 = max(int((middle_y - radius - top) * rows[1]), 0)
+            r1 = min(int((middle_y + radius - top) * rows[1]), int(rows[0]) - 1)
+            for r in range(r0, r1 + 1):
+                # Cells of a row lie behind one another.
+                line = r * int(columns[0])
+                for n in range(firsts[line + c0], firsts[line + c1 + 1]):
+                    k = members[n]
+                    ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
+                    x = ex * dx + ey * dy + ez * dz
+                    y = ex * cx + ey * cy + ez * cz
+                    inside, turned = _within(glass, x, y), _within(glass, -x, -y) & both_ways
+                    if not (
+                        (inside | turned)
+                        & ((abs(x) + 0.5) ** 2 + y * y <= longest_side)  # the base is the longest
+                        & (abs(log_peak[k] - peak) <= 0.5 * peak_tolerance)
+                        & (abs(log_size[k] - size) <= _ALIKE)
+                        & (chord >= 0.9 * low[k])
+                        & (chord <= 1.1 * high[k])
+                        & (k != i)
+                        & (k != j)
+                    ):
+                        continue
+                    if found + inside + turned > out.shape[0]:
                         return -1
-                    out[found, 0], out[found, 1], out[found, 2] = i, k, j
-                    found += 1
-                if both_ways and _within(glass, -x, -y):
-                    if found == out.shape[0]:
-                        return -1
-                    out[found, 0], out[found, 1], out[found, 2] = j, k, i
-                    found += 1
+                    if inside:
+                        out[found, 0], out[found, 1], out[found, 2] = order[i], order[k], order[j]
+                        found += 1
+                    if turned:
+                        out[found, 0], out[found, 1], out[found, 2] = order[j], order[k], order[i]
+                        found += 1
     return found
+
+
+@njit(cache=True, nogil=True)
+def _grid(at, least):  # type: ignore[no-untyped-def]
+    """Spots (N, 2) sorted into square cells, row by row: where each cell begins, and its spots.
+
+    Then left and top edge, and (number, cells a pixel) of columns and of rows.
+    """
+    count = at.shape[0]
+    left, right, top, bottom = at[0, 0], at[count - 1, 0], at[0, 1], at[0, 1]
+    for i in range(count):
+        top, bottom = min(top, at[i, 1]), max(bottom, at[i, 1])
+    # About one spot a cell, and none narrower than the smallest circle looked into.
+    cell = max(math.sqrt((right - left + 1.0) * (bottom - top + 1.0) / count), 0.5 * least, 1.0)
+    cell = max(cell, (right - left) / 64.0, (bottom - top) / 64.0)
+    wide, high = int((right - left) / cell) + 1, int((bottom - top) / cell) + 1
+    firsts, members = np.zeros(wide * high + 2, np.int64), np.empty(count, np.int64)
+    for i in range(count):
+        c, r = int((at[i, 0] - left) / cell), int((at[i, 1] - top) / cell)
+        firsts[r * wide + c + 2] += 1
+    for n in range(2, wide * high + 2):
+        firsts[n] += firsts[n - 1]
+    for i in range(count):
+        c, r = int((at[i, 0] - left) / cell), int((at[i, 1] - top) / cell)
+        members[firsts[r * wide + c + 1]] = i
+        firsts[r * wide + c + 1] += 1
+    return firsts, members, left, top, (float(wide), 1.0 / cell), (float(high), 1.0 / cell)
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _within(glass, x, y):  # type: ignore[no-untyped-def]
     dx = abs(x - glass[0])
-    return dx <= glass[3] and abs(y - glass[1]) <= glass[2] * dx + glass[4]
+    return (dx <= glass[3]) & (abs(y - glass[1]) <= glass[2] * dx + glass[4])
 
 
 @njit(cache=True, nogil=True)
