@@ -8,8 +8,6 @@ The ellipse is in pixels without lens distortion; every place read goes through 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -25,6 +23,8 @@ ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
 COLUMNS = 11
 _ALIGNED = 0.9  # cosine between gradient and normal
 _NO = 1e9
+_TABLE = 200  # entries a unit of the normal distribution's table
+_PHI = ndtr(np.linspace(-6.0, 6.0, 12 * _TABLE + 1))
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
@@ -196,8 +196,14 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
 
 @njit(cache=True, nogil=True, fastmath=True)
 def normal_cdf(z):  # type: ignore[no-untyped-def]
-    """The normal distribution function."""
-    return 0.5 * math.erfc(-0.7071067811865476 * z)
+    """The normal distribution function, from its table (to 1e-6)."""
+    place = (z + 6.0) * _TABLE
+    if place <= 0.0:
+        return 0.0
+    if place >= 12.0 * _TABLE:
+        return 1.0
+    i = int(place)
+    return _PHI[i] + (place - i) * (_PHI[i + 1] - _PHI[i])
 
 
 @njit(cache=True, nogil=True)
