@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -58,6 +59,11 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     return call
 
 
+def _heed_ctrl_c() -> None:
+    """A shell's background jobs ignore Ctrl-C, and so would what they start."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Spawned:
     """A command in a process of its own, to be interrupted."""
 
@@ -67,7 +73,7 @@ class Spawned:
             [*PROGRAM, *map(str, arguments)],
             text=True,
             env=os.environ | {"OMP_NUM_THREADS": "1"},
-            **pipes | options,
+            **pipes | {"preexec_fn": _heed_ctrl_c} | options,
         )
 
     def wait_for(self, happened: Callable[[], bool], seconds: float = 60.0) -> Spawned:
