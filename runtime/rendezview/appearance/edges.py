@@ -53,6 +53,7 @@ _INNER_FIT = 1.0
 _UNFITTED_WEIGHT = 0.1  # of an edge that its strip does not fit
 _TABLE = 200  # entries a unit of the normal distribution's table
 _PHI = ndtr(np.linspace(-5.0, 5.0, 10 * _TABLE + 1))
+_DENSITY = np.exp(-0.5 * np.linspace(-5.0, 5.0, 10 * _TABLE + 1) ** 2) / np.sqrt(2.0 * np.pi)
 
 
 class ViewTables(NamedTuple):
@@ -139,14 +140,19 @@ def strip_place(  # type: ignore[no-untyped-def]
             shape, slope = 0.0, 0.0
             for k in range(steps):
                 z = (d - depths[k]) * inverse
-                if z > 4.0:
+                if z > 3.5:
                     shape += levels[k]
-                elif z > -4.0:
-                    shape += levels[k] * _phi(z)
-                    slope += levels[k] * 0.39894228 * np.exp(-0.5 * z * z)
-            inside = d * _phi(d * inverse)
-            j0, j1, j2 = gain * slope * inverse + tilt * _phi(d * inverse), shape, inside
-            r = profile[i] - base - gain * shape - tilt * inside
+                elif z > -3.5:
+                    at = (z + 5.0) * _TABLE
+                    cell = int(at)
+                    part = at - cell
+                    shape += levels[k] * (_PHI[cell] + part * (_PHI[cell + 1] - _PHI[cell]))
+                    slope += levels[k] * (
+                        _DENSITY[cell] + part * (_DENSITY[cell + 1] - _DENSITY[cell])
+                    )
+            share = _phi(d * inverse)
+            j0, j1, j2 = gain * slope * inverse + tilt * share, shape, d * share
+            r = profile[i] - base - gain * shape - tilt * j2
             cost += r * r
             scratch[0, 0] += j0 * j0
             scratch[0, 1] += j0 * j1
@@ -192,7 +198,7 @@ def strip_place(  # type: ignore[no-untyped-def]
         base += scratch[3, 4] / scratch[3, 3]
         if gain <= 0.05:
             return False
-        if step > 0 and abs(move) < 0.01:
+        if step > 0 and abs(move) < 0.02:
             break
     if abs(place - start) > 1.5 or variance > 1e3:
         return False
@@ -212,7 +218,7 @@ def _strip(kind, strip, shade, inner_px, scale, depths, levels):  # type: ignore
         before = shade[strip[0]]
     for cell in range(0 if kind == OUTLINE else 1, CELLS):
         level = shade[strip[cell]]
-        if abs(level - before) > 0.5 or (kind == OUTLINE and cell == 0):
+        if abs(level - before) > 1.5 or (kind == OUTLINE and cell == 0):
             depth = OUTLINE_CELLS[cell] if kind == OUTLINE else INNER_CELLS[cell - 1]
             depth *= scale
             if strip[cell] == 0 and cell > 0 and inner_px < depth + 2.0:
