@@ -113,23 +113,21 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
     shade = np.zeros(views.palette.shape[0])
     radius_m = views.radius_m
     explained = 0.0
-    lit = False
     shell, view, count = 0, 0, 0
     for stage in stages:
-        last = stage[FIT] > 0.0
-        if last and not lit:
+        fit = stage[FIT] > 0.0
+        if fit:
             explained = light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
                 views.palette, rotation, centre, lens[0][0] * radius_m / centre[2], frame,
                 shade,
             )  # fmt: skip
-            lit = True
         for _ in range(int(stage[STEPS])):
             shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
             count = measure_edges(
                 image, lens, frame, views, shell, view, rotation, centre, shade,
                 int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
-                int(stage[LINES]), int(stage[STRIDE]), last, edges,
+                int(stage[LINES]), int(stage[STRIDE]), fit, edges,
             )  # fmt: skip
             used, weights = normal_equations(
                 edges, count, _CUT_SPREADS * stage[SPREAD], matrix, right

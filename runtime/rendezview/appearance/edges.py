@@ -3,9 +3,9 @@
 For every contour point the picture is read along the image normal, as the mean of a few
 parallel lines. Candidate edges are the extremes of the smoothed slope that stand out of the
 noise; the strong one nearest to the prediction is taken. Against a dark sky the outside must
-be sky, and the edge is placed by fitting the blurred step that a lit body with shaded rim, or
-a body as thin as the model says, would show: the steepest slope alone lies up to half a pixel
-inside a darkening rim and outside a thin boom.
+be sky. In the last stage the edge is placed where the strip of surfaces that the model has
+there, as bright as the light makes them, fits the profile: the steepest slope alone lies up to
+half a pixel inside a darkening rim and outside a thin boom.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from scipy.special import ndtr
 
 from rendezview.appearance.contours import (
     CELLS,
@@ -26,6 +25,8 @@ from rendezview.appearance.contours import (
     POINT_UNIT,
     RUN_UNIT,
 )
+from rendezview.lens import distorted
+from rendezview.normal_table import DENSITY, PER_UNIT, PHI, REACH, normal_cdf
 from rendezview.pose import Array
 
 LONGEST_PX = 40  # of the search to either side
@@ -49,11 +50,7 @@ _GAIN_SPREAD = 0.3  # of the brightness that is expected
 _TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
 _MODEL_GREY = 3.0  # what the strip leaves unexplained anyway
 _SURE_PX2 = 0.08**2  # an edge this sure weighs half
-_INNER_FIT = 1.0
 _UNFITTED_WEIGHT = 0.1  # of an edge that its strip does not fit
-_TABLE = 200  # entries a unit of the normal distribution's table
-_PHI = ndtr(np.linspace(-5.0, 5.0, 10 * _TABLE + 1))
-_DENSITY = np.exp(-0.5 * np.linspace(-5.0, 5.0, 10 * _TABLE + 1) ** 2) / np.sqrt(2.0 * np.pi)
 
 
 class ViewTables(NamedTuple):
@@ -69,31 +66,6 @@ class ViewTables(NamedTuple):
     palette: npt.NDArray[np.float32]
     radius_m: float
     blur_px: float
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _phi(z):  # type: ignore[no-untyped-def]
-    """The normal distribution function, from its table."""
-    place = (z + 5.0) * _TABLE
-    if place <= 0.0:
-        return 0.0
-    if place >= 10.0 * _TABLE:
-        return 1.0
-    i = int(place)
-    return _PHI[i] + (place - i) * (_PHI[i + 1] - _PHI[i])
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def distorted(x, y, k):  # type: ignore[no-untyped-def]
-    """OpenCV's distortion k1 k2 p1 p2 k3 k4 k5 k6 of normalised coordinates."""
-    r2 = x * x + y * y
-    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (
-        1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    )
-    return (
-        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
-        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
-    )
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -143,14 +115,14 @@ def strip_place(  # type: ignore[no-untyped-def]
                 if z > 3.5:
                     shape += levels[k]
                 elif z > -3.5:
-                    at = (z + 5.0) * _TABLE
+                    at = (z + REACH) * PER_UNIT
                     cell = int(at)
                     part = at - cell
-                    shape += levels[k] * (_PHI[cell] + part * (_PHI[cell + 1] - _PHI[cell]))
+                    shape += levels[k] * (PHI[cell] + part * (PHI[cell + 1] - PHI[cell]))
                     slope += levels[k] * (
-                        _DENSITY[cell] + part * (_DENSITY[cell + 1] - _DENSITY[cell])
+                        DENSITY[cell] + part * (DENSITY[cell + 1] - DENSITY[cell])
                     )
-            share = _phi(d * inverse)
+            share = normal_cdf(d * inverse)
             j0, j1, j2 = gain * slope * inverse + tilt * share, shape, d * share
             r = profile[i] - base - gain * shape - tilt * j2
             cost += r * r
@@ -260,7 +232,6 @@ def measure_edges(  # type: ignore[no-untyped-def]
     kind, run, strip = views.kind[shell, view], views.run[shell, view], views.strip[shell, view]
     radius_m, blur_px = views.radius_m, views.blur_px
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    k = camera[4:]
     unit_m = radius_m * POINT_UNIT
     profile = np.empty(2 * LONGEST_PX + 32)
     # Bilinear reading takes a quarter off the noise.
@@ -298,9 +269,9 @@ def measure_edges(  # type: ignore[no-untyped-def]
         m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         if bent:
             h = 1e-5
-            u, v = distorted(x, y, k)
-            u1, v1 = distorted(x + h, y, k)
-            u2, v2 = distorted(x, y + h, k)
+            u, v = distorted(x, y, camera)
+            u1, v1 = distorted(x + h, y, camera)
+            u2, v2 = distorted(x, y + h, camera)
             m00, m10, m01, m11 = (u1 - u) / h, (v1 - v) / h, (u2 - u) / h, (v2 - v) / h
         u, v = fx * u + cx, fy * v + cy
         row[U], row[V] = u, v
@@ -388,8 +359,6 @@ def measure_edges(  # type: ignore[no-untyped-def]
         if placed:
             at = fitted[0]
             row[WEIGHT] = _SURE_PX2 / (_SURE_PX2 + fitted[1])
-            if kind[j] != OUTLINE:
-                row[WEIGHT] *= _INNER_FIT
         else:
             # A thin body's edges are displaced by what the blur makes of it.
             sure = steepness * steepness / (steepness * steepness + _EVEN_SLOPE * _EVEN_SLOPE)
@@ -407,37 +376,3 @@ def measure_edges(  # type: ignore[no-untyped-def]
     for j in range(total, out.shape[0]):
         out[j, WEIGHT], out[j, STATE] = 0.0, OUTSIDE
     return total
-
-
-@njit(cache=True, nogil=True)
-def grain(image: npt.NDArray[np.uint8]) -> float:
-    """Noise of a frame (one σ), from second differences along rows on a sparse grid.
-
-    The mean of all but the largest, so that edges and clouds do not count.
-    """
-    height, width = image.shape
-    step = max(1, height // 64)
-    counts = np.zeros(512, dtype=np.int64)
-    total = 0
-    for row in range(step // 2, height, step):
-        for column in range(1, width - 1, 7):
-            a = int(image[row, column - 1]) - 2 * int(image[row, column])
-            counts[min(511, abs(a + int(image[row, column + 1])))] += 1
-            total += 1
-    if total == 0:
-        return 1.0
-    seen, mean = 0, 0.0
-    for value in range(512):
-        take = min(counts[value], total // 2 - seen)
-        seen += take
-        mean += take * value
-        if seen >= total // 2:
-            break
-    # The mean of the smaller half of |N(0, 1)| is 0.3247; second differences have σ √6.
-    return float(mean / max(seen, 1) / (0.3247 * np.sqrt(6.0)))
-
-
-def camera_vector(camera: object) -> Array:
-    """(12,) fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 of a ``Camera``, for the compiled loops."""
-    distortion = (*camera.distortion, *([0.0] * 8))[:8]  # type: ignore[attr-defined]
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *distortion])  # type: ignore[attr-defined]

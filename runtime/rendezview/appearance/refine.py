@@ -29,12 +29,12 @@ from rendezview.appearance.edges import (
     STATE,
     WEIGHT,
     ViewTables,
-    camera_vector,
-    grain,
 )
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.sky import sky_level
 from rendezview.camera import Camera
+from rendezview.grey_frame import grain
+from rendezview.lens import lens_vector
 from rendezview.pose import Array, Pose
 
 Picture = npt.NDArray[np.uint8]
@@ -48,6 +48,7 @@ _FINE = np.array(
 _CUT_PX = 1.25  # of the last stage
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
 _DARK_SKY_GREY = 60.0  # above, the sky is no sky
+_GRAIN_ROWS = 64
 _SCATTER_GREY = 3.0  # of the border beyond the grain
 
 
@@ -75,7 +76,7 @@ class Sky:
     def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
         """Measured along the border and on a sparse grid."""
         level, spread = sky_level(image)
-        noise = max(0.7, min(spread, grain(image)))
+        noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
         border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
         bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
         dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
@@ -140,7 +141,7 @@ class Refiner:
             model.target_radius_m,
             self.options.blur_px,
         )
-        self._lens = (camera_vector(camera), camera.is_distorted)
+        self._lens = (lens_vector(camera), camera.is_distorted)
         self._edges = np.zeros((contours.kind.shape[2], COLUMNS))
 
     def refine(self, image: Picture, sky: Sky, start: Pose) -> Refined | None:
