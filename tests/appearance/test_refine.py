@@ -49,7 +49,7 @@ def placed(profile, start, depths, levels, sigma=0.85, held=True) -> float | Non
     result = np.zeros(2)
     found = strip_place(
         profile, len(profile), 10, start, np.asarray(depths, float), np.asarray(levels, float),
-        len(depths), 12.0, held, sigma, 1.0, np.empty((4, 6)), result,
+        len(depths), 12.0, held, sigma, 1.0, result,
     )  # fmt: skip
     return float(result[0]) if found else None
 

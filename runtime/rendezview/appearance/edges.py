@@ -70,8 +70,7 @@ class ViewTables(NamedTuple):
 
 @njit(cache=True, nogil=True, fastmath=True)
 def strip_place(  # type: ignore[no-untyped-def]
-    profile, count, zero, start, depths, levels, steps, background, held, sigma, noise, scratch,
-    result,
+    profile, count, zero, start, depths, levels, steps, background, held, sigma, noise, result,
 ):  # fmt: skip
     """Place an edge where the strip of surfaces that the model has there fits the profile.
 
@@ -87,7 +86,6 @@ def strip_place(  # type: ignore[no-untyped-def]
         depths, levels: (≥ steps,) d_k, pixels, and b_k − b_{k−1}, grey levels.
         sigma: of the blur, pixels.
         noise: of a grey level of the profile, one σ.
-        scratch: (4, 6).
         result: (2,) gets the place, pixels outwards, and its variance.
 
     Returns:
@@ -105,8 +103,9 @@ def strip_place(  # type: ignore[no-untyped-def]
         seen = last - first + 1
         if seen < 5:
             return False
-        scratch[:] = 0.0
-        cost = 0.0
+        # Upper triangle of the normal equations and their right side: place, gain, tilt, background.
+        a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = 0.0
+        r0 = r1 = r2 = r3 = cost = 0.0
         for i in range(first, last + 1):
             d = place - (i - zero)
             shape, slope = 0.0, 0.0
@@ -126,48 +125,63 @@ def strip_place(  # type: ignore[no-untyped-def]
             j0, j1, j2 = gain * slope * inverse + tilt * share, shape, d * share
             r = profile[i] - base - gain * shape - tilt * j2
             cost += r * r
-            scratch[0, 0] += j0 * j0
-            scratch[0, 1] += j0 * j1
-            scratch[0, 2] += j0 * j2
-            scratch[0, 3] += j0
-            scratch[1, 1] += j1 * j1
-            scratch[1, 2] += j1 * j2
-            scratch[1, 3] += j1
-            scratch[2, 2] += j2 * j2
-            scratch[2, 3] += j2
-            scratch[3, 3] += 1.0
-            scratch[0, 4] += j0 * r
-            scratch[1, 4] += j1 * r
-            scratch[2, 4] += j2 * r
-            scratch[3, 4] += r
-        for a in range(4):
-            for b in range(a):
-                scratch[a, b] = scratch[b, a]
+            a00 += j0 * j0
+            a01 += j0 * j1
+            a02 += j0 * j2
+            a03 += j0
+            a11 += j1 * j1
+            a12 += j1 * j2
+            a13 += j1
+            a22 += j2 * j2
+            a23 += j2
+            r0 += j0 * r
+            r1 += j1 * r
+            r2 += j2 * r
+            r3 += r
+        a33 = float(seen)
         # What is known beforehand, as one more reading each, as sure as a few grey levels.
         sure = _MODEL_GREY * _MODEL_GREY + noise * noise
-        scratch[1, 1] += sure / (_GAIN_SPREAD * _GAIN_SPREAD)
-        scratch[1, 4] += sure / (_GAIN_SPREAD * _GAIN_SPREAD) * (1.0 - gain)
+        known = sure / (_GAIN_SPREAD * _GAIN_SPREAD)
+        a11 += known
+        r1 += known * (1.0 - gain)
         spread = _TILT_SPREAD * height + 1e-3
-        scratch[2, 2] += sure / (spread * spread)
-        scratch[2, 4] -= sure / (spread * spread) * tilt
+        known = sure / (spread * spread)
+        a22 += known
+        r2 -= known * tilt
         if held:
-            scratch[3, 3] += 1e9
-        if step == 0:  # the others first
-            scratch[0, 0] += 1e9
-        scratch[0, 0] += 1e-6
-        scratch[0, 5] = 1.0
-        for k in range(4):  # Gauss elimination; the matrix is positive definite
-            for a in range(4):
-                if a != k:
-                    f = scratch[a, k] / scratch[k, k]
-                    for b in range(k, 6):
-                        scratch[a, b] -= f * scratch[k, b]
-        move = scratch[0, 4] / scratch[0, 0]
-        variance = scratch[0, 5] / scratch[0, 0]
+            a33 += 1e9
+        a00 += 1e9 if step == 0 else 1e-6  # the others first
+        # Background, tilt and gain are eliminated; what is left is the place's own equation.
+        f = a23 / a33
+        a22 -= f * a23
+        a12 -= f * a13
+        a02 -= f * a03
+        r2 -= f * r3
+        f = a13 / a33
+        a11 -= f * a13
+        a01 -= f * a03
+        r1 -= f * r3
+        f = a03 / a33
+        a00 -= f * a03
+        r0 -= f * r3
+        f = a12 / a22
+        a11 -= f * a12
+        a01 -= f * a02
+        r1 -= f * r2
+        f = a02 / a22
+        a00 -= f * a02
+        r0 -= f * r2
+        f = a01 / a11
+        a00 -= f * a01
+        r0 -= f * r1
+        move = r0 / a00
+        variance = 1.0 / a00
+        more = (r1 - a01 * move) / a11
+        bend = (r2 - a02 * move - a12 * more) / a22
         place += min(max(move, -0.6), 0.6)
-        gain += scratch[1, 4] / scratch[1, 1]
-        tilt += scratch[2, 4] / scratch[2, 2]
-        base += scratch[3, 4] / scratch[3, 3]
+        gain += more
+        tilt += bend
+        base += (r3 - a03 * move - a13 * more - a23 * bend) / a33
         if gain <= 0.05:
             return False
         if step > 0 and abs(move) < 0.02:
@@ -240,7 +254,6 @@ def measure_edges(  # type: ignore[no-untyped-def]
     least_outline = max(_SIGMAS * noise * 0.75 * np.sqrt(2.0 / (smooth_px * lines)), _DIM_SLOPE)
     margin = smooth_px + 2
     depths, levels, fitted = np.empty(CELLS), np.empty(CELLS), np.empty(2)
-    scratch = np.empty((4, 6))
     grainy = 0.75 * noise / np.sqrt(lines)
     side = 2.0
     total = 0
@@ -354,7 +367,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 background = sky if held else profile[count - 1 - margin]
                 placed = strip_place(
                     profile, count, back, at, depths, levels, steps, background, held, blur_px,
-                    grainy, scratch, fitted,
+                    grainy, fitted,
                 )  # fmt: skip
         if placed:
             at = fitted[0]
