@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rendezview.appearance.contours import NO_POINT
 from rendezview.appearance.hypotheses import Hypotheses
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.refine import Picture, Refined, RefineOptions, Refiner, Sky
@@ -102,10 +103,12 @@ class PoseFinder:
     refine_options: RefineOptions = field(default_factory=RefineOptions)
     refiner: Refiner = field(init=False)
     hypotheses: Hypotheses = field(init=False)
+    _flips: Array = field(init=False)  # (3, 3, 3)
 
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.hypotheses = Hypotheses(self.model)
+        self._flips = half_turns(self.model)
 
     def anywhere(
         self,
@@ -122,6 +125,7 @@ class PoseFinder:
         rotations, centres = (np.concatenate(part) for part in zip(*found, strict=True))
         refined = self.refiner.best(image, sky, rotations, centres, self.options.refined)
         refined = self._around(image, sky, refined)
+        refined = self._flipped(image, sky, refined)
         return self._chosen(refined, sky, bodies[0] if len(bodies) == 1 else None)
 
     def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
@@ -170,6 +174,16 @@ class PoseFinder:
         others = self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
         return sorted([*refined, *others], key=lambda r: -r.support)
 
+    def _flipped(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
+        """The best pose's half turns too: many craft look nearly the same from behind or below."""
+        if not refined:
+            return refined
+        pose = refined[0].pose
+        rotations = pose.rotation @ self._flips
+        centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
+        others = self.refiner.best(image, sky, rotations, centres, 2)
+        return sorted([*refined, *others], key=lambda r: -r.support)
+
     def _chosen(
         self, refined: list[Refined], sky: Sky, outlines: Outlines | None, prior: bool = False
     ) -> Found | None:
@@ -193,6 +207,16 @@ class PoseFinder:
             return Found(best, excess[k], 1.0, sky.dark, prior)
         j = max(others, key=lambda i: merits[i])
         return Found(best, excess[k], merits[k] - merits[j], sky.dark, prior, refined[j])
+
+
+def half_turns(model: ViewModel) -> Array:
+    """(3, 3, 3) half turns about the principal axes of the model's contour points."""
+    contours = model.contours
+    if contours is None:
+        raise ValueError("the model has no contour points")
+    points = contours.point[contours.kind != NO_POINT].astype(np.float64)
+    _, axes = np.linalg.eigh(points.T @ points)
+    return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in axes.T])
 
 
 def _reach(error_rad: float) -> float:
