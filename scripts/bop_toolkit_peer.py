@@ -6,7 +6,8 @@ FOLDER is a checkout of the toolkit, PYTHON an interpreter with the packages tha
 scene's truth (640 × 480, object 1) and the target are laid out as one of its data sets, POSES.csv
 is given to it as it is, and its own scripts judge it: errors (mssd, mspd, add, adi), recall, and
 the mean average precision of `eval_bop24_pose.py`. Printed is the largest difference of each
-error from ours, and both recalls. VSD is left out: it needs depth pictures. Exit 1 where they differ.
+error from ours, and both recalls. VSD is left out: it needs depth pictures. Exit 1 where
+they differ.
 """
 
 from __future__ import annotations
