@@ -39,7 +39,8 @@ Messages = Callable[[Path], Iterator[Message]]  # those of one pass through a fi
 class _Found:
     """What a first pass finds."""
 
-    times_s: dict[str, list[float]]  # of the pictures of each topic
+    stamps_s: dict[str, list[float]]  # of the pictures of each topic
+    logged_s: dict[str, list[float]]  # when they were recorded
     calibrations: dict[str, Calibration]  # the first of each topic
 
 
@@ -54,9 +55,8 @@ def open_recording(
 ) -> Sequence:
     """The pictures of one topic, numbered from 0 in the order of the recording.
 
-    Their times are the stamps of their headers, seconds since 1970 as a rule; of pictures
-    without a stamp the time at which they were recorded. The recording is read through once to
-    learn them.
+    Their times are the stamps of their headers, seconds since 1970 as a rule; where none has a
+    stamp, the times at which they were recorded. The recording is read through once to learn them.
 
     Args:
         path: the recording.
@@ -70,6 +70,8 @@ def open_recording(
     found = _first_pass(path, messages)
     chosen = _topic(path, found, topic)
     own = camera if camera is not None else _camera(path, found, chosen)
+    stamps_s = found.stamps_s[chosen]
+    times_s = stamps_s if any(stamps_s) else found.logged_s[chosen]
     reader = RecordingReader(path, messages, chosen)
     frames = tuple(
         Frame(
@@ -81,7 +83,7 @@ def open_recording(
             obj_id=1,
             fetch=partial(reader.read, index),
         )
-        for index, time_s in enumerate(found.times_s[chosen])
+        for index, time_s in enumerate(times_s)
     )
     return Sequence(scene_id=1, frames=frames, source=path)
 
@@ -124,7 +126,7 @@ class RecordingReader:
 
 
 def _first_pass(path: Path, messages: Messages) -> _Found:
-    found = _Found({}, {})
+    found = _Found({}, {}, {})
     for message in messages(path):
         if message.calibrates:
             if message.topic not in found.calibrations:
@@ -132,9 +134,8 @@ def _first_pass(path: Path, messages: Messages) -> _Found:
                 if isinstance(content, Calibration):
                     found.calibrations[message.topic] = content
             continue
-        stamp_s = _decoded(path, message)[0]
-        time_s = stamp_s if stamp_s > 0.0 else 1e-9 * message.logged_ns
-        found.times_s.setdefault(message.topic, []).append(time_s)
+        found.stamps_s.setdefault(message.topic, []).append(_decoded(path, message)[0])
+        found.logged_s.setdefault(message.topic, []).append(1e-9 * message.logged_ns)
     return found
 
 
@@ -155,15 +156,15 @@ def _decoded(path: Path, message: Message) -> tuple[float, Content]:
 
 
 def _topic(path: Path, found: _Found, topic: str | None) -> str:
-    topics = sorted(found.times_s)
+    topics = sorted(found.stamps_s)
     if not topics:
         raise RendezviewError(
             f"{path}: holds no pictures (sensor_msgs Image or CompressedImage, foxglove RawImage "
             "or CompressedImage): record a camera's topic"
         )
-    listed = ", ".join(f"{name} ({len(found.times_s[name])})" for name in topics)
+    listed = ", ".join(f"{name} ({len(found.stamps_s[name])})" for name in topics)
     if topic is not None:
-        if topic not in found.times_s:
+        if topic not in found.stamps_s:
             raise RendezviewError(f"{path}: has no pictures of {topic}; it has {listed}")
         return topic
     if len(topics) > 1:
