@@ -113,13 +113,13 @@ def figure8(arguments: argparse.Namespace, target: Target) -> None:
             )
             for name, given in (("paper, one scan", currents), (f"paper, {AVERAGED} scans", mean)):
                 rows.setdefault(name, []).append(
-                    line(angles, _paper(plain, target, given, poses[0]))
+                    line(angles, by_paper(plain, target, given, poses[0]))
                 )
             for name, motion in (("ours, one scan", None), ("ours, filter", MotionOptions())):
-                rotations = _ours(rig, target, currents, motion)
+                rotations = by_tracker(rig, target, currents, motion)
                 rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
             rows.setdefault(f"ours, {AVERAGED} scans", []).append(
-                line(angles, turned_deg(_ours(rig, target, mean, None)))
+                line(angles, turned_deg(by_tracker(rig, target, mean, None)))
             )
         table.add_row(f"{step}°", "paper, as printed", "several scans", "≠ 1", f"{PAPER[step]}°")
         for name, lines in rows.items():
@@ -132,7 +132,7 @@ def figure8(arguments: argparse.Namespace, target: Target) -> None:
             np.mean([_about_z(picture_bound(cameras, laboratory.leds, p, options)) for p in poses])
         )
         lines = [
-            line(angles, turned_deg(_pictured(cameras, target, poses, options, rng)))
+            line(angles, turned_deg(by_pictures(cameras, target, poses, options, rng)))
             for _ in range(max(runs // 10, 1))
         ]
         _row(table, step, "ours, two picture cameras", 1, lines, float(np.rad2deg(bound)))
@@ -156,7 +156,7 @@ def _about_z(covariance: np.ndarray) -> float:
     return float(covariance[2, 2])
 
 
-def _paper(rig: Rig, target: Target, currents: np.ndarray, first: Pose) -> np.ndarray:
+def by_paper(rig: Rig, target: Target, currents: np.ndarray, first: Pose) -> np.ndarray:
     """One unweighted iteration from the last estimate; yaw of eq. 3, degrees."""
     leds, rotation, translation = leds_of(target), first.rotation, first.translation_m
     yaws = []
@@ -169,7 +169,7 @@ def _paper(rig: Rig, target: Target, currents: np.ndarray, first: Pose) -> np.nd
     return np.rad2deg(np.unwrap(yaws))
 
 
-def _ours(
+def by_tracker(
     rig: Rig, target: Target, currents: np.ndarray, motion: MotionOptions | None
 ) -> np.ndarray:
     tracker = StereoTracker.of_target(rig, target, TrackerOptions(motion=motion))
@@ -180,7 +180,7 @@ def _ours(
     return np.stack(rotations)
 
 
-def _pictured(
+def by_pictures(
     rig: Rig, target: Target, poses: list[Pose], options: PictureOptions, rng: np.random.Generator
 ) -> np.ndarray:
     """Single readings of two pictures; the lights are not named."""

@@ -94,6 +94,16 @@ def atomic_write_text(path: StrPath, text: str, *, durable: bool = True) -> None
         file.write(text.encode("utf-8"))
 
 
+def check_place(path: StrPath | None, what: str) -> None:
+    """Refuse at once a file name (None: no file) that cannot be written when ``what`` is ready.
+
+    Raises:
+        RendezviewError: it is a folder, or in none.
+    """
+    if path is not None and (Path(path).is_dir() or not Path(path).parent.is_dir()):
+        raise RendezviewError(f"{path}: give a file name in an existing folder for {what}")
+
+
 def make_folder(path: StrPath) -> None:
     """Create a folder and its parents where missing.
 

@@ -128,7 +128,9 @@ def _is_rotation(r: Array) -> bool:
 
 def rotation_angle(rotation: npt.ArrayLike) -> float:
     """Angle of a (3, 3) rotation matrix, radians in [0, π]; exact near 0 and near π."""
-    return float(Rotation.from_matrix(np.asarray(rotation, dtype=np.float64)).magnitude())
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=np.float64).tolist()
+    # 2 sin and 2 cos of the angle.
+    return math.atan2(math.hypot(h - f, c - g, d - b), a + e + i - 1.0)
 
 
 def minimal_rotation(from_direction: npt.ArrayLike, to_direction: npt.ArrayLike) -> Array:

@@ -152,6 +152,7 @@ class JsonLinesWriter:
             self._file: BinaryIO = open(self.partial_path, "wb")  # noqa: SIM115 (lives as long as we)
         except OSError as error:
             raise write_error(self.path, error) from error
+        self._written = False
 
     def write(self, record: Mapping[str, Any]) -> None:
         """Append one line.
@@ -167,6 +168,7 @@ class JsonLinesWriter:
         try:
             self._file.write(line.encode("utf-8") + b"\n")
             self._file.flush()
+            self._written = True
         except OSError as error:
             raise write_error(self.path, error) from error
 
@@ -183,6 +185,15 @@ class JsonLinesWriter:
             with contextlib.suppress(OSError):
                 self._file.close()
             raise write_error(self.path, error) from error
+
+    def keep(self) -> None:
+        """`close` if a line was written, else leave no file: also for work cut short."""
+        if self._written:
+            self.close()
+            return
+        with contextlib.suppress(OSError):
+            self._file.close()
+        self.partial_path.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from rendezview.appearance import Recognizer, Status, Tracker
 from rendezview.appearance.bright_sky import find_bodies
-from rendezview.appearance.edges import grain, strip_place
+from rendezview.appearance.edges import strip_place
 from rendezview.appearance.refine import RefineOptions, Refiner, Sky
 from rendezview.appearance.silhouette import Missing
 from rendezview.camera import Camera
@@ -49,7 +49,7 @@ def placed(profile, start, depths, levels, sigma=0.85, held=True) -> float | Non
     result = np.zeros(2)
     found = strip_place(
         profile, len(profile), 10, start, np.asarray(depths, float), np.asarray(levels, float),
-        len(depths), 12.0, held, sigma, 1.0, np.empty((4, 6)), result,
+        len(depths), 12.0, held, sigma, 1.0, result,
     )  # fmt: skip
     return float(result[0]) if found else None
 
@@ -111,14 +111,6 @@ def test_the_light_of_a_frame_tells_lit_facets_from_unlit_ones(refining_model, b
     assert right.light > 0.6
     assert told.light > 0.6
     assert wrong.light < told.light - 0.1
-
-
-@pytest.mark.parametrize("sigma", [1.0, 3.0, 6.0])
-def test_grain_is_the_noise_of_neighbouring_pixels_whatever_lies_behind(sigma):
-    rng = np.random.default_rng(0)
-    ramp = np.linspace(20.0, 180.0, 300)[None, :] * np.ones((200, 1))
-    frame = np.clip(np.rint(ramp + rng.normal(0.0, sigma, ramp.shape)), 0, 255).astype(np.uint8)
-    assert grain(frame) == pytest.approx(sigma, rel=0.15)
 
 
 def test_refinement_finds_the_pose_from_five_degrees_off(refining_model, bumpy_mesh, camera):

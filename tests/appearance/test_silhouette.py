@@ -12,7 +12,6 @@ from rendezview.appearance.silhouette import (
     Silhouette,
     SilhouetteOptions,
     Threshold,
-    check_frame,
     find_silhouette,
     sky_level,
 )
@@ -254,32 +253,6 @@ def test_holes_and_shadows_inside_the_outline_do_not_show():
     frame = frame_with(BOX)
     frame[50:60, 70:90] = 12
     assert area_of(found(frame)) == pytest.approx(40 * 30, rel=0.01)
-
-
-def test_a_frame_that_fits_is_taken_as_it_is():
-    frame = frame_with(BOX)
-    assert np.array_equal(check_frame(frame, 160, 120), frame)
-    assert np.array_equal(check_frame(frame[:, ::-1], 160, 120), frame[:, ::-1])
-    assert check_frame(frame[:, ::-1], 160, 120).flags.c_contiguous
-
-
-WRONG = {
-    "NaN": np.full((120, 160), np.nan),
-    "uint8": np.zeros((120, 160)),
-    "uint16": np.zeros((120, 160), np.uint16),
-    "colour": np.zeros((120, 160, 3), np.uint8),
-    "4 colour": np.zeros((120, 160, 4), np.uint8),
-    "160 × 120": np.zeros((60, 80), np.uint8),
-    "height, width": np.zeros((120, 160, 7), np.uint8),
-    "grey levels": np.zeros(0, np.uint8),
-    "bool": np.zeros((120, 160), bool),
-}
-
-
-@pytest.mark.parametrize("words", WRONG)
-def test_a_frame_that_does_not_fit_is_refused_in_words(words):
-    with pytest.raises(RendezviewError, match=words):
-        check_frame(WRONG[words], 160, 120)
 
 
 @pytest.mark.parametrize("level", [None, -1.0, 255.0, float("nan")])

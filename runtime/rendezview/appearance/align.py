@@ -95,6 +95,50 @@ def normal_equations(edges, count, cut, matrix, right):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
+def covariance_of(edges, cut, least_sigma_px, loose, arm):  # type: ignore[no-untyped-def]
+    """(6, 6) of a pose from the edges last measured, and their root mean square, pixels.
+
+    With weights w and independent edges of variance σ² the estimate (ΣwJJᵀ)⁻¹ ΣwJr has
+    covariance σ² (ΣwJJᵀ)⁻¹ Σw²JJᵀ (ΣwJJᵀ)⁻¹.
+
+    Args:
+        edges: (N, COLUMNS); the weight of residuals beyond ``cut`` is zero.
+        loose: (6,) information that there is anyway, so that all stays finite.
+        arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
+            origin's.
+    """
+    matrix, spread, row = np.zeros((6, 6)), np.zeros((6, 6)), np.empty(6)
+    squares, weights = 0.0, 1e-12
+    for j in range(edges.shape[0]):
+        q = edges[j, RESIDUAL] / cut
+        if edges[j, STATE] != FOUND or q * q >= 1.0:
+            continue
+        w = edges[j, WEIGHT] * (1.0 - q * q) ** 2
+        squares += w * edges[j, RESIDUAL] ** 2
+        weights += w
+        for a in range(6):
+            row[a] = w * edges[j, a]
+            for b in range(a + 1):
+                matrix[a, b] += row[a] * edges[j, b]
+                spread[a, b] += row[a] * row[b]
+    for a in range(6):
+        matrix[a, a] += loose[a]
+        spread[a, a] += loose[a]
+        for b in range(a):
+            matrix[b, a], spread[b, a] = matrix[a, b], spread[a, b]
+    residual = np.sqrt(squares / weights)
+    inverse = np.linalg.inv(matrix)
+    # From the view centre to the target's origin: t = centre − arm.
+    shift = np.eye(6)
+    shift[3, 1], shift[3, 2] = -arm[2], arm[1]
+    shift[4, 0], shift[4, 2] = arm[2], -arm[0]
+    shift[5, 0], shift[5, 1] = -arm[1], arm[0]
+    covariance = shift @ (inverse @ spread @ inverse) @ shift.T
+    covariance *= max(residual, least_sigma_px) ** 2
+    return 0.5 * (covariance + covariance.T), residual
+
+
+@njit(cache=True, nogil=True)
 def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: ignore[no-untyped-def]
     """Move a pose (in place) onto the edges.
 
@@ -113,23 +157,21 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
     shade = np.zeros(views.palette.shape[0])
     radius_m = views.radius_m
     explained = 0.0
-    lit = False
     shell, view, count = 0, 0, 0
     for stage in stages:
-        last = stage[FIT] > 0.0
-        if last and not lit:
+        fit = stage[FIT] > 0.0
+        if fit:
             explained = light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
                 views.palette, rotation, centre, lens[0][0] * radius_m / centre[2], frame,
                 shade,
             )  # fmt: skip
-            lit = True
         for _ in range(int(stage[STEPS])):
             shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
             count = measure_edges(
                 image, lens, frame, views, shell, view, rotation, centre, shade,
                 int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
-                int(stage[LINES]), int(stage[STRIDE]), last, edges,
+                int(stage[LINES]), int(stage[STRIDE]), fit, edges,
             )  # fmt: skip
             used, weights = normal_equations(
                 edges, count, _CUT_SPREADS * stage[SPREAD], matrix, right
@@ -151,6 +193,8 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
             if scale * (turn * radius_m + shift) < 0.02:  # pixels
                 break
+    # Without the rounding of many small turns: one step towards the nearest rotation.
+    rotation[:] = rotation @ (1.5 * np.eye(3) - 0.5 * (rotation.T @ rotation))
     return explained
 
 

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.appearance.outline import crack_outline
-from rendezview.appearance.silhouette import Missing, Picture, Silhouette
+from rendezview.appearance.silhouette import Missing, Silhouette
 from rendezview.appearance.status import Status
+from rendezview.grey_frame import Picture
 
 _BLUR_PX = 1.0
 _LEAST_SLOPE = 4.0  # grey levels a pixel, after the blur

@@ -3,9 +3,9 @@
 For every contour point the picture is read along the image normal, as the mean of a few
 parallel lines. Candidate edges are the extremes of the smoothed slope that stand out of the
 noise; the strong one nearest to the prediction is taken. Against a dark sky the outside must
-be sky, and the edge is placed by fitting the blurred step that a lit body with shaded rim, or
-a body as thin as the model says, would show: the steepest slope alone lies up to half a pixel
-inside a darkening rim and outside a thin boom.
+be sky. In the last stage the edge is placed where the strip of surfaces that the model has
+there, as bright as the light makes them, fits the profile: the steepest slope alone lies up to
+half a pixel inside a darkening rim and outside a thin boom.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from scipy.special import ndtr
 
 from rendezview.appearance.contours import (
     CELLS,
@@ -26,6 +25,8 @@ from rendezview.appearance.contours import (
     POINT_UNIT,
     RUN_UNIT,
 )
+from rendezview.lens import distorted
+from rendezview.normal_table import DENSITY, PER_UNIT, PHI, REACH, normal_cdf
 from rendezview.pose import Array
 
 LONGEST_PX = 40  # of the search to either side
@@ -49,11 +50,7 @@ _GAIN_SPREAD = 0.3  # of the brightness that is expected
 _TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
 _MODEL_GREY = 3.0  # what the strip leaves unexplained anyway
 _SURE_PX2 = 0.08**2  # an edge this sure weighs half
-_INNER_FIT = 1.0
 _UNFITTED_WEIGHT = 0.1  # of an edge that its strip does not fit
-_TABLE = 200  # entries a unit of the normal distribution's table
-_PHI = ndtr(np.linspace(-5.0, 5.0, 10 * _TABLE + 1))
-_DENSITY = np.exp(-0.5 * np.linspace(-5.0, 5.0, 10 * _TABLE + 1) ** 2) / np.sqrt(2.0 * np.pi)
 
 
 class ViewTables(NamedTuple):
@@ -72,34 +69,8 @@ class ViewTables(NamedTuple):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _phi(z):  # type: ignore[no-untyped-def]
-    """The normal distribution function, from its table."""
-    place = (z + 5.0) * _TABLE
-    if place <= 0.0:
-        return 0.0
-    if place >= 10.0 * _TABLE:
-        return 1.0
-    i = int(place)
-    return _PHI[i] + (place - i) * (_PHI[i + 1] - _PHI[i])
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def distorted(x, y, k):  # type: ignore[no-untyped-def]
-    """OpenCV's distortion k1 k2 p1 p2 k3 k4 k5 k6 of normalised coordinates."""
-    r2 = x * x + y * y
-    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / (
-        1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    )
-    return (
-        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
-        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
-    )
-
-
-@njit(cache=True, nogil=True, fastmath=True)
 def strip_place(  # type: ignore[no-untyped-def]
-    profile, count, zero, start, depths, levels, steps, background, held, sigma, noise, scratch,
-    result,
+    profile, count, zero, start, depths, levels, steps, background, held, sigma, noise, result,
 ):  # fmt: skip
     """Place an edge where the strip of surfaces that the model has there fits the profile.
 
@@ -115,7 +86,6 @@ def strip_place(  # type: ignore[no-untyped-def]
         depths, levels: (≥ steps,) d_k, pixels, and b_k − b_{k−1}, grey levels.
         sigma: of the blur, pixels.
         noise: of a grey level of the profile, one σ.
-        scratch: (4, 6).
         result: (2,) gets the place, pixels outwards, and its variance.
 
     Returns:
@@ -133,8 +103,9 @@ def strip_place(  # type: ignore[no-untyped-def]
         seen = last - first + 1
         if seen < 5:
             return False
-        scratch[:] = 0.0
-        cost = 0.0
+        # Upper triangle of the normal equations and their right side: place, gain, tilt, background.
+        a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = 0.0
+        r0 = r1 = r2 = r3 = cost = 0.0
         for i in range(first, last + 1):
             d = place - (i - zero)
             shape, slope = 0.0, 0.0
@@ -143,59 +114,74 @@ def strip_place(  # type: ignore[no-untyped-def]
                 if z > 3.5:
                     shape += levels[k]
                 elif z > -3.5:
-                    at = (z + 5.0) * _TABLE
+                    at = (z + REACH) * PER_UNIT
                     cell = int(at)
                     part = at - cell
-                    shape += levels[k] * (_PHI[cell] + part * (_PHI[cell + 1] - _PHI[cell]))
+                    shape += levels[k] * (PHI[cell] + part * (PHI[cell + 1] - PHI[cell]))
                     slope += levels[k] * (
-                        _DENSITY[cell] + part * (_DENSITY[cell + 1] - _DENSITY[cell])
+                        DENSITY[cell] + part * (DENSITY[cell + 1] - DENSITY[cell])
                     )
-            share = _phi(d * inverse)
+            share = normal_cdf(d * inverse)
             j0, j1, j2 = gain * slope * inverse + tilt * share, shape, d * share
             r = profile[i] - base - gain * shape - tilt * j2
             cost += r * r
-            scratch[0, 0] += j0 * j0
-            scratch[0, 1] += j0 * j1
-            scratch[0, 2] += j0 * j2
-            scratch[0, 3] += j0
-            scratch[1, 1] += j1 * j1
-            scratch[1, 2] += j1 * j2
-            scratch[1, 3] += j1
-            scratch[2, 2] += j2 * j2
-            scratch[2, 3] += j2
-            scratch[3, 3] += 1.0
-            scratch[0, 4] += j0 * r
-            scratch[1, 4] += j1 * r
-            scratch[2, 4] += j2 * r
-            scratch[3, 4] += r
-        for a in range(4):
-            for b in range(a):
-                scratch[a, b] = scratch[b, a]
+            a00 += j0 * j0
+            a01 += j0 * j1
+            a02 += j0 * j2
+            a03 += j0
+            a11 += j1 * j1
+            a12 += j1 * j2
+            a13 += j1
+            a22 += j2 * j2
+            a23 += j2
+            r0 += j0 * r
+            r1 += j1 * r
+            r2 += j2 * r
+            r3 += r
+        a33 = float(seen)
         # What is known beforehand, as one more reading each, as sure as a few grey levels.
         sure = _MODEL_GREY * _MODEL_GREY + noise * noise
-        scratch[1, 1] += sure / (_GAIN_SPREAD * _GAIN_SPREAD)
-        scratch[1, 4] += sure / (_GAIN_SPREAD * _GAIN_SPREAD) * (1.0 - gain)
+        known = sure / (_GAIN_SPREAD * _GAIN_SPREAD)
+        a11 += known
+        r1 += known * (1.0 - gain)
         spread = _TILT_SPREAD * height + 1e-3
-        scratch[2, 2] += sure / (spread * spread)
-        scratch[2, 4] -= sure / (spread * spread) * tilt
+        known = sure / (spread * spread)
+        a22 += known
+        r2 -= known * tilt
         if held:
-            scratch[3, 3] += 1e9
-        if step == 0:  # the others first
-            scratch[0, 0] += 1e9
-        scratch[0, 0] += 1e-6
-        scratch[0, 5] = 1.0
-        for k in range(4):  # Gauss elimination; the matrix is positive definite
-            for a in range(4):
-                if a != k:
-                    f = scratch[a, k] / scratch[k, k]
-                    for b in range(k, 6):
-                        scratch[a, b] -= f * scratch[k, b]
-        move = scratch[0, 4] / scratch[0, 0]
-        variance = scratch[0, 5] / scratch[0, 0]
+            a33 += 1e9
+        a00 += 1e9 if step == 0 else 1e-6  # the others first
+        # Background, tilt and gain are eliminated; what is left is the place's own equation.
+        f = a23 / a33
+        a22 -= f * a23
+        a12 -= f * a13
+        a02 -= f * a03
+        r2 -= f * r3
+        f = a13 / a33
+        a11 -= f * a13
+        a01 -= f * a03
+        r1 -= f * r3
+        f = a03 / a33
+        a00 -= f * a03
+        r0 -= f * r3
+        f = a12 / a22
+        a11 -= f * a12
+        a01 -= f * a02
+        r1 -= f * r2
+        f = a02 / a22
+        a00 -= f * a02
+        r0 -= f * r2
+        f = a01 / a11
+        a00 -= f * a01
+        r0 -= f * r1
+        move = r0 / a00
+        variance = 1.0 / a00
+        more = (r1 - a01 * move) / a11
+        bend = (r2 - a02 * move - a12 * more) / a22
         place += min(max(move, -0.6), 0.6)
-        gain += scratch[1, 4] / scratch[1, 1]
-        tilt += scratch[2, 4] / scratch[2, 2]
-        base += scratch[3, 4] / scratch[3, 3]
+        gain += more
+        tilt += bend
+        base += (r3 - a03 * move - a13 * more - a23 * bend) / a33
         if gain <= 0.05:
             return False
         if step > 0 and abs(move) < 0.02:
@@ -260,7 +246,6 @@ def measure_edges(  # type: ignore[no-untyped-def]
     kind, run, strip = views.kind[shell, view], views.run[shell, view], views.strip[shell, view]
     radius_m, blur_px = views.radius_m, views.blur_px
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    k = camera[4:]
     unit_m = radius_m * POINT_UNIT
     profile = np.empty(2 * LONGEST_PX + 32)
     # Bilinear reading takes a quarter off the noise.
@@ -269,7 +254,6 @@ def measure_edges(  # type: ignore[no-untyped-def]
     least_outline = max(_SIGMAS * noise * 0.75 * np.sqrt(2.0 / (smooth_px * lines)), _DIM_SLOPE)
     margin = smooth_px + 2
     depths, levels, fitted = np.empty(CELLS), np.empty(CELLS), np.empty(2)
-    scratch = np.empty((4, 6))
     grainy = 0.75 * noise / np.sqrt(lines)
     side = 2.0
     total = 0
@@ -298,9 +282,9 @@ def measure_edges(  # type: ignore[no-untyped-def]
         m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
         if bent:
             h = 1e-5
-            u, v = distorted(x, y, k)
-            u1, v1 = distorted(x + h, y, k)
-            u2, v2 = distorted(x, y + h, k)
+            u, v = distorted(x, y, camera)
+            u1, v1 = distorted(x + h, y, camera)
+            u2, v2 = distorted(x, y + h, camera)
             m00, m10, m01, m11 = (u1 - u) / h, (v1 - v) / h, (u2 - u) / h, (v2 - v) / h
         u, v = fx * u + cx, fy * v + cy
         row[U], row[V] = u, v
@@ -383,13 +367,11 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 background = sky if held else profile[count - 1 - margin]
                 placed = strip_place(
                     profile, count, back, at, depths, levels, steps, background, held, blur_px,
-                    grainy, scratch, fitted,
+                    grainy, fitted,
                 )  # fmt: skip
         if placed:
             at = fitted[0]
             row[WEIGHT] = _SURE_PX2 / (_SURE_PX2 + fitted[1])
-            if kind[j] != OUTLINE:
-                row[WEIGHT] *= _INNER_FIT
         else:
             # A thin body's edges are displaced by what the blur makes of it.
             sure = steepness * steepness / (steepness * steepness + _EVEN_SLOPE * _EVEN_SLOPE)
@@ -407,37 +389,3 @@ def measure_edges(  # type: ignore[no-untyped-def]
     for j in range(total, out.shape[0]):
         out[j, WEIGHT], out[j, STATE] = 0.0, OUTSIDE
     return total
-
-
-@njit(cache=True, nogil=True)
-def grain(image: npt.NDArray[np.uint8]) -> float:
-    """Noise of a frame (one σ), from second differences along rows on a sparse grid.
-
-    The mean of all but the largest, so that edges and clouds do not count.
-    """
-    height, width = image.shape
-    step = max(1, height // 64)
-    counts = np.zeros(512, dtype=np.int64)
-    total = 0
-    for row in range(step // 2, height, step):
-        for column in range(1, width - 1, 7):
-            a = int(image[row, column - 1]) - 2 * int(image[row, column])
-            counts[min(511, abs(a + int(image[row, column + 1])))] += 1
-            total += 1
-    if total == 0:
-        return 1.0
-    seen, mean = 0, 0.0
-    for value in range(512):
-        take = min(counts[value], total // 2 - seen)
-        seen += take
-        mean += take * value
-        if seen >= total // 2:
-            break
-    # The mean of the smaller half of |N(0, 1)| is 0.3247; second differences have σ √6.
-    return float(mean / max(seen, 1) / (0.3247 * np.sqrt(6.0)))
-
-
-def camera_vector(camera: object) -> Array:
-    """(12,) fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 of a ``Camera``, for the compiled loops."""
-    distortion = (*camera.distortion, *([0.0] * 8))[:8]  # type: ignore[attr-defined]
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *distortion])  # type: ignore[attr-defined]

@@ -78,11 +78,9 @@ def light(  # type: ignore[no-untyped-def]
             n[0], n[1], n[2] = -n[0], -n[1], -n[2]
     tolerance = _TOLERANCE * np.percentile(levels, 80) + noise
     strengths = np.empty(2)
-    best, sun = np.inf, -away
-    if frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0:
-        sun = frame[3:6].copy()
-        best = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
-    else:
+    sun = frame[3:6].copy()
+    if np.dot(sun, sun) == 0.0:
+        best, sun = np.inf, -away
         for k in range(len(_SUNS)):
             if -np.dot(_SUNS[k], away) > _BEHIND:
                 cost = _misfit(levels, which, normals, palette, _SUNS[k], tolerance, strengths)

@@ -19,11 +19,11 @@ from rendezview.appearance.silhouette import (
     Missing,
     Silhouette,
     SilhouetteOptions,
-    check_frame,
     find_silhouette,
 )
 from rendezview.appearance.status import Status
 from rendezview.camera import Camera
+from rendezview.grey_frame import check_frame
 from rendezview.pose import Array, Pose, rotation_angle
 
 _LEAST_MARGIN = 0.02  # of merits: nearer to each other, chance decides between two poses

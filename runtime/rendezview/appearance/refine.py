@@ -18,23 +18,19 @@ from rendezview.appearance.align import (
     CLOSE_PX,
     align,
     align_each,
-    normal_equations,
+    covariance_of,
     support,
 )
 from rendezview.appearance.contours import Contours
 from rendezview.appearance.edges import (
     COLUMNS,
-    FOUND,
-    RESIDUAL,
-    STATE,
-    WEIGHT,
     ViewTables,
-    camera_vector,
-    grain,
 )
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.sky import sky_level
 from rendezview.camera import Camera
+from rendezview.grey_frame import grain
+from rendezview.lens import lens_vector
 from rendezview.pose import Array, Pose
 
 Picture = npt.NDArray[np.uint8]
@@ -48,6 +44,7 @@ _FINE = np.array(
 _CUT_PX = 1.25  # of the last stage
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
 _DARK_SKY_GREY = 60.0  # above, the sky is no sky
+_GRAIN_ROWS = 64
 _SCATTER_GREY = 3.0  # of the border beyond the grain
 
 
@@ -75,7 +72,7 @@ class Sky:
     def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
         """Measured along the border and on a sparse grid."""
         level, spread = sky_level(image)
-        noise = max(0.7, min(spread, grain(image)))
+        noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
         border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
         bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
         dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
@@ -140,8 +137,10 @@ class Refiner:
             model.target_radius_m,
             self.options.blur_px,
         )
-        self._lens = (camera_vector(camera), camera.is_distorted)
+        self._lens = (lens_vector(camera), camera.is_distorted)
         self._edges = np.zeros((contours.kind.shape[2], COLUMNS))
+        # Information of about a radian and a target radius: what no edge shows stays finite.
+        self._nothing_known = 1e-4 * np.array([1.0] * 3 + [model.target_radius_m**-2] * 3)
 
     def refine(self, image: Picture, sky: Sky, start: Pose) -> Refined | None:
         """The pose next to ``start`` that fits the edges; None where it finds no hold."""
@@ -197,51 +196,16 @@ class Refiner:
     def _result(
         self, image: Picture, frame: Array, rotation: Array, centre: Array, light: float
     ) -> Refined:
-        covariance, residual = self._covariance(rotation)
+        arm = rotation @ self.model.centre_m
+        covariance, residual = covariance_of(
+            self._edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm
+        )
         outline, inner, seen = support(
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, self._edges
         )
         covariance *= np.exp(inflating(outline, residual, frame[2]) @ _INFLATION)
-        arm = rotation @ self.model.centre_m
-        pose = Pose(_orthonormal(rotation), centre - arm)
+        pose = Pose(rotation, centre - arm)
         return Refined(pose, covariance, outline, inner, seen, residual, light)
-
-    def _covariance(self, rotation: Array) -> tuple[Array, float]:
-        """(6, 6) of the pose from the edges last measured, and their residual, pixels.
-
-        With weights w and independent edges of variance σ² the estimate (ΣwJJᵀ)⁻¹ ΣwJr has
-        covariance σ² (ΣwJJᵀ)⁻¹ Σw²JJᵀ (ΣwJJᵀ)⁻¹.
-        """
-        edges = self._edges
-        matrix, right = np.empty((6, 6)), np.empty(6)
-        normal_equations(edges, len(edges), _CUT_PX, matrix, right)
-        q = np.where(edges[:, STATE] == FOUND, edges[:, RESIDUAL] / _CUT_PX, 1.0)
-        weight = edges[:, WEIGHT] * np.maximum(1.0 - q * q, 0.0) ** 2
-        total = max(float(weight.sum()), 1e-12)
-        residual = float(np.sqrt(weight @ edges[:, RESIDUAL] ** 2 / total))
-        jacobian = edges[:, :6]
-        spread = jacobian.T @ (weight[:, None] ** 2 * jacobian)
-        loose = self._nothing_known()
-        inverse = np.linalg.inv(matrix + loose)
-        sigma_px = max(residual, _LEAST_SIGMA_PX)
-        centred = sigma_px**2 * (inverse @ (spread + loose) @ inverse)
-        # From the view centre to the target's origin: t = centre − R centre_m.
-        x, y, z = rotation @ self.model.centre_m
-        shift = np.eye(6)
-        shift[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
-        covariance = shift @ centred @ shift.T
-        return 0.5 * (covariance + covariance.T), residual
-
-    def _nothing_known(self) -> Array:
-        """Information of about a radian and a target radius: what no edge shows stays finite."""
-        radius_m = self.model.target_radius_m
-        return 1e-4 * np.diag([1.0] * 3 + [radius_m**-2] * 3)
 
 
 _SAME_COSINE = float(np.cos(np.deg2rad(1.5)))
-
-
-def _orthonormal(rotation: Array) -> Array:
-    """The rotation without the rounding of many small turns."""
-    u, _, vt = np.linalg.svd(rotation)
-    return np.asarray(u @ vt)

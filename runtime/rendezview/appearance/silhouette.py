@@ -13,9 +13,9 @@ from rendezview.appearance.outline import crack_outline
 from rendezview.appearance.sky import MOST_AVERAGED_PX, mean_above, sky_level
 from rendezview.appearance.status import Status
 from rendezview.errors import RendezviewError
+from rendezview.grey_frame import Picture
 from rendezview.pose import Array
 
-Picture = npt.NDArray[np.uint8]
 Border = npt.NDArray[np.int32]
 
 
@@ -80,32 +80,6 @@ class Missing:
 
     status: Status
     reason: str
-
-
-def check_frame(image: npt.ArrayLike, width: int, height: int) -> Picture:
-    """The frame itself, if it is an 8-bit grey picture of the camera's size.
-
-    Raises:
-        RendezviewError: another type, shape or size; a floating frame that is not finite.
-    """
-    frame = np.asarray(image)
-    if frame.ndim == 3 and frame.shape[2] in (3, 4) and frame.dtype == np.uint8:
-        raise RendezviewError(
-            f"the frame has {frame.shape[2]} colour channels; give it in grey "
-            "(cv2.cvtColor with COLOR_BGR2GRAY)"
-        )
-    if frame.ndim != 2:
-        raise RendezviewError(f"a frame must be (height, width) grey levels, not {frame.shape}")
-    if frame.shape != (height, width):
-        raise RendezviewError(
-            f"the frame is {frame.shape[1]} × {frame.shape[0]} px but the camera is "
-            f"{width} × {height} px: give the camera that took it"
-        )
-    if frame.dtype != np.uint8:
-        if np.issubdtype(frame.dtype, np.floating) and not np.isfinite(frame).all():
-            raise RendezviewError("the frame holds NaN or infinite grey levels")
-        raise RendezviewError(f"a frame must be 8-bit (uint8), not {frame.dtype}")
-    return np.ascontiguousarray(frame)
 
 
 def find_silhouette(

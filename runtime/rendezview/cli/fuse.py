@@ -10,8 +10,9 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
+from rendezview.files import check_place
 from rendezview.fusion import Fusion, FusionOptions
 from rendezview.fusion.fusion import Estimate, Status
 from rendezview.fusion.logs import (
@@ -63,8 +64,7 @@ def fuse(
     \b
     Example: rendezview fuse track.jsonl ring.jsonl laser.jsonl --target client -o state.jsonl
     """
-    if output.is_dir() or not output.parent.is_dir():
-        raise RendezviewError(f"{output}: give a file name in an existing folder for the state")
+    check_place(output, "the state")
     if every_s is not None and not (np.isfinite(every_s) and every_s > 0.0):
         raise RendezviewError(f"--every-s must be positive, not {every_s}")
     named = [sensor_name(text) for text in logs]
@@ -86,7 +86,6 @@ def fuse(
         raise RendezviewError("no line of these logs has a measurement: there is nothing to join")
     outcomes: Counter[Status] = Counter()
     writer = JsonLinesWriter(output)
-    done_one = False
     try:
         with ProgressBar() as progress:
             tick_s = measurements[0].time_s
@@ -98,13 +97,9 @@ def fuse(
                 estimate = fusion.state_at(measurement.time_s)
                 outcomes[estimate.status] += 1
                 writer.write(_record(estimate, verdict, fusion))
-                done_one = True
                 progress("measurements", done, len(measurements))
     finally:
-        if done_one:  # Ctrl-C in the middle keeps what was computed
-            writer.close()
-        else:
-            writer.partial_path.unlink(missing_ok=True)
+        writer.keep()  # what Ctrl-C in the middle leaves, too
     _tell(fusion, outcomes)
 
 
@@ -156,7 +151,6 @@ def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:
 
 def _tell(fusion: Fusion, outcomes: Counter[Status]) -> None:
     total = sum(outcomes.values())
-    told = ", ".join(f"{n} {s}" for s, n in outcomes.most_common() if s is not Status.TRACKING)
     sensors = "; ".join(
         f"{name}: {trust.accepted} of {trust.heard} taken"
         + (f", locked out {trust.lockouts} times" if trust.lockouts else "")
@@ -164,7 +158,7 @@ def _tell(fusion: Fusion, outcomes: Counter[Status]) -> None:
     )
     Console(stderr=True).print(
         f"{outcomes[Status.TRACKING]} of {total} tracking"
-        + (f" ({told})" if told else "")
+        + outcome_words(outcomes, Status.TRACKING)
         + f"; {sensors}"
         + (f"; begun {fusion.starts} times" if fusion.starts != 1 else ""),
         highlight=False,

@@ -9,11 +9,20 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections import Counter
 from types import TracebackType
-from typing import Self
+from typing import Self, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+Status = TypeVar("Status", bound=str)
+
+
+def outcome_words(outcomes: Counter[Status], good: Status) -> str:
+    """The counts of all outcomes but the good one: `` (3 lost, 1 empty)``, or nothing."""
+    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != good)
+    return f" ({told})" if told else ""
 
 
 class ProgressBar:

@@ -6,15 +6,14 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 import typer
 from rich.console import Console
 
 from rendezview.camera import Camera
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write, make_folder
+from rendezview.files import check_place, make_folder
 from rendezview.reflectors.acquisition import AcquisitionOptions
 from rendezview.reflectors.closed_form import Calibration
 from rendezview.reflectors.difference import LitDark, Opening, ThresholdOptions, registered
@@ -24,6 +23,7 @@ from rendezview.reflectors.run import FramePair, Mode, calibrate_run, follow, pa
 from rendezview.reflectors.status import Status
 from rendezview.results import JsonLinesWriter
 from rendezview.sequences import open_sequence
+from rendezview.sequences.images import write_png
 from rendezview.target import Target
 
 _CALIBRATE = "calibrate"
@@ -83,7 +83,7 @@ def reflectors(
     places = frames[1:] if calibrating else frames
     if not places:
         raise RendezviewError("reflectors calibrate: name the run: the pictures with their truth")
-    _check_output(output)
+    check_place(output, "the readings")
     patterns = patterns_of(Target.load(target), tuple(group) if group else None)
     loaded = Calibration.load(calibration) if calibration else None
     options = ThresholdOptions(lower_grey=threshold, upper_grey=upper, opening=opening)
@@ -119,17 +119,14 @@ def reflectors(
                     writer.write(record(pair, reading, patterns, loaded))
                 if overlay and reading.status is not Status.UNREADABLE:
                     drawn = draw_reading(_read(pair, affine), reading, pair.lit.camera, patterns)
-                    _save(overlay / f"{pair.lit.im_id:06d}.png", drawn)
+                    write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
                 progress("readings", done, len(pairs))
     finally:
-        if writer and outcomes:  # Ctrl-C in the middle keeps what was computed
-            writer.close()
-        elif writer:
-            writer.partial_path.unlink(missing_ok=True)
-    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != Status.OK)
+        if writer:
+            writer.keep()  # what Ctrl-C in the middle leaves, too
     _say(
         f"{outcomes[Status.OK]} poses in {len(pairs)} readings"
-        + (f" ({told})" if told else "")
+        + outcome_words(outcomes, Status.OK)
         + (f", median {np.median(times_ms):.2f} ms a reading" if times_ms else "")
     )
 
@@ -139,19 +136,6 @@ def _read(pair: FramePair, affine: np.ndarray | None) -> LitDark:
     if dark is not None and affine is not None:
         dark = registered(dark, affine)
     return LitDark(pair.lit.read(), dark)
-
-
-def _save(path: Path, picture: np.ndarray) -> None:
-    done, content = cv2.imencode(".png", picture)
-    if not done:
-        raise RendezviewError(f"{path}: this picture cannot be encoded")
-    with atomic_write(path, durable=False) as file:
-        file.write(content.tobytes())
-
-
-def _check_output(output: Path | None) -> None:
-    if output is not None and (output.is_dir() or not output.parent.is_dir()):
-        raise RendezviewError(f"{output}: give a file name in an existing folder")
 
 
 def _affine(text: str | None) -> np.ndarray | None:

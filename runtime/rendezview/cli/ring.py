@@ -8,21 +8,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 import typer
 from rich.console import Console
 
 from rendezview.camera import Camera
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write, make_folder
+from rendezview.files import check_place, make_folder
 from rendezview.results import JsonLinesWriter, json_line
 from rendezview.ring import RingOptions, RingPrior, Status
 from rendezview.ring.overlay import draw_reading
 from rendezview.ring.run import follow, record
 from rendezview.sequences import open_sequence
 from rendezview.sequences.frame import Frame
+from rendezview.sequences.images import write_png
 from rendezview.target import DockingRing, Target
 
 
@@ -66,8 +66,7 @@ def ring(
     \b
     Example: rendezview ring frames --camera camera.yaml --radius-m 0.597 -o ring.jsonl
     """
-    if output is not None and (output.is_dir() or not output.parent.is_dir()):
-        raise RendezviewError(f"{output}: give a file name in an existing folder")
+    check_place(output, "the readings")
     known = None if target is None else _ring_of(target)
     radius = radius_m if radius_m is not None or known is None else known.radius_m
     for name, value in (("--radius-m", radius), ("--range-m", range_m)):
@@ -96,18 +95,15 @@ def ring(
                     print(json_line(line))
                 if overlay and image is not None:
                     drawn = draw_reading(image, reading, frame.camera)
-                    _save(overlay / f"{frame.im_id:06d}.png", drawn)
+                    write_png(overlay / f"{frame.im_id:06d}.png", drawn)
                 progress("frames", done, len(sequence))
     finally:
-        if writer and outcomes:  # Ctrl-C in the middle keeps what was computed
-            writer.close()
-        elif writer:
-            writer.partial_path.unlink(missing_ok=True)
-    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != Status.OK)
+        if writer:
+            writer.keep()  # what Ctrl-C in the middle leaves, too
     what = "rings" if radius is None else "poses"
     Console(stderr=True).print(
         f"{outcomes[Status.OK]} {what} in {len(sequence)} frames"
-        + (f" ({told})" if told else "")
+        + outcome_words(outcomes, Status.OK)
         + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
         highlight=False,
         soft_wrap=True,
@@ -151,11 +147,3 @@ def _prior(
         ) from None
     axis = axis / np.linalg.norm(axis)
     return lambda frame: RingPrior(axis=axis, range_m=range_m)
-
-
-def _save(path: Path, picture: np.ndarray) -> None:
-    done, content = cv2.imencode(".png", picture)
-    if not done:
-        raise RendezviewError(f"{path}: this picture cannot be encoded")
-    with atomic_write(path, durable=False) as file:
-        file.write(content.tobytes())

@@ -13,8 +13,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
+from rendezview.files import check_place
 from rendezview.results import JsonLinesWriter, ResultRow, write_results
 from rendezview.stereo import MotionOptions, Rig, Sighting, Status, StereoTracker, TrackerOptions
 from rendezview.stereo.board import (
@@ -64,8 +65,7 @@ def calibrate(
     Pictures are left01.png right01.png ... or left/01.png right/01.png ...
     Example: rendezview stereo calibrate pictures --board 9x6 --pitch-mm 25 -o rig.json
     """
-    if output.is_dir() or not output.parent.is_dir():
-        raise RendezviewError(f"{output}: give a file name in an existing folder for the rig")
+    check_place(output, "the rig")
     rig = (
         _from_pictures(source, board, pitch_mm, lens)
         if source.is_dir()
@@ -105,8 +105,7 @@ def track(
     \b
     Example: rendezview stereo track rig.json scole readings.jsonl -o poses.csv --log log.jsonl
     """
-    if output.is_dir() or not output.parent.is_dir():
-        raise RendezviewError(f"{output}: give a file name in an existing folder for the results")
+    check_place(output, "the results")
     places = [path.resolve() for path in (output, log, rig, readings) if path is not None]
     if len(set(places)) < len(places):
         raise RendezviewError(f"{output}: rig, readings, results and log must be different files")
@@ -147,17 +146,14 @@ def track(
                 progress("readings", done, len(series))
     finally:
         try:
-            if writer and outcomes:
-                writer.close()
-            elif writer:
-                writer.partial_path.unlink(missing_ok=True)
+            if writer:
+                writer.keep()
         finally:
             if outcomes:
                 write_results(output, rows)
-    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != Status.OK)
     Console(stderr=True).print(
         f"{len(rows)} poses in {len(series)} readings"
-        + (f" ({told})" if told else "")
+        + outcome_words(outcomes, Status.OK)
         + f", median {np.median(spent_ms):.3f} ms a reading",
         highlight=False,
         soft_wrap=True,

@@ -14,9 +14,9 @@ from rendezview.appearance import SilhouetteOptions, Status, Threshold, ViewMode
 from rendezview.appearance.following import follow, record, result_row
 from rendezview.camera import Camera
 from rendezview.cli.guide import Guide, describe
-from rendezview.cli.progress import ProgressBar
+from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import read_json
+from rendezview.files import check_place, read_json
 from rendezview.pose import Pose
 from rendezview.results import JsonLinesWriter, ResultRow, write_results
 from rendezview.sequences import Sequence, open_sequence
@@ -126,23 +126,18 @@ def track(
         # Ctrl-C or an error in the middle keeps what was computed, and a log that cannot be
         # written does not take the poses with it.
         try:
-            if writer and outcomes:
-                writer.close()
-            elif writer:
-                writer.partial_path.unlink(missing_ok=True)
+            if writer:
+                writer.keep()
         finally:
             if outcomes:
                 write_results(output, rows)
-    told = ", ".join(
-        f"{count} {status}" for status, count in outcomes.most_common() if status is not Status.OK
-    )
     if guide is not None:
         if guide.last is not None and not guide.last.ended:
             console.print(describe(guide.last), highlight=False, soft_wrap=True)
         guide.write(oem, aem, moment, loaded.name)
     console.print(
         f"{len(rows)} poses in {len(sequence)} frames"
-        + (f" ({told})" if told else "")
+        + outcome_words(outcomes, Status.OK)
         + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
         highlight=False,
         soft_wrap=True,
@@ -151,8 +146,7 @@ def track(
 
 def _check_places(output: Path, log: Path | None, *others: Path | None) -> None:
     """Refuse at once what would fail, or do harm, only when all frames are computed."""
-    if output.is_dir() or not output.parent.is_dir():
-        raise RendezviewError(f"{output}: give a file name in an existing folder for the results")
+    check_place(output, "the results")
     places = [path.resolve() for path in (output, log, *others) if path is not None]
     if len(set(places)) < len(places):
         raise RendezviewError(

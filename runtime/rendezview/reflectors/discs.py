@@ -16,14 +16,14 @@ import numpy as np
 from numba import njit
 
 from rendezview.camera import Camera
+from rendezview.lens import distorted, lens_vector
 from rendezview.pose import Array, Pose
 from rendezview.reflectors.pattern import ReflectorPattern
 
 
 def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
-    """(13,) fx fy cx cy, eight distortion coefficients and the blur, for the compiled loops."""
-    distortion = (*camera.distortion, *([0.0] * 8))[:8]
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *distortion, blur_px])
+    """(13,) of ``lens_vector`` and the blur, for the compiled loops."""
+    return np.append(lens_vector(camera), blur_px)
 
 
 def predict_spots(
@@ -60,15 +60,8 @@ def project_disc(lens, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
     if not (z > 0.0 and w > 0.0):
         return np.nan, np.nan
     u, v = (x * z + a2 * nx * nz) / w, (y * z + a2 * ny * nz) / w
-    fx, fy, cx, cy, k1, k2, p1, p2, k3, k4, k5, k6 = (
-        lens[0], lens[1], lens[2], lens[3], lens[4], lens[5],
-        lens[6], lens[7], lens[8], lens[9], lens[10], lens[11],
-    )  # fmt: skip
-    r2 = u * u + v * v
-    radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-    du = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
-    dv = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
-    return fx * du + cx, fy * dv + cy
+    du, dv = distorted(u, v, lens)
+    return lens[0] * du + lens[2], lens[1] * dv + lens[3]
 
 
 @njit(cache=True, nogil=True, inline="always")

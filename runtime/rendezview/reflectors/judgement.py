@@ -128,7 +128,7 @@ def _model(points, normals, diameters, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _hopeless(  # type: ignore[no-untyped-def]
     model, left, centre, right, directions, log_size, log_peak, focal_px, blur_px,
     size_sigma, peak_sigma, beam_sigma, least_facing, window, score_limit,
@@ -239,7 +239,7 @@ def _hopeless(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _scaled(bb, pp, bp, area, wide, along, across):  # type: ignore[no-untyped-def]
     """Square of the base as seen (m²), range, and the centre in lengths of the base."""
     x, y = along / wide, across / wide

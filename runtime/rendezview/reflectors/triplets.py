@@ -166,8 +166,9 @@ def search(  # type: ignore[no-untyped-def]
     """
     count = directions.shape[0]
     shortest, longest, size_tolerance, peak_tolerance, foreshortened, longest_side = limits
-    reach = math.hypot(abs(glass[0]) + glass[3], abs(glass[1]) + glass[2] * glass[3] + glass[4])
-    reach = 1.1 * min(reach, math.sqrt(longest_side))
+    # Of the hourglass, in base lengths; 1.1 for what the flat picture stretches.
+    along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
+    over = 1.1 * min(abs(glass[1]) + glass[2] * glass[3] + glass[4], math.sqrt(longest_side))
     # Of each spot the bases it may belong to, as chords, from its size. All by rising x.
     low, high = np.empty(count), np.empty(count)
     log_size, log_peak = np.empty(count), np.empty(count)
@@ -184,7 +185,9 @@ def search(  # type: ignore[no-untyped-def]
             ray[p, axis] = directions[s, axis]
         # Off the boresight the flat picture is stretched by as much as 1 / cos².
         widest = max(widest, 1.0 / (ray[p, 2] * ray[p, 2]))
-    firsts, members, left, top, columns, rows = _grid(at, reach * shortest * focal_px)
+    firsts, members, left, top, columns, rows = _grid(
+        at, math.hypot(along, over) * shortest * focal_px
+    )
     found = 0
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)
@@ -218,17 +221,20 @@ def search(  # type: ignore[no-untyped-def]
             dx, dy, dz = dx / square, dy / square, dz / square
             size, peak = 0.5 * (log_size[i] + log_size[j]), 0.5 * (log_peak[i] + log_peak[j])
             by = at[j, 1] - at[i, 1]
-            radius = reach * math.sqrt(bx * bx + by * by)
             middle_x, middle_y = 0.5 * (at[i, 0] + at[j, 0]), 0.5 * (at[i, 1] + at[j, 1])
-            c0 = max(int((middle_x - radius - left) * columns[1]), 0)
-            c1 = min(int((middle_x + radius - left) * columns[1]), int(columns[0]) - 1)
-            r0 = max(int((middle_y - radius - top) * rows[1]), 0)
-            r1 = min(int((middle_y + radius - top) * rows[1]), int(rows[0]) - 1)
+            # The box of the hourglass, turned with the base.
+            wide, tall = along * abs(bx) + over * abs(by), along * abs(by) + over * abs(bx)
+            c0 = max(int((middle_x - wide - left) * columns[1]), 0)
+            c1 = min(int((middle_x + wide - left) * columns[1]), int(columns[0]) - 1)
+            r0 = max(int((middle_y - tall - top) * rows[1]), 0)
+            r1 = min(int((middle_y + tall - top) * rows[1]), int(rows[0]) - 1)
             for r in range(r0, r1 + 1):
                 # Cells of a row lie behind one another.
                 line = r * int(columns[0])
                 for n in range(firsts[line + c0], firsts[line + c1 + 1]):
                     k = members[n]
+                    if (abs(log_size[k] - size) > _ALIKE) | (chord < 0.9 * low[k]):
+                        continue
                     ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
                     x = ex * dx + ey * dy + ez * dz
                     y = ex * cx + ey * cy + ez * cz
@@ -237,8 +243,6 @@ def search(  # type: ignore[no-untyped-def]
                         (inside | turned)
                         & ((abs(x) + 0.5) ** 2 + y * y <= longest_side)  # the base is the longest
                         & (abs(log_peak[k] - peak) <= 0.5 * peak_tolerance)
-                        & (abs(log_size[k] - size) <= _ALIKE)
-                        & (chord >= 0.9 * low[k])
                         & (chord <= 1.1 * high[k])
                         & (k != i)
                         & (k != j)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.camera import Camera
+from rendezview.lens import lens_vector
 from rendezview.ring.ellipse import Ellipse
 
 Array = npt.NDArray[np.float64]
@@ -66,16 +67,11 @@ def shape_of_circle(
     """
     shape = np.empty(5)
     if not picture_of_circle(
-        camera_numbers(camera), np.asarray(centre_m, dtype=np.float64),
+        lens_vector(camera), np.asarray(centre_m, dtype=np.float64),
         np.asarray(axis, dtype=np.float64), radius_m, shape,
     ):  # fmt: skip
         return None
     return shape
-
-
-def camera_numbers(camera: Camera) -> Array:
-    """(4,) fx fy cx cy."""
-    return np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
 @njit(cache=True, nogil=True)
@@ -167,7 +163,7 @@ def circle_poses(
     if not (math.isfinite(radius_m) and radius_m > 0.0):
         raise ValueError(f"radius_m must be positive, not {radius_m}")
     centres, axes = np.empty((2, 3)), np.empty((2, 3))
-    count = circles_of_picture(camera_numbers(camera), ellipse.shape, radius_m, centres, axes)
+    count = circles_of_picture(lens_vector(camera), ellipse.shape, radius_m, centres, axes)
     poses: list[CirclePose] = []
     for centre, axis in zip(centres[:count], axes[:count], strict=True):
         pose = CirclePose(centre, axis, radius_m)
@@ -206,7 +202,7 @@ def pose_covariance(camera: Camera, pose: CirclePose, shape_covariance: Array) -
 def _covariance_at(camera: Camera, pose: CirclePose, axis: Array, shape_covariance: Array) -> Array:
     out = np.empty((5, 5))
     if not _propagate(
-        camera_numbers(camera), pose.centre_m, axis, tangent_basis(axis), pose.radius_m,
+        lens_vector(camera), pose.centre_m, axis, tangent_basis(axis), pose.radius_m,
         shape_covariance, out,
     ):  # fmt: skip
         return np.full((5, 5), np.inf)

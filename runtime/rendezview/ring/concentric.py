@@ -15,10 +15,10 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.camera import Camera
+from rendezview.lens import lens_vector
 from rendezview.ring.circle_pose import (
     RADIUS_SHARE,
     CirclePose,
-    camera_numbers,
     circle_poses,
     picture_of_circle,
     pose_covariance,
@@ -69,7 +69,7 @@ def fit_joint(
     covariance = np.empty((5, 5))
     ratios = size / size[0]
     chi2 = _fit(
-        camera_numbers(camera), shapes, information, start.radius_m, plane_share, centre, axis,
+        lens_vector(camera), shapes, information, start.radius_m, plane_share, centre, axis,
         tangent_basis(axis), ratios, covariance,
     )  # fmt: skip
     if not chi2 >= 0.0:

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.camera import Camera
-from rendezview.errors import RendezviewError
+from rendezview.grey_frame import check_frame
+from rendezview.lens import lens_vector
 from rendezview.ring.arcs import find_arcs, group_arcs
 from rendezview.ring.edges import find_edges, link
 from rendezview.ring.ellipse import Ellipse, axes_of_shape, shape_of_axes
@@ -91,10 +92,7 @@ class RingDetector:
     def __init__(self, camera: Camera, options: RingOptions | None = None) -> None:
         self.camera = camera
         self.options = options or RingOptions()
-        distortion = (*camera.distortion, *([0.0] * 8))[:8]
-        self._lens = np.array(
-            [camera.fx, camera.fy, camera.cx, camera.cy, *distortion, float(camera.is_distorted)]
-        )
+        self._lens = np.append(lens_vector(camera), float(camera.is_distorted))
         self._filters = step_filters(self.options.blur_px)
         self._number = np.zeros((camera.height, camera.width), dtype=np.int32)
         self._power = np.empty((camera.height, camera.width), dtype=np.float32)
@@ -106,7 +104,7 @@ class RingDetector:
         Raises:
             RendezviewError: another size or type than the camera's pictures.
         """
-        grey = self._checked(image)
+        grey = check_frame(image, self.camera.width, self.camera.height)
         o = self.options
         clock = time.perf_counter()
         stage_ms: dict[str, float] = {}
@@ -179,21 +177,6 @@ class RingDetector:
         lost = ~np.isfinite(out).all(axis=1)
         out[lost, :2] = points[lost, :2]
         return out
-
-    def _checked(self, image: npt.ArrayLike) -> Grey:
-        grey = np.asarray(image)
-        if grey.dtype != np.uint8 or grey.ndim != 2:
-            raise RendezviewError(
-                f"a frame must be (H, W) of uint8 grey levels, not {grey.dtype} {grey.shape}"
-            )
-        if grey.shape != (self.camera.height, self.camera.width):
-            raise RendezviewError(
-                f"the image is {grey.shape[1]} × {grey.shape[0]} pixels but its camera "
-                f"{self.camera.width} × {self.camera.height}: use the camera of these images"
-            )
-        if min(grey.shape) < 16:
-            raise RendezviewError(f"{grey.shape[1]} × {grey.shape[0]} pixels are no picture")
-        return np.ascontiguousarray(grey)
 
 
 @njit(cache=True, nogil=True)

@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.grey_frame import grain
+
 Grey = npt.NDArray[np.uint8]  # (H, W)
 Gradient = npt.NDArray[np.int16]  # (H, W), Sobel's sum: 8 × grey levels a pixel
 Array = npt.NDArray[np.float64]
@@ -24,6 +26,7 @@ Ints = npt.NDArray[np.int32]
 BLUR_PX = 1.0  # σ of the smoothing before the gradient
 _KERNEL = (5, 5)
 SOBEL = 8.0  # of Sobel's weights, to grey levels a pixel
+_GRAIN_ROWS = 48
 _GRADIENT_SHARE = 1.05  # noise of one Sobel component over the pixels' σ, after the smoothing
 
 
@@ -38,29 +41,6 @@ class EdgeMap:
     high: float  # least gradient that an edge has somewhere
 
 
-@njit(cache=True, nogil=True)
-def noise_of(image: Grey) -> float:
-    """Noise of a frame (one σ): the smaller half of second differences on a sparse grid."""
-    height, width = image.shape
-    step = max(1, height // 48)
-    counts = np.zeros(512, dtype=np.int64)
-    total = 0
-    for row in range(step // 2, height, step):
-        for column in range(1, width - 1, 7):
-            a = int(image[row, column - 1]) - 2 * int(image[row, column])
-            counts[min(511, abs(a + int(image[row, column + 1])))] += 1
-            total += 1
-    seen, mean = 0, 0.0
-    for value in range(512):
-        take = min(counts[value], total // 2 - seen)
-        seen += take
-        mean += take * value
-        if seen >= total // 2:
-            break
-    # The mean of the smaller half of |N(0, 1)| is 0.3247; second differences have σ √6.
-    return float(mean / max(seen, 1) / (0.3247 * np.sqrt(6.0)))
-
-
 def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMap:
     """Edge pixels whose gradient stands out of the noise.
 
@@ -69,7 +49,7 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
         least_contrast_grey: weakest step that is still an edge.
         sigmas: how far the gradient must stand out of its noise.
     """
-    noise = noise_of(image)
+    noise = grain(image, _GRAIN_ROWS)
     smooth = cv2.GaussianBlur(image, _KERNEL, BLUR_PX)
     dx, dy = cv2.spatialGradient(smooth)
     # A step of contrast c, blurred to σ ≈ 1.5 px, has the slope 0.27 c.

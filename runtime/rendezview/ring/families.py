@@ -12,7 +12,8 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.camera import Camera
-from rendezview.ring.circle_pose import camera_numbers, circles_of_picture, picture_of_circle
+from rendezview.lens import lens_vector
+from rendezview.ring.circle_pose import circles_of_picture, picture_of_circle
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -37,7 +38,7 @@ def families(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[Ints, Arra
     """
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)  # of the circle of like area
     share = np.minimum(arcs_rad / (2.0 * np.pi), 1.0)
-    family = _families(camera_numbers(camera), shapes, size)
+    family = _families(lens_vector(camera), shapes, size)
     worth = np.zeros(len(shapes))
     well = np.zeros(len(shapes), dtype=bool)
     long = 0.5 * (shapes[:, 2] + shapes[:, 4]) + np.hypot(

@@ -13,6 +13,9 @@ import numpy.typing as npt
 from numba import njit
 from scipy.special import ndtr
 
+from rendezview.lens import distorted
+from rendezview.normal_table import normal_cdf
+
 Array = npt.NDArray[np.float64]
 
 REACH = 3  # px to either side of the step fit
@@ -23,22 +26,14 @@ ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
 COLUMNS = 11
 _ALIGNED = 0.9  # cosine between gradient and normal
 _NO = 1e9
-_TABLE = 200  # entries a unit of the normal distribution's table
-_PHI = ndtr(np.linspace(-6.0, 6.0, 12 * _TABLE + 1))
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
 def bend(x, y, lens):  # type: ignore[no-untyped-def]
-    """Pixel of an undistorted pixel; ``lens``: fx fy cx cy, eight of the lens, bent or not."""
+    """Pixel of an undistorted pixel; ``lens``: of ``lens_vector``, then whether it bends."""
     if lens[12] == 0.0:
         return x, y
-    a, b = (x - lens[2]) / lens[0], (y - lens[3]) / lens[1]
-    r2 = a * a + b * b
-    radial = (1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))) / (
-        1.0 + r2 * (lens[9] + r2 * (lens[10] + r2 * lens[11]))
-    )
-    u = a * radial + 2.0 * lens[6] * a * b + lens[7] * (r2 + 2.0 * a * a)
-    v = b * radial + lens[6] * (r2 + 2.0 * b * b) + 2.0 * lens[7] * a * b
+    u, v = distorted((x - lens[2]) / lens[0], (y - lens[3]) / lens[1], lens)
     return lens[0] * u + lens[2], lens[1] * v + lens[3]
 
 
@@ -192,18 +187,6 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
     if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
         return -1.0
     return largest
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def normal_cdf(z):  # type: ignore[no-untyped-def]
-    """The normal distribution function, from its table (to 1e-6)."""
-    place = (z + 6.0) * _TABLE
-    if place <= 0.0:
-        return 0.0
-    if place >= 12.0 * _TABLE:
-        return 1.0
-    i = int(place)
-    return _PHI[i] + (place - i) * (_PHI[i + 1] - _PHI[i])
 
 
 @njit(cache=True, nogil=True)

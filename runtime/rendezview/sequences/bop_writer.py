@@ -9,14 +9,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import StrPath, atomic_write, atomic_write_text, make_folder
+from rendezview.files import StrPath, atomic_write_text, make_folder
 from rendezview.pose import Pose
+from rendezview.sequences.images import write_png
 
 _SCENE_FILES = ("scene_gt.json", "scene_camera.json", "camera.json")  # in order of removal
 _PICTURE_FOLDERS = ("gray", "rgb", "mask_visib")
@@ -188,12 +188,8 @@ class BopSceneWriter:
     def _write_png(self, name: Path, image: npt.NDArray[np.uint8]) -> None:
         path = self.folder / name
         make_folder(path.parent)
-        encoded, content = cv2.imencode(".png", image)
-        if not encoded:
-            raise RendezviewError(f"{path}: the picture cannot be encoded as PNG")
         self._written.append(path)
-        with atomic_write(path, durable=False) as file:
-            file.write(content.tobytes())
+        write_png(path, image)
 
 
 def _lines(content: dict[str, Any]) -> str:

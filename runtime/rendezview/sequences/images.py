@@ -9,10 +9,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import read_bytes
+from rendezview.files import atomic_write, read_bytes
 from rendezview.sequences.frame import GreyImage
 
 IMAGE_SUFFIXES = frozenset(
@@ -53,6 +54,19 @@ def read_grey(path: Path) -> GreyImage:
             f"kind): replace the file"
         )
     return np.asarray(image, dtype=np.uint8)
+
+
+def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    """Write a picture, (H, W) grey or (H, W, 3) blue, green, red, as PNG.
+
+    Raises:
+        RendezviewError: it cannot be encoded or written.
+    """
+    encoded, content = cv2.imencode(".png", picture)
+    if not encoded:
+        raise RendezviewError(f"{path}: the picture cannot be encoded as PNG")
+    with atomic_write(path, durable=False) as file:
+        file.write(content.tobytes())
 
 
 def list_images(folder: Path) -> list[Path]:

@@ -25,6 +25,7 @@ from rendezview.pose import Array, Pose
 from rendezview.results import read_json_lines
 from rendezview.sequences import Frame, Sequence, open_sequence
 from rendezview.sequences.frame import GreyImage
+from rendezview.sequences.images import write_png
 
 _SHEET = (4, 3)  # frames across and down
 _CELL_PX = 320
@@ -178,6 +179,5 @@ def _show_scene(sequence: Sequence, folder: Path) -> Path:
         sheet[top : top + cell.shape[0], left : left + _CELL_PX] = cell
     make_folder(folder)
     path = folder / "frames.png"
-    with atomic_write(path, durable=False) as file:
-        file.write(cv2.imencode(".png", sheet)[1].tobytes())
+    write_png(path, sheet)
     return path

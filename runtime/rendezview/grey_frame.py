@@ -1,0 +1,65 @@
+"""A grey frame: whether it is one that the camera took, and its noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.errors import RendezviewError
+
+Picture = npt.NDArray[np.uint8]
+
+
+def check_frame(image: npt.ArrayLike, width: int, height: int) -> Picture:
+    """The frame itself, if it is an 8-bit grey picture of the camera's size.
+
+    Raises:
+        RendezviewError: another type, shape or size; a floating frame that is not finite.
+    """
+    frame = np.asarray(image)
+    if frame.ndim == 3 and frame.shape[2] in (3, 4) and frame.dtype == np.uint8:
+        raise RendezviewError(
+            f"the frame has {frame.shape[2]} colour channels; give it in grey "
+            "(cv2.cvtColor with COLOR_BGR2GRAY)"
+        )
+    if frame.ndim != 2:
+        raise RendezviewError(f"a frame must be (height, width) grey levels, not {frame.shape}")
+    if frame.shape != (height, width):
+        raise RendezviewError(
+            f"the frame is {frame.shape[1]} × {frame.shape[0]} px but the camera is "
+            f"{width} × {height} px: give the camera that took it"
+        )
+    if frame.dtype != np.uint8:
+        if np.issubdtype(frame.dtype, np.floating) and not np.isfinite(frame).all():
+            raise RendezviewError("the frame holds NaN or infinite grey levels")
+        raise RendezviewError(f"a frame must be 8-bit (uint8), not {frame.dtype}")
+    return np.ascontiguousarray(frame)
+
+
+@njit(cache=True, nogil=True)
+def grain(image: Picture, rows: int) -> float:
+    """Noise of a frame (one σ, grey levels), from second differences along about so many rows.
+
+    The mean of the smaller half, so that edges and clouds do not count.
+    """
+    height, width = image.shape
+    step = max(1, height // rows)
+    counts = np.zeros(512, dtype=np.int64)
+    total = 0
+    for row in range(step // 2, height, step):
+        for column in range(1, width - 1, 7):
+            a = int(image[row, column - 1]) - 2 * int(image[row, column])
+            counts[min(511, abs(a + int(image[row, column + 1])))] += 1
+            total += 1
+    if total == 0:
+        return 1.0
+    seen, mean = 0, 0.0
+    for value in range(512):
+        take = min(counts[value], total // 2 - seen)
+        seen += take
+        mean += take * value
+        if seen >= total // 2:
+            break
+    # The mean of the smaller half of |N(0, 1)| is 0.3247; second differences have σ √6.
+    return float(mean / max(seen, 1) / (0.3247 * np.sqrt(6.0)))
