@@ -68,10 +68,19 @@ def read_intrinsics(path: StrPath) -> Intrinsics:
             f"{path}: not a camera file (no keys in it): give an OpenCV or ROS YAML file, "
             f"or a BOP or SPEED camera.json"
         )
+    return intrinsics_of(data, str(path))
+
+
+def intrinsics_of(data: dict[Any, Any], where: str) -> Intrinsics:
+    """The intrinsics in what a camera file, or a message of a recording, holds.
+
+    Raises:
+        RendezviewError: not a camera's, or of an unknown lens model.
+    """
     try:
         return _interpret(data)
     except ValueError as error:
-        raise RendezviewError(f"{path}: {error}") from error
+        raise RendezviewError(f"{where}: {error}") from error
 
 
 def intrinsics_to_opencv_yaml(

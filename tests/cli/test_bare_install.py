@@ -55,3 +55,23 @@ def test_ground_commands_say_what_to_install():
     assert done.stderr.count("\n") == 1
     assert done.stderr.startswith("rendezview: ")
     assert "pip install 'rendezview[training]'" in done.stderr
+
+
+def test_recordings_say_which_package_they_need(tiny_model_path: Path, tmp_path: Path):
+    program = BLOCKER.replace(repr(GROUND), repr(("rosbags", "mcap", "rerun")))
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "a.jsonl").write_text('{"status": "ok", "time_s": 0.0, "pose": null}\n')
+    for arguments, wanted in (
+        (("track", tiny_model_path, tmp_path / "a.bag", "-o", tmp_path / "a.csv"), "ros"),
+        (("track", tiny_model_path, tmp_path / "a.mcap", "-o", tmp_path / "a.csv"), "service"),
+        (("rrd", tmp_path / "a.jsonl", "-o", tmp_path / "a.rrd"), "rerun"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", program, *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+        assert f"pip install 'rendezview[{wanted}]'" in done.stderr

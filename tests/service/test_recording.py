@@ -15,6 +15,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from rendezview.errors import RendezviewError
+from rendezview.interchange.runs import moments
+from rendezview.sequences import open_sequence
 from rendezview.service.log_file import mend, scan
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
@@ -220,3 +222,37 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     assert "8 frames, 8 poses: all repeated bit for bit" in _replay(place)
     assert "completed" in _replay(copy, "--mend")
     assert mend(copy) is None
+
+
+def test_rerun_opens_a_log_as_it_is(recorded, camera):
+    reader = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk").McapReader
+    path, writer, states = recorded
+    writer.close()
+    found: dict[str, list[tuple[int, set[str]]]] = {}
+    for part in reader(path).stream().to_chunks():
+        names = {name for name in part.to_record_batch().schema.names if ":" in name}
+        found.setdefault(str(part.entity_path), []).append((part.num_rows, names))
+
+    def rows(entity: str, component: str) -> int:
+        return sum(count for count, names in found[entity] if component in names)
+
+    assert rows("/camera/image", "Image:buffer") == len(states)
+    assert rows("/tf", "Transform3D:translation") == len(states)
+    assert rows("/target/pose", "InstancePoses3D:quaternions") == len(states)
+    assert rows("/camera/calibration", "Pinhole:image_from_camera") >= 1
+    assert rows("/rendezview/state", "McapMessage:data") == len(states)  # as bytes only
+
+
+def test_a_log_is_a_run_and_its_pictures_a_sequence(recorded, camera, tour, tmp_path):
+    path, writer, states = recorded
+    writer.close()
+    run = list(moments(path))
+    assert [moment.record for moment in run] == json.loads(json.dumps(states))
+    assert all(moment.camera == camera for moment in run)
+    np.testing.assert_array_equal(run[5].image, tour[5][2])
+    sequence = open_sequence(path)
+    assert len(sequence) == len(tour)
+    for frame, (time_s, _, image) in zip(sequence, tour, strict=True):
+        assert frame.time_s == pytest.approx(time_s)
+        np.testing.assert_array_equal(frame.read(), image)
+    assert sequence.frames[0].camera == camera

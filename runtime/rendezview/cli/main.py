@@ -32,6 +32,7 @@ _SUMMARIES = {
     "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
     "serve": "Serve poses: frames in, poses out, a page to watch them.",
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
+    "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
     "show": "Draw a model, a scene or a log.",
     "export": "Print a model's decision trees.",

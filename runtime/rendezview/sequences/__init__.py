@@ -1,4 +1,4 @@
-"""Image sequences: BOP scenes, folders of images, videos, SPEED and SPEED+."""
+"""Image sequences: BOP scenes, folders of images, videos, SPEED and SPEED+, recordings."""
 
 from rendezview.sequences.bop_writer import BopSceneWriter
 from rendezview.sequences.frame import Frame, Sequence

@@ -47,7 +47,7 @@ class Source:
 
 
 def open_source(text: str, camera: Camera | None) -> Source:
-    """A source by its name: path, ``/dev/video0``, ``v4l2:0``, ``rtsp://…``, ``log.mcap``.
+    """A source by its name: path, ``/dev/video0``, ``v4l2:0``, ``rtsp://…``, ``bag#/topic``.
 
     Raises:
         RendezviewError: there is none, or it needs a camera file.
@@ -58,7 +58,8 @@ def open_source(text: str, camera: Camera | None) -> Source:
         return Source(_without_password(text), camera, True, lambda stop: _captured(text, stop))
     if text.endswith(".mcap"):
         log = read_log(Path(text))
-        return Source(text, camera or log.camera, False, lambda _: _logged(log.frames()))
+        if log.notes:  # ours: its frames as they were sent
+            return Source(text, camera or log.camera, False, lambda _: _logged(log.frames()))
     sequence = open_sequence(text, camera)
 
     def frames(stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:

@@ -1,5 +1,6 @@
 """Estimates against truth: error measures, evaluation of sequences, pictures, reports."""
 
+from rendezview.evaluation.comparison import comparison_dict, comparison_table
 from rendezview.evaluation.evaluate import evaluate
 from rendezview.evaluation.evaluation import (
     WRONG_RAD,
@@ -18,8 +19,10 @@ from rendezview.evaluation.pose_errors import (
     speed_terms,
 )
 from rendezview.evaluation.report import write_report
+from rendezview.evaluation.scores import Scores, scores
 from rendezview.evaluation.signature_pictures import TreeTest, signature_picture, tree_tests
 from rendezview.evaluation.sphere_pictures import model_picture, sphere_picture
+from rendezview.evaluation.surface import Surface, SurfaceErrors, alike_of, surface_errors
 from rendezview.evaluation.track_pictures import (
     error_curves,
     point_cloud,
@@ -35,8 +38,14 @@ __all__ = [
     "Evaluation",
     "FrameResult",
     "PoseErrors",
+    "Scores",
     "Statistics",
+    "Surface",
+    "SurfaceErrors",
     "TreeTest",
+    "alike_of",
+    "comparison_dict",
+    "comparison_table",
     "discrete_turns",
     "error_curves",
     "evaluate",
@@ -47,12 +56,14 @@ __all__ = [
     "png",
     "point_cloud",
     "pose_errors",
+    "scores",
     "sighting_curves",
     "signature_picture",
     "speed_terms",
     "sphere_picture",
     "stage_picture",
     "summary_rows",
+    "surface_errors",
     "tree_tests",
     "write_report",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,21 +13,36 @@ from rich.console import Console
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.evaluation.bop_models import bop_model
+from rendezview.evaluation.comparison import (
+    comparison_dict,
+    comparison_table,
+    score_table,
+    scores_dict,
+)
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
+from rendezview.evaluation.evaluation import Evaluation
+from rendezview.evaluation.scores import scores
+from rendezview.evaluation.surface import Surface, alike_of
+from rendezview.pose import Array
 from rendezview.results import read_results
 from rendezview.sequences import open_sequence
+from rendezview.target import Symmetry
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
 
 
 def evaluate(
     scene: Annotated[Path, typer.Argument(help="BOP scene or SPEED folder with true poses.")],
-    results: Annotated[Path, typer.Argument(help="Results, BOP CSV.")],
+    results: Annotated[
+        list[Path], typer.Argument(help="Results, BOP CSV; several are compared side by side.")
+    ],
     target: Annotated[
         str | None,
         typer.Option(
-            help="Target of the scene: its symmetries are honoured, and errors of direction, "
-            "range and bearing are those of its middle instead of its origin."
+            help="Target of the scene: its symmetries are honoured, errors of direction, range "
+            "and bearing are those of its middle instead of its origin, and BOP's measures of its "
+            "surface are added. Of BOP models (obj_000001.ply) models_info.json is read."
         ),
     ] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of a bare mesh.")] = None,
@@ -35,7 +51,10 @@ def evaluate(
     ] = None,
     wrong: Annotated[float, typer.Option(help="Degrees beyond which an answer is wrong.")] = 5.0,
     speed_plus: Annotated[
-        bool, typer.Option("--speed-plus", help="SPEED score with the challenge's thresholds.")
+        bool,
+        typer.Option(
+            "--speed-plus", help="Each frame's SPEED score with the thresholds of SPEED+."
+        ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     obj_id: Annotated[
@@ -44,27 +63,74 @@ def evaluate(
 ) -> None:
     """Compare results with the truth of their scene; every frame counts.
 
-    Example: rendezview evaluate approach poses.csv --target hubble
+    Example: rendezview evaluate approach ours.csv theirs.csv --target hubble
     """
     if not 0.0 <= wrong <= 180.0:
         raise RendezviewError(f"--wrong must be an angle from 0 to 180 degrees, not {wrong}")
     sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
-    found = find_target(target) if target else None
-    centre_m = None
-    if found is not None:
-        centre_m, _ = load_mesh(found.mesh_path, unit or found.unit).bounding_sphere
-    evaluation = evaluate_rows(
-        sequence,
-        read_results(results),
-        found.symmetries if found else (),
-        centre_m,
-        wrong_rad=float(np.deg2rad(wrong)),
-        speed_plus=speed_plus,
-    )
+    judged = _judged(target, unit)
+    evaluations: dict[str, Evaluation] = {}
+    for path in results:
+        name = path.stem if len({p.stem for p in results}) == len(results) else str(path)
+        if name in evaluations:
+            raise RendezviewError(f"{path}: is given twice: name each results file once")
+        evaluations[name] = evaluate_rows(
+            sequence,
+            read_results(path),
+            judged.symmetries,
+            judged.centre_m,
+            wrong_rad=float(np.deg2rad(wrong)),
+            speed_plus=speed_plus,
+            surface=judged.surface,
+        )
+    alone = next(iter(evaluations.values())) if len(evaluations) == 1 else None
     if as_json:
-        typer.echo(json.dumps(evaluation.as_dict(), indent=2, allow_nan=False))
+        if alone is None:
+            content = comparison_dict(evaluations)
+        else:
+            content = {**alone.as_dict(), "scores": scores_dict(scores(alone))}
+        typer.echo(json.dumps(content, indent=2, allow_nan=False))
         return
     console = Console()
-    console.print(evaluation.as_table())
-    for note in evaluation.notes:
+    if alone is None:
+        console.print(comparison_table(evaluations))
+    else:
+        console.print(alone.as_table())
+        console.print(score_table(alone))
+    for name, part in evaluations.items():
+        told = part.notes if alone is None else ()  # the table of one says them itself
+        for note in told:
+            console.print(f"{name}: {note}", highlight=False, soft_wrap=True)
+    for note in judged.notes:
         console.print(note, highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """What is known of the target."""
+
+    symmetries: tuple[Symmetry, ...] = ()
+    centre_m: Array | None = None
+    surface: Surface | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _judged(target: str | None, unit: str | None) -> _Judged:
+    if target is None:
+        return _Judged()
+    found = find_target(target)
+    model = bop_model(found.mesh_path)
+    mesh = load_mesh(found.mesh_path, unit or found.unit or ("mm" if model else None))
+    centre_m, _ = mesh.bounding_sphere
+    points_m = mesh.vertices_m[np.unique(mesh.faces)]
+    if model is None:
+        surface = Surface.of(points_m, alike_of(found.symmetries))
+        return _Judged(found.symmetries, centre_m, surface)
+    surface = Surface.of(points_m, model.alike, model.diameter_m)
+    notes: tuple[str, ...] = ()
+    if model.off_origin:
+        notes = (
+            f"{model.off_origin} symmetries of the model do not pass through its origin: they "
+            "count in MSSD and MSPD only",
+        )
+    return _Judged(model.symmetries, centre_m, surface, notes)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.evaluation import WRONG_RAD, Evaluation, FrameResult
 from rendezview.evaluation.pose_errors import pose_errors
+from rendezview.evaluation.surface import Surface, surface_errors
 from rendezview.results import ResultRow
 from rendezview.sequences import Sequence
 from rendezview.target import Symmetry
@@ -24,6 +25,7 @@ def evaluate(
     *,
     wrong_rad: float = WRONG_RAD,
     speed_plus: bool = False,
+    surface: Surface | None = None,
 ) -> Evaluation:
     """Judge results against the truth of a sequence.
 
@@ -37,7 +39,8 @@ def evaluate(
         symmetries: of the target.
         centre_m: (3,) view centre, target frame; None: the target's origin.
         wrong_rad: a pose whose attitude is off by more is wrong.
-        speed_plus: SPEED's score with the thresholds of SPEED+.
+        speed_plus: each frame's SPEED score with the thresholds of SPEED+.
+        surface: of the target: BOP's measures too.
 
     Raises:
         RendezviewError: the sequence has no truth, a row belongs to none of its frames,
@@ -70,7 +73,7 @@ def evaluate(
     results = []
     for im_id, frame in known.items():
         found, truth = best.get(im_id), frame.camera_from_target
-        errors = None
+        errors = surfaces = None
         if found is not None and truth is not None:
             try:
                 errors = pose_errors(
@@ -84,7 +87,12 @@ def evaluate(
                 raise RendezviewError(
                     f"{sequence.source}: im_id {im_id}: {error}: correct the truth or the target"
                 ) from error
+            if surface is not None:
+                estimate, camera = found.camera_from_target, frame.camera
+                surfaces = surface_errors(truth, estimate, surface, camera.matrix, camera.width)
         score, computing_s = (None, None) if found is None else (found.score, found.time_s)
-        results.append(FrameResult(im_id, frame.name, frame.time_s, errors, score, computing_s))
+        results.append(
+            FrameResult(im_id, frame.name, frame.time_s, errors, score, computing_s, surfaces)
+        )
     notes = [f"{count} rows {what}" for what, count in sorted(left_out.items())]
     return Evaluation(tuple(results), tuple(notes), wrong_rad)

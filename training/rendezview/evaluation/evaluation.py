@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rich.table import Table
 
 from rendezview.evaluation.pose_errors import PoseErrors
+from rendezview.evaluation.surface import SurfaceErrors
 
 WRONG_RAD = math.radians(5.0)
 
@@ -36,6 +37,7 @@ class FrameResult:
     errors: PoseErrors | None  # None: no pose
     score: float | None = None
     computing_s: float | None = None
+    surface: SurfaceErrors | None = None  # where the target's surface was given
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ class PoseErrors:
     bearing_rad: float  # of the view centre as seen from the camera
     speed_rotation: float  # SPEED's e_q, rad
     speed_translation: float  # SPEED's e_t, error of the origin over its true range
+    translation_fraction: float  # the same, whatever SPEED+ forgives
 
     @property
     def speed_score(self) -> float:
@@ -99,6 +100,7 @@ def pose_errors(
         bearing_rad=bearing_rad,
         speed_rotation=speed_rotation,
         speed_translation=speed_translation,
+        translation_fraction=translation_m / origin_range_m,
     )
 
 

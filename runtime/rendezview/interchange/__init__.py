@@ -1,0 +1,1 @@
+"""Runs handed on to the tools of others."""

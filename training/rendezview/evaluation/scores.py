@@ -1,0 +1,91 @@
+"""One number for a whole sequence, as the challenges of the field give it.
+
+- SPEED (Kisantal et al., IEEE TAES 2020): the mean of ``e_q + e_t`` over the images.
+- SPEED+ (Park et al., 2023): the same, a term below what its truth can tell counted as 0.
+- RBOT (Tjaden et al., IEEE TPAMI 2019): share of frames within 5 cm and 5°. RBOT sets its trackers
+  right after each failure; here the results stand as they are.
+- BOP (Hodaň et al., ECCVW 2020): share of frames below ten thresholds, averaged, for MSSD (5 % to
+  50 % of the diameter) and MSPD (5 to 50 px in a picture 640 wide). Its third measure, VSD, needs
+  depth pictures and is left out.
+- ADD, ADD-S (Hinterstoisser et al., ACCV 2012): share of frames below a tenth of the diameter.
+
+Shares are of all frames with a truth: one without a pose has failed. The means of SPEED are of the
+frames with a pose; the challenge has no score for a missing one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from rendezview.evaluation.evaluation import Evaluation, FrameResult
+from rendezview.evaluation.pose_errors import PoseErrors, speed_terms
+from rendezview.evaluation.surface import SurfaceErrors
+
+RBOT_TRANSLATION_M = 0.05
+RBOT_ROTATION_RAD = math.radians(5.0)
+ADD_FRACTION = 0.1  # of the diameter
+MSSD_FRACTIONS = np.arange(0.05, 0.51, 0.05)  # of the diameter
+MSPD_640_PX = np.arange(5, 51, 5)
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Of one sequence; None where it cannot be said."""
+
+    speed: float | None
+    speed_plus: float | None
+    rbot_share: float
+    add_share: float | None  # these four: None without the target's surface
+    add_s_share: float | None
+    mssd_recall: float | None
+    mspd_recall: float | None
+
+
+def scores(evaluation: Evaluation) -> Scores:
+    """The scores of an evaluation."""
+    surfaces = None
+    if any(frame.surface is not None for frame in evaluation.frames):
+        surfaces = [frame.surface for frame in evaluation.frames]
+
+    def share(holds: Callable[[SurfaceErrors], bool]) -> float | None:
+        if surfaces is None:
+            return None
+        return _mean([s is not None and holds(s) for s in surfaces])
+
+    def recall(value: Callable[[SurfaceErrors], float], limits: np.ndarray) -> float | None:
+        if surfaces is None:
+            return None
+        errors = np.array([math.inf if s is None else value(s) for s in surfaces])
+        return float((errors[:, None] < limits).mean())
+
+    found = [frame.errors for frame in evaluation.frames if frame.errors is not None]
+    return Scores(
+        speed=_mean([_speed(errors, False) for errors in found]),
+        speed_plus=_mean([_speed(errors, True) for errors in found]),
+        rbot_share=_mean([_within_rbot(frame) for frame in evaluation.frames]) or 0.0,
+        add_share=share(lambda s: s.add_m < ADD_FRACTION * s.diameter_m),
+        add_s_share=share(lambda s: s.add_s_m < ADD_FRACTION * s.diameter_m),
+        mssd_recall=recall(lambda s: s.mssd_fraction, MSSD_FRACTIONS),
+        mspd_recall=recall(lambda s: s.mspd_640_px, MSPD_640_PX),
+    )
+
+
+def _speed(errors: PoseErrors, speed_plus: bool) -> float:
+    return sum(speed_terms(errors.rotation_rad, errors.translation_fraction, speed_plus=speed_plus))
+
+
+def _within_rbot(frame: FrameResult) -> bool:
+    errors = frame.errors
+    return (
+        errors is not None
+        and errors.translation_m < RBOT_TRANSLATION_M
+        and errors.rotation_rad < RBOT_ROTATION_RAD
+    )
+
+
+def _mean(values: list[float] | list[bool]) -> float | None:
+    return float(np.mean(values)) if values else None
