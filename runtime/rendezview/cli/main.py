@@ -34,7 +34,7 @@ _SUMMARIES = {
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "evaluate": "Compare results with the truth of their scene.",
     "show": "Draw a model, a scene or a log.",
-    "export": "Print a model's decision trees.",
+    "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }
 
 

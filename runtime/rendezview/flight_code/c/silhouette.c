@@ -41,8 +41,8 @@ typedef struct
     uint32_t length; /* pixels of the border */
     rdv_f64 area;    /* pixels inside and on the border, holes filled */
     int32_t left, top, right, bottom;
-    uint8_t large; /* 1: may be the target */
-    uint8_t chosen;
+    uint8_t large;  /* 1: may be the target */
+    uint8_t chosen; /* 1: is of the target */
 } blob_t;
 
 /* One pixel of a border with the directions of the pixels before and after it. */
@@ -252,6 +252,8 @@ static void measure(const frame_t *frame, blob_t *blob)
     int64_t twice = 0;
     uint8_t more = 1u;
 
+    blob->large = 0u;
+    blob->chosen = 0u;
     blob->length = 0u;
     blob->left = blob->x;
     blob->right = blob->x;
@@ -300,10 +302,49 @@ static void measure(const frame_t *frame, blob_t *blob)
     blob->area = ((fabs((rdv_f64)twice) * 0.5) + (0.5 * (rdv_f64)blob->length)) + 1.0;
 }
 
-/* Outer borders of all that is marked, row by row; 0 where there are more than there is room for. */
+/* Keeps a blob, where there is no room instead of the one with the shortest border. Blobs stay in
+ * their order. `dropped` is the longest border of those left out that are more than a speck. */
+static void keep(const blob_t *blob, blob_t blobs[RDV_MOST_BLOBS], uint32_t *count,
+                 uint32_t *dropped)
+{
+    blob_t out = *blob;
+
+    if (*count == RDV_MOST_BLOBS)
+    {
+        uint32_t shortest = 0u;
+        uint32_t k;
+
+        for (k = 1u; k < RDV_MOST_BLOBS; k++)
+        {
+            shortest = (blobs[k].length < blobs[shortest].length) ? k : shortest;
+        }
+        if (blob->length > blobs[shortest].length)
+        {
+            out = blobs[shortest];
+            for (k = shortest; (k + 1u) < RDV_MOST_BLOBS; k++)
+            {
+                blobs[k] = blobs[k + 1u];
+            }
+            *count -= 1u;
+        }
+        if ((out.area >= LEAST_PART_PX) && (out.length > *dropped))
+        {
+            *dropped = out.length;
+        }
+    }
+    if (*count < RDV_MOST_BLOBS)
+    {
+        blobs[*count] = *blob;
+        *count += 1u;
+    }
+}
+
+/* Outer borders of all that is marked, row by row, the 256 longest; 0 where there are more that
+ * may belong to the target. */
 static uint8_t find_blobs(const frame_t *frame, blob_t blobs[RDV_MOST_BLOBS], uint32_t *count)
 {
-    uint8_t room = 1u;
+    uint32_t longest = 0u;
+    uint32_t dropped = 0u;
     int32_t x;
     int32_t y;
 
@@ -319,18 +360,14 @@ static uint8_t find_blobs(const frame_t *frame, blob_t blobs[RDV_MOST_BLOBS], ui
 
             if ((before == SKY) && (mark == TARGET) && (inside == 0u))
             {
-                if (*count < RDV_MOST_BLOBS)
-                {
-                    blobs[*count].x = x;
-                    blobs[*count].y = y;
-                    measure(frame, &blobs[*count]);
-                    *count += 1u;
-                    mark = *mark_at(frame, x, y);
-                }
-                else
-                {
-                    room = 0u;
-                }
+                blob_t blob;
+
+                blob.x = x;
+                blob.y = y;
+                measure(frame, &blob);
+                longest = (blob.length > longest) ? blob.length : longest;
+                keep(&blob, blobs, count, &dropped);
+                mark = *mark_at(frame, x, y);
             }
             if (mark > TARGET)
             {
@@ -339,7 +376,8 @@ static uint8_t find_blobs(const frame_t *frame, blob_t blobs[RDV_MOST_BLOBS], ui
             before = mark;
         }
     }
-    return room;
+    return ((dropped == 0u) || ((rdv_f64)(4u * dropped) < (LEAST_BORDER * (rdv_f64)longest))) ? 1u
+                                                                                             : 0u;
 }
 
 /* ---- Which blobs are the target ---- */
