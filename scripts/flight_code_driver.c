@@ -3,10 +3,12 @@
  * Requests and answers are packed binary, in the machine's own order. A request is a letter:
  *   T  readings, rolls                    -> status, trust of every node
  *   S  signature, attitude, reach         -> status, on nodes
+ *   A  signature, attitude, error         -> the same of rdv_search_around
  *   G  outlines, ends, rays               -> status, signature
  *   F  frame, camera, expected place      -> status, silhouette, points, status, signature
  *   B  n, then n times readings, rolls    -> nanoseconds of all trees, for each of them
  *   Q  n, then n times signature, attitude -> the same for rdv_search at RDV_REACH_RAD
+ *   R  n, then n times signature, attitude -> the same for rdv_search_around with an error of 20°
  */
 #define _POSIX_C_SOURCE 199309L
 #include <stdio.h>
@@ -16,6 +18,7 @@
 #include "rendezview_flight.h"
 
 #define REPEATS 9
+#define TWENTY_DEGREES 0.3490658503988659
 
 static void take(void *to, size_t bytes)
 {
@@ -71,7 +74,7 @@ static void trees(void)
     give(trust, sizeof(trust));
 }
 
-static void search(void)
+static void search(int is_around)
 {
     static rdv_signature signature;
     static rdv_on_nodes found;
@@ -82,7 +85,8 @@ static void search(void)
     take(signature.readings, sizeof(signature.readings));
     take(attitude, sizeof(attitude));
     take(&reach, sizeof(reach));
-    status = rdv_search(&signature, attitude, reach, &found);
+    status = (is_around != 0) ? rdv_search_around(&signature, attitude, reach, &found)
+                              : rdv_search(&signature, attitude, reach, &found);
     give_status(status);
     if (status == RDV_OK)
     {
@@ -175,12 +179,12 @@ static rdv_f64 now_ns(void)
 
 /* Every signature once in a round, so that no branch predictor has learned its path; of the
  * rounds the fastest answer, each signature for itself. */
-static void speed(int is_search)
+static void speed(int kind)
 {
     static rdv_on_nodes found;
     static rdv_f64 trust[RDV_NODES];
     const uint32_t n = number();
-    const size_t numbers = (is_search != 0) ? 9u : RDV_NODES;
+    const size_t numbers = (kind == 'B') ? RDV_NODES : 9u;
     rdv_signature *const signatures = room(n * sizeof(rdv_signature));
     rdv_f64 *const at = room(n * numbers * sizeof(rdv_f64));
     rdv_f64 *const best = room(n * sizeof(rdv_f64));
@@ -200,13 +204,17 @@ static void speed(int is_search)
             const rdv_f64 start = now_ns();
             rdv_f64 spent;
 
-            if (is_search != 0)
+            if (kind == 'B')
+            {
+                (void)rdv_all_trees(signatures[k].readings, &at[k * numbers], trust);
+            }
+            else if (kind == 'Q')
             {
                 (void)rdv_search(&signatures[k], &at[k * numbers], RDV_REACH_RAD, &found);
             }
             else
             {
-                (void)rdv_all_trees(signatures[k].readings, &at[k * numbers], trust);
+                (void)rdv_search_around(&signatures[k], &at[k * numbers], TWENTY_DEGREES, &found);
             }
             spent = now_ns() - start;
             best[k] = (spent < best[k]) ? spent : best[k];
@@ -227,11 +235,13 @@ int main(void)
         switch (request)
         {
         case 'T': trees(); break;
-        case 'S': search(); break;
+        case 'S': search(0); break;
+        case 'A': search(1); break;
         case 'G': signature_of(); break;
         case 'F': frame(); break;
-        case 'B': speed(0); break;
-        case 'Q': speed(1); break;
+        case 'B':
+        case 'Q':
+        case 'R': speed(request); break;
         default: exit(5);
         }
         (void)fflush(stdout);

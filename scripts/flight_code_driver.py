@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.appearance import ViewModel
-from rendezview.appearance.signature import Signature
+from rendezview.appearance.match import Matcher
+from rendezview.appearance.signature import Readings, Signature
 from rendezview.appearance.status import Status
 from rendezview.camera import Camera
 from rendezview.flight_code import write_c
@@ -127,7 +128,18 @@ class FlightCode:
         self, readings: npt.ArrayLike, attitude: npt.ArrayLike, reach_rad: float
     ) -> OnNodes | Status | str:
         """`rdv_search`."""
-        self._ask(b"S", _f32(readings), _f64(attitude), _f64([reach_rad]))
+        return self._search(b"S", readings, attitude, reach_rad)
+
+    def search_around(
+        self, readings: npt.ArrayLike, attitude: npt.ArrayLike, error_rad: float
+    ) -> OnNodes | Status | str:
+        """`rdv_search_around`."""
+        return self._search(b"A", readings, attitude, error_rad)
+
+    def _search(
+        self, letter: bytes, readings: npt.ArrayLike, attitude: npt.ArrayLike, angle_rad: float
+    ) -> OnNodes | Status | str:
+        self._ask(letter, _f32(readings), _f64(attitude), _f64([angle_rad]))
         status = self._status()
         if status is not Status.OK:
             return status
@@ -184,6 +196,10 @@ class FlightCode:
         """Nanoseconds of `rdv_search` for each of n signatures at attitudes (n, 3, 3)."""
         return self._speed(b"Q", readings, attitudes)
 
+    def search_around_ns(self, readings: Array, attitudes: Array) -> Array:
+        """Nanoseconds of `rdv_search_around`, the attitudes known to 20°."""
+        return self._speed(b"R", readings, attitudes)
+
     def _speed(self, letter: bytes, readings: Array, more: Array) -> Array:
         pairs = [_f32(r) + _f64(m) for r, m in zip(readings, more, strict=True)]
         self._ask(letter, struct.pack("I", len(pairs)), *pairs)
@@ -214,6 +230,49 @@ class FlightCode:
             said = self._process.communicate()[1].decode()
             raise AssertionError(f"the flight code ended ({self._process.returncode}): {said}")
         return np.frombuffer(data, dtype=code)
+
+
+def runtime_search(
+    matcher: Matcher, readings: Readings, attitude: Array, reach_rad: float
+) -> OnNodes | None:
+    """What `rdv_search` does, of the runtime's parts."""
+    nodes = matcher.model.geodesic.within(-attitude[2], reach_rad)
+    on, trust = matcher.nodes_on(readings, attitude, nodes)
+    if len(on) == 0:
+        return None
+    direction, weights = matcher.consensus(on, trust)
+    return OnNodes(on.astype(np.uint16), trust, weights, float(weights.sum()), direction)
+
+
+def runtime_search_around(
+    matcher: Matcher, readings: Readings, attitude: Array, error_rad: float
+) -> OnNodes | None:
+    """What `rdv_search_around` does."""
+    step = np.deg2rad(2.0)
+    most = int(np.ceil(error_rad / step))
+    reach = error_rad + matcher.options.margin_edges * matcher.model.geodesic.mean_edge_rad
+    best: OnNodes | None = None
+    for roll in step * np.arange(-most, most + 1):
+        turn = np.array(
+            [[np.cos(roll), -np.sin(roll), 0.0], [np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]]
+        )
+        found = runtime_search(matcher, readings, turn @ attitude, reach)
+        if found is not None and (best is None or found.support > best.support):
+            best = found
+    return best
+
+
+def same_search(c: OnNodes | Status | str, python: OnNodes | None) -> bool:
+    """On nodes and trust exactly; direction and weights but for the last bits of exp."""
+    if python is None:
+        return c is Status.UNRECOGNIZED
+    return (
+        isinstance(c, OnNodes)
+        and np.array_equal(c.nodes, python.nodes)
+        and np.array_equal(c.trust, python.trust)
+        and np.abs(c.weights - python.weights).max() < 1e-12
+        and np.abs(c.direction - python.direction).max() < 1e-12
+    )
 
 
 def _f32(values: npt.ArrayLike) -> bytes:

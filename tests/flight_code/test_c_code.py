@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import subprocess
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,11 +13,23 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scripts.flight_code_driver import (
+    MORE_WARNINGS,
+    SANITIZED,
+    FlightCode,
+    OnNodes,
+    build,
+    compiler,
+    object_bytes,
+    runtime_search,
+    runtime_search_around,
+    same_search,
+)
 
 from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Matcher, MatchOptions
+from rendezview.appearance.match import Matcher
 from rendezview.appearance.outline import crack_outline
-from rendezview.appearance.signature import Signature, twist
+from rendezview.appearance.signature import Signature
 from rendezview.appearance.silhouette import Missing, find_silhouette, outer_borders
 from rendezview.appearance.status import Status
 from rendezview.appearance.tree import Forest
@@ -26,15 +39,6 @@ from rendezview.flight_code import write_c
 from rendezview.flight_code.c_code import model_files
 from rendezview.flight_code.tables import pack_forest
 from rendezview.pose import Pose
-from scripts.flight_code_driver import (
-    MORE_WARNINGS,
-    SANITIZED,
-    FlightCode,
-    OnNodes,
-    build,
-    compiler,
-    object_bytes,
-)
 
 SIGNATURES = 10_000
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler here")
@@ -56,8 +60,13 @@ def some_readings(model: ViewModel, rng: np.random.Generator) -> np.ndarray:
     return np.rint(np.maximum(view * noise, 0.0)).astype(np.float32)
 
 
+def some_attitude(model: ViewModel, rng: np.random.Generator) -> np.ndarray:
+    view = model.views.centred_from_target[rng.integers(len(model.views.readings))]
+    return Rotation.from_rotvec(0.1 * rng.normal(size=3)).as_matrix() @ view
+
+
 @needs_compiler
-@pytest.mark.parametrize("level", ["-O0", "-O2", "-O3"])
+@pytest.mark.parametrize("level", ["-O0", "-O2"])
 def test_it_compiles_without_a_warning(tiny_model, tmp_path, level):
     build(tiny_model, tmp_path / "code", [level, *MORE_WARNINGS])
 
@@ -83,29 +92,34 @@ def test_all_trees_decide_as_the_runtime_on_ten_thousand_signatures(code, tiny_m
 @needs_compiler
 def test_the_search_finds_the_on_nodes_of_the_runtime_and_their_direction(code, tiny_model):
     rng = np.random.default_rng(2)
-    matcher, sphere, options = Matcher(tiny_model), tiny_model.geodesic, MatchOptions()
-    usual = (options.margin_edges + 2.0) * sphere.mean_edge_rad
+    matcher, usual = Matcher(tiny_model), 3.2 * tiny_model.geodesic.mean_edge_rad
     found = 0
     for k in range(300):
-        readings = some_readings(tiny_model, rng)
-        view = tiny_model.views.centred_from_target[rng.integers(len(tiny_model.views.readings))]
-        attitude = Rotation.from_rotvec(0.1 * rng.normal(size=3)).as_matrix() @ view
+        readings, attitude = some_readings(tiny_model, rng), some_attitude(tiny_model, rng)
         reach = [usual, 0.0, np.pi, 10.0][k % 4]
-        nodes = sphere.within(-attitude[2], reach)
-        on, trust = matcher.nodes_on(readings, attitude, nodes)
+        python = runtime_search(matcher, readings, attitude, reach)
         c = code.search(readings, attitude, reach)
-        if len(on) == 0:
-            assert c is Status.UNRECOGNIZED
-            continue
-        direction, weights = matcher.consensus(on, trust)
-        assert isinstance(c, OnNodes)
-        assert np.array_equal(c.nodes, on)
-        assert np.array_equal(c.trust, trust)
-        assert np.allclose(c.weights, weights, rtol=0.0, atol=1e-13)
-        assert np.allclose(c.direction, direction, rtol=0.0, atol=1e-13)
-        assert c.support == pytest.approx(c.weights.sum())
-        found += 1
+        assert same_search(c, python)
+        if python is not None:
+            assert isinstance(c, OnNodes)
+            assert c.support == pytest.approx(c.weights.sum())
+            found += 1
     assert found > 100
+
+
+@needs_compiler
+def test_the_search_around_an_attitude_takes_the_roll_of_best_agreement(code, tiny_model):
+    rng = np.random.default_rng(8)
+    matcher = Matcher(tiny_model)
+    found = 0
+    for error in np.repeat([0.0, 0.01, 0.35, 1.0, np.pi], 12):
+        readings, attitude = some_readings(tiny_model, rng), some_attitude(tiny_model, rng)
+        python = runtime_search_around(matcher, readings, attitude, error)
+        assert same_search(code.search_around(readings, attitude, error), python)
+        found += python is not None
+    assert found > 30
+    for error in (-0.1, 3.2, np.nan):
+        assert code.search_around(readings, attitude, error) == "bad input"
 
 
 def compare(code: FlightCode, image: np.ndarray, camera: Camera, expected=None) -> bool:
@@ -141,9 +155,7 @@ def assert_same(c: Signature, python: Signature) -> None:
     assert np.allclose(c.centred_from_camera, python.centred_from_camera, rtol=0.0, atol=1e-14)
 
 
-def test_a_frame_gives_the_outline_and_the_signature_of_the_runtime(
-    code, bumpy_mesh, camera, draw
-):
+def test_a_frame_gives_the_outline_and_the_signature_of_the_runtime(code, bumpy_mesh, camera, draw):
     rng = np.random.default_rng(3)
     for _ in range(12):
         rotation = Rotation.random(random_state=rng).as_matrix()
@@ -167,11 +179,12 @@ def test_frames_of_random_blobs_give_the_outlines_of_the_runtime(code):
         camera = Camera(int(width), int(height), 80.0, 90.0, width / 2.0, height / 2.0)
         expected = rng.uniform(0.0, (width, height)) if k % 3 == 0 else None
         seen[compare(code, image, camera, expected)] += 1
-    assert min(seen.values()) > 80
+    assert min(seen.values()) > 50
 
 
 @pytest.mark.parametrize(
-    ("grey", "status"), [(0, Status.EMPTY), (9, Status.EMPTY), (140, Status.FULL), (255, Status.FULL)]
+    ("grey", "status"),
+    [(0, Status.EMPTY), (9, Status.EMPTY), (140, Status.FULL), (255, Status.FULL)],
 )
 def test_a_frame_without_a_target_is_told(code, grey, status):
     image = np.full((40, 50), grey, dtype=np.uint8)
@@ -182,10 +195,12 @@ def test_a_frame_without_a_target_is_told(code, grey, status):
 def test_a_sky_full_of_specks_does_not_hide_the_target(code):
     rng = np.random.default_rng(5)
     image = np.full((300, 300), 3, dtype=np.uint8)
-    places = 3 + 6 * np.stack(np.divmod(rng.choice(49 * 49, 900, replace=False), 49), axis=1)
-    image[places[:, 0], places[:, 1]] = 200  # each 3 × 3 pixels in the mean
+    for place in rng.choice(49 * 49, 900, replace=False):
+        x, y = 3 + 6 * (place % 49), 3 + 6 * (place // 49)
+        image[y : y + 3, x : x + 3] = 8  # above the level in the middle pixel only
     cv2.circle(image, (150, 150), 60, 180, -1)
-    assert len(outer_borders((image > 100).astype(np.uint8))) > 600
+    mean = cv2.blur(image, (3, 3))
+    assert len(outer_borders((mean > 7).astype(np.uint8))) > 600
     assert compare(code, image, Camera.from_fov(300, 300, 0.5))
 
 
@@ -243,33 +258,68 @@ def test_a_frame_too_small_or_too_large_is_refused(code):
     assert code.frame(np.zeros((7, 20), dtype=np.uint8), Camera.from_fov(20, 7, 0.5)) == "bad input"
 
 
-@needs_compiler
-def test_the_header_tells_the_size_of_the_tables(tiny_model, tmp_path):
-    taken = object_bytes(tiny_model, tmp_path / "code")["rendezview_model.c"]
-    told = re.search(r"RDV_TABLE_BYTES (\d+)u", model_files(tiny_model)[0])
+@pytest.fixture(scope="module")
+def objects(tmp_path_factory: pytest.TempPathFactory, tiny_model: ViewModel) -> Path:
+    """Folder of object files, compiled as for flight."""
+    if compiler() is None or shutil.which("size") is None or shutil.which("nm") is None:
+        pytest.skip("there is no C compiler here, or no size or nm")
+    folder = tmp_path_factory.mktemp("objects") / "code"
+    object_bytes(tiny_model, folder)
+    return folder
+
+
+def test_the_header_tells_the_size_of_the_tables(objects):
+    told = re.search(r"RDV_TABLE_BYTES (\d+)u", (objects / "rendezview_model.h").read_text())
     assert told is not None
+    said = subprocess.run(
+        ["size", objects / "rendezview_model.o"], capture_output=True, text=True, check=True
+    )
+    taken = int(said.stdout.splitlines()[1].split()[3])
     assert int(told[1]) <= taken < int(told[1]) + 400  # what holds the file together
 
 
-@needs_compiler
-def test_nothing_is_called_but_mathematics(tiny_model, tmp_path):
-    objects = [p.with_suffix(".o") for p in (tmp_path / "code").glob("*.c")]
-    object_bytes(tiny_model, tmp_path / "code")
-    objects = sorted((tmp_path / "code").glob("*.o"))
-    said = subprocess.run(["nm", "-u", *objects], capture_output=True, text=True, check=True).stdout
+def test_nothing_is_called_but_mathematics(objects):
+    paths = sorted(objects.glob("*.o"))
+    said = subprocess.run(["nm", "-u", *paths], capture_output=True, text=True, check=True).stdout
     called = set(re.findall(r"U (\w+)", said))
-    mathematics = {"atan2", "ceil", "cos", "exp", "floor", "hypot", "fmax", "fmin", "rint", "sqrt"}
+    mathematics = set(
+        [
+            "atan2",
+            "ceil",
+            "cos",
+            "exp",
+            "floor",
+            "fmax",
+            "fmin",
+            "hypot",
+            "rint",
+            "sin",
+            "sincos",
+            "sqrt",
+        ]
+    )
     by_the_compiler = {"memcpy", "memset", "memmove", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"}
     assert "atan2" in called
     assert {c for c in called if not c.startswith("rdv_")} <= mathematics | by_the_compiler
 
 
-@needs_compiler
-def test_every_table_is_constant(tiny_model, tmp_path):
-    object_bytes(tiny_model, tmp_path / "code")
-    for path in (tmp_path / "code").glob("*.o"):
+def test_every_table_is_constant(objects):
+    for path in objects.glob("*.o"):
         said = subprocess.run(["size", path], capture_output=True, text=True, check=True).stdout
         assert said.splitlines()[1].split()[1:3] == ["0", "0"]  # data, bss
+
+
+def test_no_function_calls_itself(objects):
+    """Each function calls only those above it in its file, or of the files before."""
+    for path in objects.glob("*.c"):
+        text = re.sub(r"/\*.*?\*/", "", path.read_text(), flags=re.DOTALL)
+        bodies = re.split(r"\n(?=[a-z][\w ]*[ *]\w+\([^;{]*\)\n\{)", text)[1:]
+        for k, body in enumerate(bodies):
+            head = re.match(r"[\w ]*[ *](\w+)\(", body)
+            assert head is not None
+            for later in bodies[:k]:
+                assert not re.search(rf"\b{head[1]}\(", later), (path.name, head[1])
+            assert len(re.findall(rf"\b{head[1]}\(", body)) == 1, (path.name, head[1])
 
 
 def forest_of(rows: list[tuple[int, float, int, int, int]], roots: list[int]) -> Forest:
@@ -311,14 +361,14 @@ def test_trees_of_one_leaf_and_thresholds_with_a_fraction_decide_as_the_runtime(
 
 def test_a_tree_with_many_leaves_takes_wider_tables(tiny_model):
     rows: list[tuple[int, float, int, int, int]] = []
-    for k in range(300):  # a chain of branches with a leaf on the left of each
+    for k in range(450):  # a chain of branches with a leaf on the left of each
         rows += [(k % 100, float(k), 2 * k + 1, 2 * k + 2, 0), (-1, 0.0, 0, 0, 1)]
     rows.append((-1, 0.0, 0, 0, 0))
     model = with_forest(tiny_model, forest_of(rows, [0] * len(tiny_model.forest)))
     header = model_files(model)[0]
     assert "typedef uint16_t rdv_child;" in header
     assert "typedef uint32_t rdv_index;" in header
-    assert pack_forest(model).depths.max() == 300
+    assert pack_forest(model).depths.max() == 450
 
 
 @pytest.mark.parametrize("threshold", [-1.0, 65536.0, np.inf])

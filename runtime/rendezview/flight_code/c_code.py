@@ -59,6 +59,7 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
         "index": "uint32_t" if wide_index else "uint16_t",
     }
     reach_rad = (options.margin_edges + 2.0) * sphere.mean_edge_rad
+    margin_rad = options.margin_edges * sphere.mean_edge_rad
     width = (options.kernel_edges * sphere.mean_edge_rad) ** 2
     nodes = len(packed.roots)
     values = {
@@ -70,6 +71,7 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
         "RDV_TRUSTS": f"{max(1, len(packed.trusts))}u",
         "RDV_LONGEST_STEP": f"{packed.longest_step}u",
         "RDV_REACH_RAD": f"{_hex(reach_rad)} /* {reach_rad:.4f}: around a known attitude */",
+        "RDV_MARGIN_RAD": f"{_hex(margin_rad)} /* {margin_rad:.4f}: beyond the error of one */",
         "RDV_KERNEL_WIDTH": f"{_hex(width)} /* of the consensus */",
         "RDV_TABLE_BYTES": f"{_table_bytes(model, packed, types)}u",
         "RDV_DEEPEST_TREE": f"{packed.depths.max()}u /* branches */",
@@ -168,6 +170,7 @@ def _describe(
         f"{near}",
         f"  rdv_signature_of  90 M + 10 for each crossing of outline and bin, at most "
         f"{model.bins // 2 + 1} M; {7 * model.bins} for the readings",
+        "  rdv_search_around 2 E / 2 degrees + 2 times rdv_search, E being the error in degrees",
         "  rdv_silhouette    9 P integer operations; 25 for each point of the outline; 10 for each "
         "pair of blobs",
     ]
@@ -198,7 +201,12 @@ def _plain(text: str) -> str:
 
 
 def _rows(array: npt.NDArray[np.float64]) -> list[str]:
-    return ["{" + ", ".join(map(_hex, row)) + "}" for row in array]
+    """Numbers of a table of rows, the braces of each row with its first and its last."""
+    words = []
+    for row in array:
+        numbers = [_hex(value) for value in row]
+        words += [f"{{{numbers[0]}", *numbers[1:-1], f"{numbers[-1]}}}"]
+    return words
 
 
 def _hex(value: float) -> str:

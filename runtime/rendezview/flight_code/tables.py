@@ -69,7 +69,7 @@ def pack_forest(model: ViewModel) -> PackedForest:
             children.append([(0, number.get(entries[0][0], -1))] * 2)
             depths[-1] = 1
     coded = np.array(children, dtype=np.int64)  # (B, 2, 2)
-    longest = int(coded[..., 0].max(initial=0))
+    longest = int(coded[..., 0].max(initial=1))
     codes = np.where(coded[..., 1] >= 0, 1 + longest + coded[..., 1], coded[..., 0])
     if codes.max(initial=0) > MOST_16_BIT or len(trusts) > MOST_16_BIT:
         raise RendezviewError(

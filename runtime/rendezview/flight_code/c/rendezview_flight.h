@@ -22,7 +22,7 @@ typedef double rdv_f64; /* IEEE 754 binary64 */
 #include "rendezview_model.h"
 
 #if (FLT_EVAL_METHOD != 0)
-#error "float must be rounded to float after every operation: on 32-bit x86 compile with -msse2 -mfpmath=sse"
+#error "float must be rounded after every operation: -msse2 -mfpmath=sse on 32-bit x86"
 #endif
 
 typedef enum
@@ -42,7 +42,11 @@ typedef enum
 
 #define RDV_LEAST_SIDE 8u    /* smallest width and height of a frame, pixels */
 #define RDV_MOST_SIDE 16384u /* largest */
-#define RDV_MOST_BLOBS 256u  /* bodies, parts and specks told apart in one frame */
+
+/* Bodies, parts and specks told apart in one frame; each takes 52 bytes of the stack. */
+#ifndef RDV_MOST_BLOBS
+#define RDV_MOST_BLOBS 256u
+#endif
 
 /* Bytes of work memory for a frame. */
 #define RDV_WORK_BYTES(width, height) (((width) + 2u) * ((height) + 2u))
@@ -138,5 +142,11 @@ void rdv_centred(const rdv_signature *signature, const rdv_f64 camera_from_targe
  * well), each asked at its own roll; RDV_UNRECOGNIZED where there are none. */
 rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
                       rdv_f64 reach_rad, rdv_on_nodes *found);
+
+/* The same where an attitude is only known to `error_rad`, at most pi: rolls of the view up to that
+ * far either way are tried two degrees apart, and the one on which the nodes agree best is taken.
+ * Nodes are asked that far and RDV_MARGIN_RAD around the view. */
+rdv_status rdv_search_around(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
+                             rdv_f64 error_rad, rdv_on_nodes *found);
 
 #endif

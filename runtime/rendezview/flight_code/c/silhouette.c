@@ -339,7 +339,7 @@ static void keep(const blob_t *blob, blob_t blobs[RDV_MOST_BLOBS], uint32_t *cou
     }
 }
 
-/* Outer borders of all that is marked, row by row, the 256 longest; 0 where there are more that
+/* Outer borders of all that is marked, row by row, the longest; 0 where there are more that
  * may belong to the target. */
 static uint8_t find_blobs(const frame_t *frame, blob_t blobs[RDV_MOST_BLOBS], uint32_t *count)
 {
@@ -557,7 +557,7 @@ static uint8_t in_frame(const frame_t *frame, int32_t x, int32_t y)
     return ((x >= 0) && (x < frame->width) && (y >= 0) && (y < frame->height)) ? 1u : 0u;
 }
 
-/* Distance from a border pixel outwards to the middle grey level of the edge; 0 if there is none. */
+/* Distance from a border pixel outwards to the middle grey level of the edge; 0: there is none. */
 static uint8_t edge_shift(const frame_t *frame, const walker_t *at, uint32_t direction,
                           const rdv_silhouette_found *found, uint32_t reach, rdv_f64 *shift)
 {

@@ -6,6 +6,7 @@
 
 #define PI 3.14159265358979323846
 #define MOST_ROLL_RAD 3.2
+#define ROLL_STEP_RAD (PI / 90.0)
 #define MEAN_SHIFT_STEPS 5u
 /* 1.5 * 2^23: a float to which this is added is rounded to a whole number, as rintf does. */
 #define TO_WHOLE 12582912.0f
@@ -71,7 +72,8 @@ static void ask(const rdv_f32 readings[RDV_BINS], const uint16_t *trees, const r
             rdv_walk *const walk = &walks[place];
             const rdv_branch *const branch = &rdv_branches[walk->entry];
             const rdv_f32 *const at = &twice[(uint32_t)walk->start + branch->bin];
-            const rdv_f32 reading = (((1.0f - walk->part) * at[0]) + (walk->part * at[1])) + TO_WHOLE;
+            const rdv_f32 rest = 1.0f - walk->part;
+            const rdv_f32 reading = ((rest * at[0]) + (walk->part * at[1])) + TO_WHOLE;
             const rdv_f32 threshold = (rdv_f32)branch->threshold + TO_WHOLE;
             const uint16_t child = branch->child[(reading <= threshold) ? 0u : 1u];
 
@@ -271,6 +273,54 @@ rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from
         {
             status = RDV_UNRECOGNIZED;
         }
+    }
+    return status;
+}
+
+/* The attitude of a camera that is rolled by an angle about its boresight. */
+static void roll_by(rdv_f64 roll_rad, const rdv_f64 attitude[9], rdv_f64 rolled[9])
+{
+    const rdv_f64 c = cos(roll_rad);
+    const rdv_f64 s = sin(roll_rad);
+    uint32_t k;
+
+    for (k = 0u; k < 3u; k++)
+    {
+        rolled[k] = (c * attitude[k]) - (s * attitude[3u + k]);
+        rolled[3u + k] = (s * attitude[k]) + (c * attitude[3u + k]);
+        rolled[6u + k] = attitude[6u + k];
+    }
+}
+
+rdv_status rdv_search_around(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
+                             rdv_f64 error_rad, rdv_on_nodes *found)
+{
+    rdv_status status = RDV_BAD_INPUT;
+
+    if ((centred_from_target != NULL) && (found != NULL) && (error_rad >= 0.0) &&
+        (error_rad <= PI))
+    {
+        const rdv_f64 reach_rad = error_rad + RDV_MARGIN_RAD;
+        const int32_t most = (int32_t)ceil(error_rad / ROLL_STEP_RAD);
+        rdv_f64 rolled[9];
+        rdv_f64 best_rad = 0.0;
+        rdv_f64 best = 0.0;
+        int32_t k;
+
+        for (k = -most; k <= most; k++)
+        {
+            const rdv_f64 roll_rad = (rdv_f64)k * ROLL_STEP_RAD;
+
+            roll_by(roll_rad, centred_from_target, rolled);
+            status = rdv_search(signature, rolled, reach_rad, found);
+            if ((status == RDV_OK) && (found->support > best))
+            {
+                best = found->support;
+                best_rad = roll_rad;
+            }
+        }
+        roll_by(best_rad, centred_from_target, rolled);
+        status = rdv_search(signature, rolled, reach_rad, found);
     }
     return status;
 }
