@@ -7,8 +7,8 @@ Frames are drawn at random poses, 1-3 sphere radii away, with hard shadows, blur
 grey levels, the Sun within 60° of behind the camera. Each goes from grey picture to signature in
 C and in Python. Each signature that comes of it, and nine perturbed ones (readings off by up to
 10 %, some of them cut off), is asked of all trees, each at its own roll, and of both searches, at
-and around an attitude that is up to 20° off. Whatever Python says, C must say too: outlines, readings and
-trust to the last bit.
+and around an attitude that is up to 20° off. Whatever Python says, C must say too: outlines,
+readings and trust to the last bit.
 
 Then sizes of the object files and the time of all trees: every signature once in a round, nine
 rounds, each signature's fastest; the median and the worst of them. The runtime's own compiled
@@ -196,9 +196,10 @@ def main() -> None:
         print(f"ONNX trees           identical {onnx_same} of {total}")
     print(f"object size          {size} bytes (limit {LIMIT_BYTES}): " + ", ".join(
         f"{name} {taken}" for name, taken in sizes.items()))  # fmt: skip
+    ratio = np.median(all_us) / np.median(python_us)
     print(f"all {len(nodes)} trees        median {np.median(all_us):.1f} µs, worst "
-          f"{all_us.max():.1f} µs (limit {LIMIT_US:.0f}); the runtime's loop {np.median(python_us):.1f} µs: "
-          f"ratio {np.median(all_us) / np.median(python_us):.2f}")  # fmt: skip
+          f"{all_us.max():.1f} µs (limit {LIMIT_US:.0f}); the runtime's loop "
+          f"{np.median(python_us):.1f} µs: ratio {ratio:.2f}")  # fmt: skip
     print(f"on-node search       median {np.median(search_us):.1f} µs, worst "
           f"{search_us.max():.1f} µs; around 20°: median {np.median(sweep_us):.0f} µs, worst "
           f"{sweep_us.max():.0f} µs")  # fmt: skip

@@ -217,7 +217,7 @@ def _hex(value: float) -> str:
 def _wrapped(items: Iterable[str]) -> str:
     lines, line = [], "   "
     for item in items:
-        if len(line) + len(item) > _MOST_CHARACTERS:
+        if len(line) + len(item) + 2 > _MOST_CHARACTERS:
             lines.append(line)
             line = "   "
         line += f" {item},"

@@ -57,7 +57,7 @@ def write_onnx(model: ViewModel, path: Path) -> None:
         constant("flat", [trees], np.int64),
         constant("every_bin", np.arange(bins)[None], np.int64),
     ]
-    steps = [  # as `rolled`: floats of the same size in the same order
+    steps: list[tuple[Any, ...]] = [  # as `rolled`: floats of the same size in the same order
         ("Neg", ["rolls_rad"], "unroll"),
         ("Mul", ["unroll", "bins_double"], "unroll_bins"),
         ("Div", ["unroll_bins", "turn"], "shift"),

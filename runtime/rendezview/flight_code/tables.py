@@ -48,7 +48,9 @@ def pack_forest(model: ViewModel) -> PackedForest:
     forest = model.forest
     trust_of = Matcher(model).trust_of(np.arange(len(forest.component), dtype=np.int32))
     trusts = np.unique(trust_of[(forest.component < 0) & (trust_of > 0.0)])
-    roots, rows, children, first_on, on_leaves, depths = [], [], [], [], [], []
+    rows: list[tuple[int, int]] = []  # bin, threshold
+    on_leaves: list[int] = []
+    roots, children, first_on, depths = [], [], [], []
     for tree in range(len(forest)):
         entries = list(forest.entries(tree))
         branches = [e for e, _ in entries if forest.component[e] >= 0]
