@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from scripts.flight_code_driver import (
     MORE_WARNINGS,
     SANITIZED,
+    STRICT,
     FlightCode,
     OnNodes,
     build,
@@ -309,6 +310,15 @@ def test_no_function_calls_itself(objects):
                 assert not re.search(rf"\b{head[1]}\(", later), (path.name, head[1])
             assert len(re.findall(rf"\b{head[1]}\(", body)) == 1, (path.name, head[1])
     assert functions > 40
+
+
+def test_the_example_of_the_readme_compiles(objects, tmp_path):
+    blocks = re.findall(r"```c\n(.*?)```", (objects / "README.md").read_text(), flags=re.DOTALL)
+    assert len(blocks) == 1
+    (tmp_path / "example.c").write_text(blocks[0])
+    command = [compiler(), *STRICT, f"-I{objects}", "-c", "example.c", "-o", "example.o"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def forest_of(rows: list[tuple[int, float, int, int, int]], roots: list[int]) -> Forest:
