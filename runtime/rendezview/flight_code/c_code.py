@@ -15,7 +15,16 @@ from rendezview.files import atomic_write_text, make_folder
 from rendezview.flight_code.tables import MOST_16_BIT, PackedForest, pack_forest
 from rendezview.geodesic import Geodesic
 
-SOURCES = ("rendezview_flight.h", "silhouette.c", "signature.c", "trees.c", "README.md")
+SOURCES = (
+    "rendezview_flight.h",
+    "rendezview_frame.h",
+    "sky.c",
+    "borders.c",
+    "silhouette.c",
+    "signature.c",
+    "trees.c",
+    "README.md",
+)
 MODEL = ("rendezview_model.h", "rendezview_model.c")
 _MOST_CHARACTERS = 99
 
