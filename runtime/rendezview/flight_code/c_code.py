@@ -164,7 +164,7 @@ def _describe(
         "",
         f"Size: {_table_bytes(model, packed, types)} bytes of const tables: {nodes} trees of "
         f"{len(packed.bins)} branches and {len(packed.on_leaves)} leaves that mean on. Code: about "
-        "10 kB. No writable data. Stack: about "
+        "16 kB. No writable data. Stack: about "
         f"{(local + 2048) // 1000 + 1} kB in rdv_search, {(16 * model.bins + 2048) // 1000 + 1} kB "
         "in rdv_signature_of, 16 kB in rdv_silhouette.",
         "",
@@ -179,7 +179,7 @@ def _describe(
         f"{near}",
         f"  rdv_signature_of  90 M + 10 for each crossing of outline and bin, at most "
         f"{model.bins // 2 + 1} M; {7 * model.bins} for the readings",
-        "  rdv_search_around 2 E / 2 degrees + 2 times rdv_search, E being the error in degrees",
+        "  rdv_search_around E + 3 times rdv_search, E being the error in degrees",
         "  rdv_silhouette    9 P integer operations; 25 for each point of the outline; 10 for each "
         "pair of blobs",
     ]
