@@ -10,6 +10,7 @@ import typer
 from rendezview.appearance import ViewModel
 from rendezview.errors import RendezviewError
 from rendezview.files import atomic_write_text
+from rendezview.flight_code import write_c, write_onnx
 
 
 def export(
@@ -20,30 +21,53 @@ def export(
     rules: Annotated[
         bool, typer.Option("--rules", help="The trees as if-then-else rules.")
     ] = False,
+    c: Annotated[
+        Path | None, typer.Option("--c", help="Folder for flight code: C99, see README.md there.")
+    ] = None,
+    onnx: Annotated[
+        Path | None, typer.Option("--onnx", help="File for the trees as an ONNX graph.")
+    ] = None,
     node: Annotated[
-        list[int] | None, typer.Option(help="Only this node; may be given again.")
+        list[int] | None,
+        typer.Option(help="Only this node, of a listing or rules; may be given again."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="File to write instead of the screen.")
+        Path | None,
+        typer.Option("-o", "--output", help="File for a listing or rules instead of the screen."),
     ] = None,
 ) -> None:
-    """Print a model's decision trees.
+    """Print a model's decision trees, or write them as flight code.
 
     In a listing `2 #156 <= 455` is level, bin and threshold in thousandths of the square
     root of the silhouette's area; `T 1` recognises the view, `T 0` does not.
 
-    Example: rendezview export hubble.rvm --listing --node 17
+    Example: rendezview export hubble.rvm --c flight
     """
-    if listing == rules:
-        raise RendezviewError("say how to print the trees: --listing or --rules")
+    if sum((listing, rules, c is not None, onnx is not None)) != 1:
+        raise RendezviewError(
+            "say how to export the trees: one of --listing, --rules, --c DIR and --onnx FILE"
+        )
+    if not (listing or rules) and (node or output):
+        raise RendezviewError("--node and --output go with --listing or --rules")
     loaded = ViewModel.load(model)
-    forest = loaded.forest
+    if c is not None:
+        files = write_c(loaded, c)
+        typer.echo(f"{c}: {len(files)} files, start with README.md", err=True)
+    elif onnx is not None:
+        write_onnx(loaded, onnx)
+        typer.echo(f"{onnx}: {len(loaded.forest)} trees", err=True)
+    else:
+        _print(loaded, listing, node, output)
+
+
+def _print(model: ViewModel, listing: bool, node: list[int] | None, output: Path | None) -> None:
+    forest = model.forest
     nodes = node if node else range(len(forest))
     parts = []
     for k in nodes:
         if not 0 <= k < len(forest):
             raise RendezviewError(f"there is no node {k}: the sphere has 0 … {len(forest) - 1}")
-        x, y, z = loaded.geodesic.nodes[k]
+        x, y, z = model.geodesic.nodes[k]
         parts.append(f"Node {k}  direction {x:+.4f} {y:+.4f} {z:+.4f}")
         parts.append(forest.listing(k) if listing else forest.rules(k, "r{}"))
         parts.append("")

@@ -35,7 +35,7 @@ _SUMMARIES = {
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
     "show": "Draw a model, a scene or a log.",
-    "export": "Print a model's decision trees.",
+    "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }
 
 
