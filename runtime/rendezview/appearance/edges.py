@@ -103,7 +103,7 @@ def strip_place(  # type: ignore[no-untyped-def]
         seen = last - first + 1
         if seen < 5:
             return False
-        # Upper triangle of the normal equations and their right side: place, gain, tilt, background.
+        # Upper triangle of the normal equations, and their right side.
         a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = 0.0
         r0 = r1 = r2 = r3 = cost = 0.0
         for i in range(first, last + 1):
