@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
+from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.files import describe, parse_json
+from rendezview.files import describe
 from rendezview.fusion import (
     Fusion,
     FusionOptions,
@@ -152,7 +153,8 @@ class SessionFilter:
                     f"{where}: is of a {kind} log, those before were of a {before} log: give "
                     "each sensor a name of its own"
                 )
-            measurement = read_record(record, kind, sensor, self._context, where)
+            with np.errstate(all="ignore"):  # what is beyond all measure is refused below
+                measurement = read_record(record, kind, sensor, self._context, where)
             if measurement is not None:
                 self._check_clock(measurement, frame_s, waited_s, where)
                 _check_size(measurement, where)
@@ -347,7 +349,11 @@ def split_records(text: bytes) -> list[Json]:
         parts = [whole]  # one object over several lines
     records = []
     for number, part in enumerate(parts, start=1):
-        record = parse_json(part, f"line {number}")
+        try:
+            record = from_json(part, allow_inf_nan=False)
+        except ValueError as error:
+            told = f"line {number}: not valid JSON ({error}): correct or remove it"
+            raise RendezviewError(told) from None
         if not isinstance(record, dict):
             raise RendezviewError(f"line {number}: not a JSON object: send a sensor's log lines")
         records.append(record)
@@ -365,7 +371,7 @@ def _check_size(measurement: Measurement, where: str) -> None:
         variances = np.diagonal(measurement.covariance)
     elif isinstance(measurement, RangeMeasurement):
         places = [np.array([measurement.range_m]), measurement.origin_m]
-        variances = np.array([measurement.sigma_m**2])
+        variances = np.square([min(measurement.sigma_m, _MOST)])
     else:
         places = [c.centre_m for c in measurement.candidates]
         variances = np.concatenate([np.diagonal(c.covariance)[:3] for c in measurement.candidates])

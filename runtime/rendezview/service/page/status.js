@@ -82,13 +82,12 @@ export function showFused(fused) {
   const kind = { tracking: "good", lost: "bad wrap", late: "bad wrap" }[fused.status] ?? "warn wrap";
   const entries = [["status", `${fused.status}${fused.reason ? `: ${fused.reason}` : ""}`, kind]];
   if (pose !== null) {
-    for (const [axis, name] of ["x", "y", "z"].entries()) {
-      entries.push([name, `${fixed(pose.translation_m[axis], 3)} ± ${sigma(axis + 3).toFixed(3)} m`]);
-    }
+    entries.push(["x y z", `${pose.translation_m.map((value) => fixed(value, 3)).join(" ")} m`]);
+    entries.push(["place ±", `${[3, 4, 5].map((k) => sigma(k).toFixed(3)).join(" ")} m`]);
     entries.push(["q wxyz", pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ")]);
     entries.push(["attitude ±", `${[0, 1, 2].map((k) => (DEGREES * sigma(k)).toFixed(2)).join(" ")} °`]);
-    entries.push(["turning", `${(DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2)} °/s`]);
-    entries.push(["moving", `${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s`]);
+    const turning = (DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2);
+    entries.push(["rates", `${turning} °/s · ${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s`]);
   }
   rows(table.tBodies[0], entries);
 }
