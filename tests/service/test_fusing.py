@@ -164,7 +164,7 @@ def _bad(sensors, truth):
         ("mirrors", b'{"a": ' * 5000 + b"1" + b"}" * 5000, "JSON"),
         ("mirrors", {}, "neither 'pose'"),
         ("mirrors", {"pose": pose["pose"], "covariance": pose["covariance"]}, "time_s"),
-        ("mirrors", pose | {"time_s": float("nan")}, "NaN"),
+        ("mirrors", pose | {"time_s": float("nan")}, "not valid JSON"),
         ("mirrors", pose | {"time_s": 1e11}, "1e.10"),
         ("mirrors", pose | {"time_s": 10**400}, "line 1"),
         ("mirrors", pose | {"time_s": True}, "time_s"),

@@ -139,7 +139,9 @@ class Worker(asyncio.Protocol):
             self._memory[: len(waiting.content)] = waiting.content
             self._transport.write(pack(session.header_of(waiting)))
             loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(self._frame_timeout_s, self._hung)
+            # Late lines are put where they belong, and what came after is said again for each.
+            count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
+            self._timer = loop.call_later(count * self._frame_timeout_s, self._hung)
 
     def _done(self) -> None:
         self._current = None

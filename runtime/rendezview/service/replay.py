@@ -191,7 +191,8 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
     request = log.request
     if request is None:
         raise RendezviewError(f"{log.path}: says nothing of a session: use it as a --source")
-    follower = Follower(log.notes.get("session", "replay"), model, request)
+    forgotten = log.notes.get("forgotten") == "yes"
+    follower = Follower(log.notes.get("session", "replay"), model, request, forgotten=forgotten)
     so_far = Repeated()
     expected = 0
     lines = 0

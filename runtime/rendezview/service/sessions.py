@@ -219,6 +219,10 @@ class Session:
             "extras": extras,
         }
 
+    def most_lines_of(self, waiting: Waiting) -> int:
+        """How many lines a sensor's message can hold."""
+        return min(1 + waiting.content.count(b"\n"), self.settings.measurement_lines)
+
     def _count(self, frames: bool) -> int:
         return sum((waiting.sensor is None) is frames for waiting in self._queue)
 

@@ -117,6 +117,7 @@ class Worker:
             options = RecordingOptions(**request["recording"])
             content = path.read_bytes() if request["log_model"] and options.images else None
             notes = session_notes(request["session"], asked, model.name, path)
+            notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
             writer = LogWriter(place, follower.camera, notes, content, options)
         self._sessions[request["session"]] = _Session(follower, writer)
