@@ -2,11 +2,11 @@
 
     python scripts/service_fuzz.py hubble.rvm [--count 50000] [--seed 0] [--schemathesis]
 
-Frames of all kinds damaged in all ways, by HTTP and by WebSocket; JSON that is almost right; raw
-bytes that are no HTTP; connections that break off. A server error (5xx other than 503), an answer
-that takes more than 10 s, a worker that ends, a session that stays, or a service that no longer
-tracks a good frame is a failure. With --schemathesis (installed apart, as it brings a great
-deal) its own cases are made from the OpenAPI too.
+Frames of all kinds and lines of other sensors, damaged in all ways, by HTTP and by WebSocket; JSON
+that is almost right; raw bytes that are no HTTP; connections that break off. A server error (5xx
+other than 503), an answer that takes more than 10 s, a worker that ends, a session that stays, or
+a service that no longer tracks a good frame is a failure. With --schemathesis (installed apart, as
+it brings a great deal) its own cases are made from the OpenAPI too.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import time
 from collections import Counter
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote, urlsplit
 
 import cv2
@@ -34,6 +35,20 @@ from service_speed import Served
 
 CAMERA = Camera.from_fov(160, 120, np.deg2rad(40.0))
 SLOW_S = 10.0
+
+
+RING = {"centre_m": [0.0, 0.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
+_POSE = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 9.0]}
+LINES: dict[str, dict[str, Any]] = {
+    "mirrors": {"pose": _POSE, "covariance": (1e-4 * np.eye(6)).tolist(), "roll_ambiguous": False,
+     "spots": [{"x_px": 10.0, "y_px": 20.0}]},
+    "ring": {"ellipses": [{"centre_px": [80.0, 60.0], "semi_axes_px": [9.0, 8.0],
+                           "angle_rad": 0.1}], "ellipse": 0,
+             "poses": [{"centre_m": [0.0, 0.0, 9.0], "axis": [0.0, 0.0, -1.0],
+                        "covariance": (1e-4 * np.eye(5)).tolist()}]},
+    "laser": {"range_m": 9.0, "sigma_m": 0.02,
+              "origin_m": [0.0, 0.0, 0.0], "direction": [0.0, 0.0, 1.0]},
+}  # fmt: skip
 
 
 class Fuzz:
@@ -104,15 +119,47 @@ class Fuzz:
             "id": None,
             "prior": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, 9]},
             "sun_camera": [0, 0, -1],
+            "fusion": {"ring": dict(RING), "surfaces": [], "options": {"history_s": 5.0}},
         }
         place: dict[str, object] = request
         if rng.random() < 0.5:
-            place = request[str(rng.choice(["camera", "prior"]))]  # type: ignore[assignment]
+            place = request[str(rng.choice(["camera", "prior", "fusion"]))]  # type: ignore[assignment]
         place[str(rng.choice([*place, "more"]))] = self.value()
         text = json.dumps(request, allow_nan=True).encode()
         if rng.random() < 0.2:
             text = text[: rng.integers(len(text))] + rng.bytes(rng.integers(0, 4))
         return text
+
+    def lines(self) -> tuple[str, bytes]:
+        """A sensor, and lines of it that are almost right, at times that rise or do not."""
+        rng = self.rng
+        lines = []
+        sensor = str(rng.choice(list(LINES)))
+        for _ in range(rng.integers(1, 4)):
+            line = json.loads(json.dumps(LINES[sensor]))
+            line["time_s"] = time.time() + rng.normal()
+            for _ in range(rng.choice([0, 0, 1, 2])):
+                place = line
+                while True:
+                    keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+                    if not keys:
+                        break
+                    key = keys[rng.integers(len(keys))]
+                    if isinstance(place[key], dict | list) and rng.random() < 0.7:
+                        place = place[key]
+                        continue
+                    place[key] = self.value()
+                    break
+            lines.append(json.dumps(line, allow_nan=True).encode())
+        text = bytearray(b"\n".join(lines))
+        if rng.random() < 0.2:
+            for at in rng.integers(0, len(text), rng.integers(1, 5)):
+                text[at] = rng.integers(256)
+        if rng.random() < 0.1:
+            text = text[: rng.integers(len(text))]
+        if rng.random() < 0.1:
+            sensor = str(rng.choice(["ring", "laser", "camera", "x", "a b"]))
+        return sensor, bytes(text)
 
     def ask(self, http: HTTPConnection, method: str, path: str, body: bytes | None) -> bytes:
         """One request; what must not be is noted."""
@@ -146,7 +193,11 @@ class Fuzz:
         )  # fmt: skip
         for k in range(count):
             what = rng.random()
-            if what < 0.6:
+            if what < 0.25:
+                sensor, lines = self.lines()
+                path = f"/v1/sessions/{session}/measurements?sensor={quote(sensor)}"
+                self.ask(http, "POST", path, lines)
+            elif what < 0.6:
                 time_s = "" if rng.random() < 0.9 else f"?time_s={quote(str(self.value()))}"
                 self.ask(http, "POST", f"/v1/sessions/{session}/frames{time_s}", self.frame())
             elif what < 0.8:
@@ -200,6 +251,15 @@ class Fuzz:
                         message: bytes | str = head + self.frame()
                         if self.rng.random() < 0.05:
                             message = json.dumps(self.value())
+                        elif self.rng.random() < 0.2:
+                            told = {"sensor": self.value(), "record": self.value()}
+                            if self.rng.random() < 0.8:
+                                told["sensor"] = str(self.rng.choice(["ring", "laser", "mirrors"]))
+                            message = json.dumps(told)
+                            if self.rng.random() < 0.8:
+                                sensor, lines = self.lines()
+                                line = lines.decode(errors="replace").split("\n")[0]
+                                message = f'{{"sensor": "{sensor}", "record": {line}}}'
                         stream.send(message)
                         told = json.loads(stream.recv(SLOW_S))
                         status = told.get("status", 200)
@@ -233,7 +293,7 @@ def main() -> None:
     served = Served(arguments.model)
     fuzz = Fuzz(served, arguments.seed)
     with Client(served.url) as client:
-        session = client.open(CAMERA, name="fuzzed")
+        session = client.open(CAMERA, name="fuzzed", fusion={"ring": RING})
         before = served.resident_mb()
         start = time.monotonic()
         if arguments.count:

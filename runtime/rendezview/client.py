@@ -14,7 +14,7 @@ import json
 import socket
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
 from pathlib import Path
 from types import TracebackType
@@ -27,6 +27,7 @@ import numpy.typing as npt
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
+from rendezview.results import json_line
 
 Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
 State = dict[str, Any]
@@ -45,6 +46,13 @@ class ServiceError(RendezviewError):
 def pose_of_state(state: State) -> Pose | None:
     """camera_from_target of a state; None where the frame gave none."""
     pose = state["pose"]
+    return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
+
+
+def fused_pose_of_state(state: State) -> Pose | None:
+    """camera_from_target by all sensors, of a state or the answer to a sensor's lines."""
+    fused = state.get("fused")
+    pose = None if fused is None else fused["pose"]
     return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
 
 
@@ -76,8 +84,13 @@ class Client:
         trees: bool = True,
         name: str | None = None,
         record: bool | None = None,
+        fusion: Mapping[str, Any] | None = None,
     ) -> SessionClient:
         """Open a session; what is left out is as the service was started.
+
+        Args:
+            fusion: what is known of other sensors, as `FusionRequest` has it: ``ring`` (a
+                `DockingRing`, say), ``surfaces``, ``mounts`` (a `Pose` by name), ``options``.
 
         Raises:
             RendezviewError: the service is not reached, or refuses.
@@ -94,6 +107,8 @@ class Client:
             }
         if sun_camera is not None:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
+        if fusion is not None:
+            request["fusion"] = json.loads(json_line(fusion))
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())
         return SessionClient(self, info["id"])
 
@@ -219,6 +234,18 @@ class SessionClient:
         state: State = self.client.request("POST", f"{self._path}/frames{query}", content, kind)
         return state
 
+    def measure(self, sensor: str, *records: Mapping[str, Any]) -> State:
+        """Lines of another sensor's log, one after another: what became of them.
+
+        Raises:
+            ServiceError: a line is wrong (422), or too many wait (429).
+            RendezviewError: the service is not reached.
+        """
+        lines = "\n".join(map(json_line, records)).encode()
+        path = f"{self._path}/measurements?sensor={quote(sensor, safe='')}"
+        told: State = self.client.request("POST", path, lines, "application/x-ndjson")
+        return told
+
     def stream(self) -> StreamClient:
         """A WebSocket for frames and states: the way where frames come fast."""
         return StreamClient(self.client.stream_url(self.name, "stream"), self.client.headers)
@@ -269,11 +296,15 @@ class StreamClient:
         content, _ = _content(frame)
         self._socket.send(struct.pack("<d", float("nan") if time_s is None else time_s) + content)
 
+    def measure(self, sensor: str, record: Mapping[str, Any]) -> None:
+        """Send a line of another sensor's log; its answer has the type ``measured``."""
+        self._socket.send(json_line({"sensor": sensor, "record": record}))
+
     def receive(self, timeout_s: float | None = None) -> State:
-        """The next state.
+        """The next state, or answer to a sensor's line.
 
         Raises:
-            ServiceError: a frame was refused.
+            ServiceError: a frame or a line was refused.
             TimeoutError: none came in time.
             RendezviewError: the stream has ended.
         """

@@ -209,9 +209,13 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     served = start_service("--record", str(place))
     with served.client() as client:
         session = client.open(camera, prior=tour[0][1])
-        states = [session.track(image, time_s) for time_s, _, image in tour[:8]]
+        states, told = [], []
+        for time_s, truth, image in tour[:8]:
+            states.append(session.track(image, time_s))
+            line = {"time_s": time_s, "pose": truth, "covariance": 1e-4 * np.eye(6)}
+            told.append(session.measure("mirrors", line))
     served.kill()
-    assert all(state["recorded"] for state in states)
+    assert all(answer["recorded"] for answer in states + told)
     copy = tmp_path / "aside" / "copy.mcap"
     copy.parent.mkdir()
     copy.write_bytes(place.read_bytes())
@@ -219,7 +223,10 @@ def test_after_a_kill_everything_acknowledged_is_there(start_service, camera, to
     assert any("log mended" in line for line in again.lines)
     again.stop()
     assert _messages(place)["/rendezview/state"] == states
-    assert "8 frames, 8 poses: all repeated bit for bit" in _replay(place)
+    lines = _messages(place)["/rendezview/measurement"]
+    assert [line["verdict"] for line in lines] == [one["verdicts"][0] for one in told]
+    again = _replay(place)
+    assert "8 frames, 8 poses, 8 lines of other sensors: all repeated bit for bit" in again
     assert "completed" in _replay(copy, "--mend")
     assert mend(copy) is None
 

@@ -105,7 +105,8 @@ def test_every_answer_says_what_a_browser_may_do_with_it():
 
 @pytest.mark.parametrize(
     "text", ["", "x = 1", "[a]\nscope='king'\ntoken='0123456789abcdef'", "[a]\nscope='read'", "[[",
-             "[a]\nscope='read'\ntoken='short'"],
+             "[a]\nscope='read'\ntoken='short'", "[a]\nscope='read'\ntoken='one with spaces in it'",
+             "[a]\nscope='read'\ntoken='größer-als-sechzehn'"],
 )  # fmt: skip
 def test_wrong_tokens_files_are_refused(tmp_path, text):
     path = tmp_path / "tokens.toml"

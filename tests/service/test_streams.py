@@ -13,7 +13,11 @@ import pytest
 from websockets.sync.client import connect
 
 from rendezview.client import ServiceError, pose_of_state
-from rendezview.service.messages import WatchState
+from rendezview.service.messages import SessionRequest, WatchState
+from rendezview.service.metrics import Metrics
+from rendezview.service.sessions import Session, Waiting, Watcher
+from rendezview.service.settings import Settings
+from rendezview.service.tracking import camera_message
 
 
 @pytest.fixture
@@ -108,6 +112,28 @@ def test_a_stream_of_no_session_is_closed_with_the_reason(service, client, what)
     url = client.stream_url("nobody", what)
     with connect(url) as socket, pytest.raises(Exception, match="there is none"):
         socket.recv(10.0)
+
+
+def test_who_comes_while_a_frame_is_looked_at_sees_the_next_one(camera):
+    """Its extras were not asked for in the newcomer's name."""
+    request = SessionRequest(camera=camera_message(camera))
+    session = Session("s", "m", request, Settings(history_image_hz=0.0), Metrics())
+    before, after = (Watcher(30.0, 200, contour=True, silhouette=False) for _ in range(2))
+    state = b'{"frame": 0}'
+    header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0}
+    more = {"frame": 0, "contour": {"points_px": [], "kinds": []}, "silhouette_px": None}
+    waiting = Waiting(b"", 0.0, 0.0, time.monotonic(), lambda answer: None)
+    session.watchers.add(before)
+    assert session.header_of(waiting)["extras"]["contour"]
+    session.watchers.add(after)
+    session.saw(waiting, header, state)
+    session.saw_more(more, b"jpeg")
+    assert before.message is not None
+    assert after.message is None
+    before.due_s = 0.0
+    session.header_of(waiting)
+    session.saw_more(more, b"jpeg")
+    assert json.loads(after.message[0])["contour"] is not None
 
 
 def test_watchers_that_go_are_forgotten(session):

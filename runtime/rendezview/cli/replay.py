@@ -80,9 +80,11 @@ def replay(
     if result.gap is not None:
         say(result.gap)
     counted = f"{result.frames} frames, {result.poses} poses"
+    if result.lines:
+        counted += f", {result.lines} lines of other sensors"
     if result.largest > tolerance:
         raise RendezviewError(
-            f"{log}: {result.differing} of {result.frames} frames differ, by up to "
+            f"{log}: {result.differing} of {result.frames + result.lines} differ, by up to "
             f"{result.largest:.1e}, first {result.first_difference}: another version or model; or, "
             "where it is rounding, loops that were compiled apart (see --tolerance)"
         )

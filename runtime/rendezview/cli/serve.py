@@ -18,6 +18,10 @@ def serve(
     camera: Annotated[
         Path | None, typer.Option(help="Camera file, of sessions that give none.")
     ] = None,
+    target: Annotated[
+        Path | None,
+        typer.Option(help="Target file with a docking ring: where other sensors see a ring."),
+    ] = None,
     source: Annotated[
         list[str] | None,
         typer.Option(
@@ -74,6 +78,7 @@ def serve(
         ) from None
     flags: dict[str, Any] = {
         "camera": camera,
+        "target": target,
         "record": record,
         "record_images": record_images,
         "sync": sync,

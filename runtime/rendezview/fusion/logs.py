@@ -33,6 +33,8 @@ from rendezview.results import read_json_lines
 from rendezview.target import DockingRing
 
 _RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
+_SERVED = "a session of the service: its `fusion`"
+_ROUNDING = 1e-9  # of a covariance that has been written and read
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,22 +66,55 @@ def read_log(path: StrPath, sensor: str, context: LogContext) -> SensorLog:
     records = read_json_lines(path)
     if not records:
         raise RendezviewError(f"{path}: holds no lines: name another log")
-    kind, reader = _kind(records[0], str(path), context)
-    mount = context.mounts.get(sensor)
-    measurements: list[Measurement] = []
+    kind = kind_of(records[0], str(path))
+    _check_known(kind, str(path), context)
+    measurements = []
     for number, record in enumerate(records, start=1):
-        where = f"{path}: record {number}"
-        try:
-            measurement = reader(record, sensor, context)
-        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
-            said = f"no key {error}" if isinstance(error, KeyError) else str(error)
-            raise RendezviewError(
-                f"{where}: no line of a {kind} log ({said}): correct or remove it"
-            ) from error
+        measurement = read_record(record, kind, sensor, context, f"{path}: record {number}")
         if measurement is not None:
-            measurements.append(measurement if mount is None else measurement.in_camera(mount))
+            measurements.append(measurement)
     measurements.sort(key=lambda m: m.time_s)
     return SensorLog(sensor, kind, measurements, len(records) - len(measurements))
+
+
+def kind_of(record: Mapping[str, Any], where: str) -> str:
+    """What a line is of, by its keys: ``range``, ``ring`` or ``pose``.
+
+    Raises:
+        RendezviewError: of no known kind.
+    """
+    for key, (kind, _) in _KINDS.items():
+        if key in record:
+            return kind
+    raise RendezviewError(
+        f"{where}: no log of a sensor that is known here: its lines have neither 'pose' (track, "
+        "reflectors, stereo), nor 'ellipses' (ring), nor 'range_m' (a laser ranger)"
+    )
+
+
+def read_record(
+    record: Mapping[str, Any], kind: str, sensor: str, context: LogContext, where: str
+) -> Measurement | None:
+    """The measurement of one line, in the camera frame; None where the sensor saw nothing.
+
+    Args:
+        kind: of the log, by `kind_of`.
+        where: it stands, for what is said of faults.
+
+    Raises:
+        RendezviewError: the line is wrong, or what the kind needs is not known.
+    """
+    _check_known(kind, where, context)
+    reader = next(r for k, r in _KINDS.values() if k == kind)
+    try:
+        measurement = reader(record, sensor, context)
+        mount = context.mounts.get(sensor)
+        return measurement if measurement is None or mount is None else measurement.in_camera(mount)
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        said = f"no key {error}" if isinstance(error, KeyError) else str(error)
+        raise RendezviewError(
+            f"{where}: no line of a {kind} log ({said[:300]}): correct or remove it"
+        ) from error
 
 
 def merged(logs: list[SensorLog]) -> list[Measurement]:
@@ -125,33 +160,20 @@ def read_mount(path: StrPath) -> Pose:
         ) from error
 
 
-Reader = Callable[[dict[str, Any], str, LogContext], Measurement | None]
+def _check_known(kind: str, where: str, context: LogContext) -> None:
+    if kind == "range" and not context.surfaces and context.ring is None:
+        raise RendezviewError(
+            f"{where}: a range needs to know what the beam meets: give --surfaces, or --target "
+            f"with a docking ring ({_SERVED})"
+        )
+    if kind == "ring" and context.ring is None:
+        raise RendezviewError(
+            f"{where}: a ring needs to know where it is on the target: give --target with a "
+            f"docking ring ({_SERVED})"
+        )
 
 
-def _kind(record: dict[str, Any], path: str, context: LogContext) -> tuple[str, Reader]:
-    if "range_m" in record:
-        if not context.surfaces and context.ring is None:
-            raise RendezviewError(
-                f"{path}: a range needs to know what the beam meets: give --surfaces, or "
-                "--target with a docking ring"
-            )
-        return "range", _range_of
-    if "ellipses" in record:
-        if context.ring is None:
-            raise RendezviewError(
-                f"{path}: a ring needs to know where it is on the target: give --target with a "
-                "docking ring"
-            )
-        return "ring", _ring_of
-    if "pose" in record:
-        return "pose", _pose_of
-    raise RendezviewError(
-        f"{path}: no log of a sensor that is known here: its lines have neither 'pose' (track, "
-        "reflectors, stereo), nor 'ellipses' (ring), nor 'range_m' (a laser ranger)"
-    )
-
-
-def _time(record: dict[str, Any]) -> float:
+def _time(record: Mapping[str, Any]) -> float:
     time_s = record.get("time_s")
     if isinstance(time_s, bool) or not isinstance(time_s, int | float):
         raise ValueError("time_s is not known; sensors can only be joined by their times")
@@ -162,7 +184,7 @@ def _pose(content: Any) -> Pose:
     return Pose.from_quat_wxyz(content["quat_wxyz"], content["translation_m"])
 
 
-def _pose_of(record: dict[str, Any], sensor: str, _: LogContext) -> Measurement | None:
+def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
     # A roll that may be half a turn off is no pose.
     if record["pose"] is None or record.get("covariance") is None or record.get("roll_ambiguous"):
         return None
@@ -170,7 +192,7 @@ def _pose_of(record: dict[str, Any], sensor: str, _: LogContext) -> Measurement 
     return PoseMeasurement(_time(record), sensor, _pose(record["pose"]), covariance)
 
 
-def _ring_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measurement | None:
+def _ring_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
     assert context.ring is not None
     candidates = []
     for pose in record["poses"]:
@@ -179,6 +201,9 @@ def _ring_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measur
             continue  # its error is not known: no measurement
         if covariance.shape != (5, 5):
             raise ValueError("covariance must be (5, 5)")
+        spread = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
+        if not spread[0] > -_ROUNDING * spread[-1]:
+            raise ValueError("covariance has a negative variance")
         axis = np.array(pose["axis"], dtype=np.float64)
         candidates.append(
             RingCandidate.of_tangent(pose["centre_m"], axis, covariance, tangents(axis))
@@ -188,7 +213,7 @@ def _ring_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measur
     return RingMeasurement(_time(record), sensor, tuple(candidates[:2]), context.ring)
 
 
-def _range_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measurement | None:
+def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
     distance = record["range_m"]
     if distance is None:
         return None
@@ -204,6 +229,16 @@ def _range_of(record: dict[str, Any], sensor: str, context: LogContext) -> Measu
     return RangeMeasurement(
         _time(record), sensor, float(distance), sigma_m, surfaces, origin, direction
     )
+
+
+Reader = Callable[[Mapping[str, Any], str, LogContext], Measurement | None]
+
+# By the key that tells it; the first one counts.
+_KINDS: dict[str, tuple[str, Reader]] = {
+    "range_m": ("range", _range_of),
+    "ellipses": ("ring", _ring_of),
+    "pose": ("pose", _pose_of),
+}
 
 
 def sensor_name(text: str) -> tuple[str, Path]:

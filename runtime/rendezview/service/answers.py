@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import re
 import time
 from typing import Any
 
@@ -14,11 +15,12 @@ from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
+from rendezview.service.fusing import CAMERA
+from rendezview.service.message_parts import MOST_TIME_S, NAME_PATTERN
 from rendezview.service.messages import Fault
 from rendezview.service.security import Right
 from rendezview.service.service import NotReady, Service
 from rendezview.service.sessions import Answer, Full, Session, Waiting
-from rendezview.service.tracking import MOST_TIME_S
 
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
@@ -93,6 +95,36 @@ async def look(session: Session, content: bytes, time_s: float | None) -> Answer
     return await future
 
 
+async def measure(session: Session, sensor: str, content: bytes) -> Answer:
+    """Lines of another sensor into the session's filter.
+
+    Raises:
+        Full: too many wait.
+    """
+    future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+
+    def answer(result: Answer) -> None:
+        if not future.done():
+            future.set_result(result)
+
+    now_s = time.time()
+    session.measure(Waiting(content, now_s, now_s, time.monotonic(), answer, sensor))
+    return await future
+
+
+def sensor_name(name: object) -> str:
+    """The name of a sensor that is not the session's own camera.
+
+    Raises:
+        HTTPException: 422.
+    """
+    if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
+        raise HTTPException(422, f"sensor: letters, digits, - and _, at most 64, not {name!r:.80}")
+    if name == CAMERA:
+        raise HTTPException(422, "sensor: camera is the session's own: choose another name")
+    return name
+
+
 def frame_time(time_s: float | None) -> float | None:
     """A frame's time as it was said.
 
@@ -130,7 +162,7 @@ def say_faults(app: FastAPI) -> None:
         return fault(422, str(error))
 
     async def full(_: Request, error: Exception) -> Response:
-        return fault(429, "too many frames wait, or too many sessions there are: come back later")
+        return fault(429, "too many wait, or too many sessions there are: come back later")
 
     async def not_ready(_: Request, error: Exception) -> Response:
         return fault(503, "no process that tracks is up: come back in a moment")

@@ -15,11 +15,13 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from rendezview.camera import Camera
 from rendezview.service.frames import Bytes, FrameKind
+from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.messages import State
 
 CAMERA_FRAME, TARGET_FRAME = "camera", "target"
 
-STATE, POSE, TRANSFORM, CALIBRATION, RAW, COMPRESSED = range(1, 7)  # channels
+# Channels
+STATE, POSE, TRANSFORM, CALIBRATION, RAW, COMPRESSED, MEASUREMENT, FUSED = range(1, 9)
 TOPICS: dict[int, tuple[str, str, Any]] = {
     STATE: ("/rendezview/state", "rendezview.State", None),
     POSE: ("/target/pose", "foxglove.PoseInFrame", PoseInFrame),
@@ -27,6 +29,8 @@ TOPICS: dict[int, tuple[str, str, Any]] = {
     CALIBRATION: ("/camera/calibration", "foxglove.CameraCalibration", CameraCalibration),
     RAW: ("/camera/image", "foxglove.RawImage", RawImage),
     COMPRESSED: ("/camera/image/compressed", "foxglove.CompressedImage", CompressedImage),
+    MEASUREMENT: ("/rendezview/measurement", "rendezview.Measurement", None),
+    FUSED: ("/target/fused", "foxglove.PoseInFrame", PoseInFrame),
 }
 
 
@@ -47,9 +51,9 @@ def descriptors(message: Any) -> bytes:
     return bytes(files.SerializeToString())
 
 
-def state_schema() -> dict[str, Any]:
-    """JSON schema of `State` without references and alternatives, as viewers want it."""
-    schema = State.model_json_schema()
+def json_schema(channel: int) -> dict[str, Any]:
+    """JSON schema of our own messages without references and alternatives, as viewers want it."""
+    schema = (State if channel == STATE else LoggedMeasurement).model_json_schema()
     return _plain(schema, schema.get("$defs", {}))
 
 

@@ -9,20 +9,10 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import Field, FiniteFloat
 
-Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
-Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
-Six = Annotated[list[FiniteFloat], Field(min_length=6, max_length=6)]
-Matrix6 = Annotated[list[Six], Field(min_length=6, max_length=6)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
-
-
-class Message(BaseModel):
-    """Base of all messages: unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid")
-
+from rendezview.service.fusion_messages import Fused, FusionRequest, Marks
+from rendezview.service.message_parts import Matrix6, Message, Name, PoseMessage, Three
 
 # What a session is made of
 
@@ -41,13 +31,6 @@ class CameraMessage(Message):
     )
 
 
-class PoseMessage(Message):
-    """camera_from_target: ``p_camera = R p_target + t``."""
-
-    quat_wxyz: Four
-    translation_m: Three
-
-
 class SessionRequest(Message):
     """A camera and a target to follow."""
 
@@ -62,6 +45,9 @@ class SessionRequest(Message):
     sun_camera: Three | None = Field(default=None, description="towards the Sun, camera frame")
     trees: bool = Field(default=True, description="ask for on nodes on every frame")
     record: bool | None = Field(default=None, description="default: as the service is set")
+    fusion: FusionRequest | None = Field(
+        default=None, description="what is known of other sensors; needed by ring and range alone"
+    )
 
 
 class Phase(StrEnum):
@@ -77,13 +63,30 @@ class SensorHealth(Message):
     """One source of measurements of a session."""
 
     name: str
-    kind: Literal["camera", "reflectors", "stereo", "ring", "other"]
+    kind: Literal["camera", "pose", "ring", "range"] = Field(
+        description="the session's own camera, or what another sensor's lines hold"
+    )
     healthy: bool
     reason: str | None = Field(description="why it is not healthy")
-    frames: int = Field(description="looked at")
+    frames: int = Field(description="looked at; of other sensors: lines")
     drops: int = Field(description="frames that a newer one replaced before they were looked at")
     rate_hz: float | None = Field(description="of the last seconds")
-    last_unix_s: float | None = Field(description="when the last frame came")
+    last_unix_s: float | None = Field(description="when the last frame, or line, came")
+    trust: SensorTrust | None = Field(
+        default=None, description="of the filter; null: there is none"
+    )
+
+
+class SensorTrust(Message):
+    """What the filter thinks of a sensor."""
+
+    heard: int = Field(description="measurements")
+    accepted: int
+    silent: int = Field(description="lines, or poses, without a measurement")
+    locked_out: bool
+    lockouts: int
+    mean_nis: float | None = Field(description="over degrees of freedom; 1 is as it should be")
+    reason: str | None = Field(description="why the last one was not accepted")
 
 
 class RecordingState(StrEnum):
@@ -102,7 +105,7 @@ class Recording(Message):
     name: str | None = Field(default=None, description="of the file")
     messages: int = 0
     size_bytes: int = 0
-    lost: int = Field(default=0, description="states that could not be written")
+    lost: int = Field(default=0, description="states and lines that could not be written")
 
 
 class SessionInfo(Message):
@@ -187,6 +190,9 @@ class State(Message):
     latency_ms: float = Field(description="from the frame's arrival to this answer")
     drops: int = Field(description="frames of the session that newer ones replaced, so far")
     recorded: bool = Field(description="this state is in the log")
+    fused: Fused | None = Field(
+        default=None, description="by all sensors; absent while the camera is the only one"
+    )
 
 
 class Contour(Message):
@@ -208,6 +214,7 @@ class WatchState(Message):
     image_follows: bool = Field(description="the next binary message is this frame's JPEG")
     sensors: list[SensorHealth]
     recording: Recording
+    marks: list[Marks] = Field(description="of other sensors' newest lines, if of the last seconds")
 
 
 class WatchEnd(Message):
@@ -379,7 +386,7 @@ class Health(Message):
     """``/healthz`` and ``/readyz``."""
 
     status: Literal["ok", "not ready", "stopping"]
-    reasons: list[str] = []
+    reasons: list[str] = Field(default=[])
     version: str
     uptime_s: float
     sessions: int

@@ -47,6 +47,12 @@ class Metrics:
         self.log_lost = Gauge(
             "rendezview_log_lost_states", "States not in the log.", one, registry=self.registry
         )
+        self.measurements = Counter(
+            "rendezview_measurements",
+            "Lines of other sensors; outcome: accepted, other.",
+            ["session", "sensor", "outcome"],
+            registry=self.registry,
+        )
         self.sessions = Gauge("rendezview_sessions", "Sessions.", registry=self.registry)
         self.watchers = Gauge("rendezview_watchers", "Watchers.", registry=self.registry)
         self.restarts = Counter(
@@ -75,6 +81,7 @@ class SessionMetrics:
         self._latency = all_of_them.latency.labels(name)
         self._track = all_of_them.track.labels(name)
         self._frames: dict[str, Counter] = {}
+        self._sensors: set[tuple[str, str]] = set()
 
     def saw(self, status: str, track_ms: float, latency_s: float) -> None:
         """A frame was looked at."""
@@ -83,6 +90,12 @@ class SessionMetrics:
         self._frames[status].inc()
         self._latency.observe(latency_s)
         self._track.observe(1e-3 * track_ms)
+
+    def measured(self, sensor: str, lines: int, accepted: int) -> None:
+        """Lines of another sensor were taken."""
+        for outcome, count in (("accepted", accepted), ("other", lines - accepted)):
+            self._all.measurements.labels(self._name, sensor, outcome).inc(count)
+            self._sensors.add((sensor, outcome))
 
     def recording(self, now: Recording) -> None:
         """The log stands so."""
@@ -94,6 +107,8 @@ class SessionMetrics:
         """Forget the session."""
         for status in self._frames:
             self._all.frames.remove(self._name, status)
+        for sensor, outcome in self._sensors:
+            self._all.measurements.remove(self._name, sensor, outcome)
         every = (
             self._all.drops, self._all.refused, self._all.latency, self._all.track,
             self._all.log_bytes, self._all.log_failed, self._all.log_lost,

@@ -10,7 +10,8 @@ from starlette.exceptions import HTTPException
 from starlette.responses import Response
 
 from rendezview.service.answers import FAULTS, JSON, body_of, needs, service_of
-from rendezview.service.messages import Geometry, JobInfo, JobList, ModelInfo, ModelList, Name
+from rendezview.service.message_parts import Name
+from rendezview.service.messages import Geometry, JobInfo, JobList, ModelInfo, ModelList
 from rendezview.service.model_store import StoredModel
 from rendezview.service.security import Right
 

@@ -1,6 +1,7 @@
 """The workers of the service, seen from the service: who tracks what, one frame at a time each.
 
-Sessions of a worker that have a frame waiting take turns, so that none can starve another.
+Sessions of a worker that have a frame waiting, or a sensor's lines, take turns, so that none can
+starve another.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class Worker(asyncio.Protocol):
         await asyncio.wait_for(self._started, _START_S)
 
     async def ask(self, header: Header) -> Header:
-        """A request other than a frame, and its answer.
+        """A request other than a frame or a measurement, and its answer.
 
         Raises:
             WorkerGone: there will be none.
@@ -136,9 +137,11 @@ class Worker(asyncio.Protocol):
                 self._turns.append(session)
             self._current = session, waiting
             self._memory[: len(waiting.content)] = waiting.content
-            self._transport.write(pack(session.frame_header(waiting)))
+            self._transport.write(pack(session.header_of(waiting)))
             loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(self._frame_timeout_s, self._hung)
+            # Late lines are put where they belong, and what came after is said again for each.
+            count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
+            self._timer = loop.call_later(count * self._frame_timeout_s, self._hung)
 
     def _done(self) -> None:
         self._current = None
@@ -166,7 +169,7 @@ class Worker(asyncio.Protocol):
             if self._started is not None and not self._started.done():
                 self._started.set_result(None)
         elif kind in ("opened", "closed") or (
-            kind == "fault" and (self._current is None or self._current[0].id != header["session"])
+            kind == "fault" and header["of"] not in ("frame", "measure")
         ):
             self._answered(header)
         elif self._current is not None:
@@ -176,6 +179,8 @@ class Worker(asyncio.Protocol):
                     session.saw(waiting, header, content)
                 elif kind == "extras":
                     session.saw_more(header, content)
+                elif kind == "measured":
+                    session.measured(waiting, header, content)
                 else:
                     session.refused(waiting, header["error"], header.get("internal", False))
             finally:  # whatever happens, the next frame must not wait for ever

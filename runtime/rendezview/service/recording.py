@@ -14,16 +14,17 @@ import secrets
 import threading
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.records import Attachment, Channel, Chunk, Header, MessageIndex, Metadata, Schema
 from mcap.records import Message as McapMessage
+from pydantic_core import to_json
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
@@ -103,14 +104,21 @@ class LogWriter:
 
     def write(self, state: StateDict, state_json: bytes, content: Bytes) -> bool:
         """Append one frame; False where that failed (`status` says why)."""
+        return self._keep(1, lambda: self._append_frame(state, state_json, content))
+
+    def write_measurements(self, lines: list[dict[str, Any]]) -> bool:
+        """Append lines of a sensor, all or none, each a `LoggedMeasurement`."""
+        return self._keep(len(lines), lambda: self._append_measurements(lines))
+
+    def _keep(self, count: int, append: Callable[[], None]) -> bool:
         if self._file is None and not self._try_again():
-            self._lost += 1
+            self._lost += count
             return False
         try:
-            self._append(state, state_json, content)
+            append()
         except OSError as error:
             self._fail(error)
-            self._lost += 1
+            self._lost += count
             return False
         return True
 
@@ -131,14 +139,17 @@ class LogWriter:
                 self._syncing.join()
             os.close(file)
 
-    def _append(self, state: StateDict, state_json: bytes, content: Bytes) -> None:
-        log_ns = max(0, int(state["received_unix_s"] * 1e9))
-        frame_ns = max(0, int(state["time_s"] * 1e9))
+    def _append_frame(self, state: StateDict, state_json: bytes, content: Bytes) -> None:
+        log_ns = _ns(state["received_unix_s"])
         parts: list[tuple[int, bytes]] = [(log_schemas.STATE, state_json)]
         if state["pose"] is not None:
             parts.append((log_schemas.POSE, log_schemas.pose_bytes(state["time_s"], state["pose"])))
             transform = log_schemas.transform_bytes(state["time_s"], state["pose"])
             parts.append((log_schemas.TRANSFORM, transform))
+        fused = state.get("fused")
+        if fused is not None and fused["pose"] is not None:
+            together = log_schemas.pose_bytes(state["time_s"], fused["pose"])
+            parts.append((log_schemas.FUSED, together))
         if self.options.images:
             kind = kind_of(content)
             parts.append(log_schemas.image_bytes(state["time_s"], content, kind, self._camera))
@@ -146,11 +157,32 @@ class LogWriter:
         if calibrates:
             calibration = log_schemas.calibration_bytes(state["time_s"], self._camera)
             parts.append((log_schemas.CALIBRATION, calibration))
+        frame_ns, sequence = _ns(state["time_s"]), state["frame"] & 0xFFFFFFFF
+        self._append(log_ns, [(channel, data, frame_ns, sequence) for channel, data in parts])
+        if calibrates:
+            self._calibrated_at = state["received_unix_s"]
+
+    def _append_measurements(self, lines: list[dict[str, Any]]) -> None:
+        log_ns = _ns(lines[0]["received_unix_s"])
+        parts = []
+        for line in lines:
+            verdict, fused = line["verdict"], line["fused"]
+            sequence = line["order"] & 0xFFFFFFFF
+            time_ns = log_ns if verdict is None else _ns(verdict["time_s"])
+            text = to_json(line, inf_nan_mode="null")
+            parts.append((log_schemas.MEASUREMENT, text, time_ns, sequence))
+            if fused is not None and fused["pose"] is not None:
+                pose = log_schemas.pose_bytes(fused["time_s"], fused["pose"])
+                parts.append((log_schemas.FUSED, pose, _ns(fused["time_s"]), sequence))
+        self._append(log_ns, parts)
+
+    def _append(self, log_ns: int, parts: list[tuple[int, bytes, int, int]]) -> None:
+        """One chunk and its indexes: of each message channel, bytes, time, number."""
         body = RecordBuilder()
-        places: dict[int, int] = {}
-        for channel, data in parts:
-            places[channel] = body.count
-            McapMessage(channel, log_ns, data, frame_ns, state["frame"] & 0xFFFFFFFF).write(body)
+        places: dict[int, list[tuple[int, int]]] = {}
+        for channel, data, time_ns, sequence in parts:
+            places.setdefault(channel, []).append((log_ns, body.count))
+            McapMessage(channel, log_ns, data, time_ns, sequence).write(body)
         whole = taken(body)
         chunk = Chunk(
             compression=self.options.compression,
@@ -163,9 +195,9 @@ class LogWriter:
         out = RecordBuilder()
         chunk.write(out)
         index = chunk_index(chunk, self._scan.end, out.count)
-        for channel, place in places.items():
+        for channel, entries in places.items():
             index.message_index_offsets[channel] = self._scan.end + out.count
-            MessageIndex(channel, [(log_ns, place)]).write(out)
+            MessageIndex(channel, entries).write(out)
         index.message_index_length = out.count - index.chunk_length
         blob = taken(out)
         assert self._file is not None
@@ -173,10 +205,8 @@ class LogWriter:
         self._sync()
         self._scan.end += len(blob)
         self._scan.chunks.append(index)
-        self._scan.counts.update(places.keys())
-        self._messages += len(places)
-        if calibrates:
-            self._calibrated_at = state["received_unix_s"]
+        self._scan.counts.update(channel for channel, *_ in parts)
+        self._messages += len(parts)
 
     def _open(self) -> None:
         """Begin a file, which gets its name with its beginning; a fault is kept in ``_reason``."""
@@ -210,7 +240,7 @@ class LogWriter:
 
         for number, (topic, name, kind) in log_schemas.TOPICS.items():
             if kind is None:
-                text = json.dumps(log_schemas.state_schema()).encode()
+                text = json.dumps(log_schemas.json_schema(number)).encode()
                 add(Schema(id=number, data=text, encoding="jsonschema", name=name))
             else:
                 data = log_schemas.descriptors(kind)
@@ -293,6 +323,10 @@ def finished_copy(path: Path, size: int) -> tuple[int, bytes]:
     """Bytes of a log that is being written that are whole, and the ending that goes behind."""
     found = scan(path, size)
     return found.end, ending(found)
+
+
+def _ns(time_s: float) -> int:
+    return max(0, int(time_s * 1e9))
 
 
 def _free_name(path: Path) -> Path:

@@ -22,6 +22,7 @@ from rendezview.appearance import ViewModel
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.service.frames import read_frame
+from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.log_file import messages, records
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import MODEL_ATTACHMENT, SESSION_METADATA
@@ -30,7 +31,7 @@ from rendezview.service.tracking import Follower, StateDict, camera_of
 # What a run repeats; times of stages and of the clock are of the day.
 REPEATED = (
     "frame", "time_s", "phase", "status", "reason", "pose", "covariance", "confidence", "score",
-    "range_m", "rates", "candidates", "fit", "on_nodes",
+    "range_m", "rates", "candidates", "fit", "on_nodes", "fused",
 )  # fmt: skip
 
 
@@ -41,6 +42,9 @@ class LoggedFrame:
     time_s: float
     image: bytes | None  # as it was sent
     state: dict[str, Any] | None
+
+
+Word = LoggedFrame | LoggedMeasurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +74,10 @@ class Log:
 
     def frames(self) -> Iterator[LoggedFrame]:
         """In order; up to where the file is whole."""
+        return (word for word in self.words() if isinstance(word, LoggedFrame))
+
+    def words(self) -> Iterator[Word]:
+        """Frames, and the lines of other sensors, in the order in which they were taken."""
         kinds: dict[int, str] = {}
         encodings: dict[int, str] = {}
         schemas: dict[int, str] = {}
@@ -80,7 +88,9 @@ class Log:
                 kinds[record.id] = schemas.get(record.schema_id, "")
                 encodings[record.id] = record.message_encoding
             elif isinstance(record, Chunk):
-                yield from _frames(self.path, messages(record) or [], kinds)
+                parts = messages(record) or []
+                yield from _lines(self.path, parts, kinds)
+                yield from _frames(self.path, parts, kinds)
 
 
 def read_log(path: Path) -> Log:
@@ -99,6 +109,20 @@ def read_log(path: Path) -> Log:
         elif isinstance(record, Chunk):
             break
     return Log(path, notes, model)
+
+
+def _lines(
+    path: Path, parts: list[McapMessage], kinds: dict[int, str]
+) -> Iterator[LoggedMeasurement]:
+    """The lines of other sensors in the messages of one chunk."""
+    for part in parts:
+        if kinds.get(part.channel_id) == "rendezview.Measurement":
+            try:
+                yield LoggedMeasurement.model_validate_json(part.data)
+            except ValidationError:
+                raise RendezviewError(
+                    f"{path}: a sensor's line cannot be read: another version's log"
+                ) from None
 
 
 def _frames(path: Path, parts: list[McapMessage], kinds: dict[int, str]) -> Iterator[LoggedFrame]:
@@ -132,6 +156,7 @@ class Repeated:
 
     frames: int = 0
     poses: int = 0
+    lines: int = 0  # of other sensors
     first_difference: str | None = None
     differing: int = 0
     largest: float = 0.0  # difference of two numbers that should be one
@@ -166,10 +191,23 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
     request = log.request
     if request is None:
         raise RendezviewError(f"{log.path}: says nothing of a session: use it as a --source")
-    follower = Follower(log.notes.get("session", "replay"), model, request)
+    forgotten = log.notes.get("forgotten") == "yes"
+    follower = Follower(log.notes.get("session", "replay"), model, request, forgotten=forgotten)
     so_far = Repeated()
     expected = 0
-    for frame in log.frames():
+    lines = 0
+    for word in log.words():
+        if isinstance(word, LoggedMeasurement):
+            if word.order != lines:
+                so_far.gap = (
+                    f"lines {lines} to {word.order - 1} of other sensors are not in the log: "
+                    "compared up to there"
+                )
+                return
+            lines += 1
+            _measure_again(follower, word, so_far)
+            continue
+        frame = word
         if frame.state is None:
             continue
         if frame.image is None:
@@ -183,17 +221,37 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
         expected += 1
         image = read_frame(frame.image, follower.camera)
         state, _ = follower.look(image, frame.time_s, frame.state["received_unix_s"])
-        again = json.loads(to_json(state))
+        again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1
         so_far.poses += state["pose"] is not None
-        different = [name for name in REPEATED if again[name] != frame.state[name]]
-        if different:
-            so_far.differing += 1
-            for name in different:
-                so_far.largest = max(so_far.largest, apart(again[name], frame.state[name]))
-            if so_far.first_difference is None:
-                so_far.first_difference = f"frame {state['frame']}: {', '.join(different)}"
+        _compare(again, frame.state, REPEATED, f"frame {state['frame']}", so_far)
         yield state, so_far
+
+
+def _measure_again(follower: Follower, word: LoggedMeasurement, so_far: Repeated) -> None:
+    """One line of another sensor through the filter, beside what the log says of it."""
+    text = json.dumps(word.record).encode()
+    (line,) = follower.filter.check(word.sensor, text, follower.last_s, math.inf)
+    verdict, fused = follower.filter.take(word.sensor, line)
+    so_far.lines += 1
+    again = json.loads(to_json({"verdict": verdict, "fused": fused}, inf_nan_mode="null"))
+    said = word.model_dump(mode="json")
+    where = f"line {word.order} of the other sensors"
+    _compare(again, said, ("verdict", "fused"), where, so_far)
+
+
+def _compare(
+    again: dict[str, Any], said: dict[str, Any], names: tuple[str, ...], where: str,
+    so_far: Repeated,
+) -> None:  # fmt: skip
+    different = [name for name in names if again.get(name) != said.get(name)]
+    if not different:
+        return
+    so_far.differing += 1
+    for name in different:
+        so_far.largest = max(so_far.largest, apart(again.get(name), said.get(name)))
+    if so_far.first_difference is None:
+        so_far.first_difference = f"{where}: {', '.join(different)}"
 
 
 def apart(a: Any, b: Any) -> float:

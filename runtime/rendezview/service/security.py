@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import re
 import time
 import tomllib
 from collections import OrderedDict
@@ -25,6 +26,7 @@ from rendezview.service.metrics import Metrics
 from rendezview.service.settings import LOOPBACK, Settings
 
 SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
+_FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
 _CALLERS = 10_000  # remembered for their rates
 _PAGE_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
@@ -85,6 +87,11 @@ def read_tokens(path: Path) -> list[Token]:
     for name, entry in checked(_TOKENS, content, str(path)).items():
         if (entry.token is None) == (entry.sha256 is None):
             raise RendezviewError(f"{path}: {name}: give either token or sha256")
+        if entry.token is not None and not _FITS_SOCKET.fullmatch(entry.token):
+            raise RendezviewError(
+                f"{path}: {name}: token: may hold letters, digits and !#$%&'*+-.^_`|~ but no "
+                "spaces: a browser can send no other to a WebSocket; choose another"
+            )
         if entry.token is not None:
             digest = hashlib.sha256(entry.token.encode()).digest()
         else:

@@ -18,6 +18,7 @@ from typing import Any
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.files import make_folder
+from rendezview.service.fusion_messages import FusionRequest, RingMessage
 from rendezview.service.jobs import Jobs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
 from rendezview.service.metrics import Metrics
@@ -28,6 +29,7 @@ from rendezview.service.sessions import Full, Session
 from rendezview.service.settings import Settings
 from rendezview.service.sources import Feeder, Source, open_source
 from rendezview.service.tracking import camera_message
+from rendezview.target import Target
 
 log = logging.getLogger("rendezview.service")
 
@@ -38,6 +40,15 @@ _IDLE_CHECK_S = 5.0
 
 class NotReady(Exception):
     """There is no worker to track with, for the moment."""
+
+
+def _ring_of(path: Path) -> RingMessage:
+    ring = Target.load(path).docking_ring
+    if ring is None:
+        raise RendezviewError(f"{path}: this target has no docking_ring: add one, or leave it out")
+    return RingMessage(
+        centre_m=ring.centre_m.tolist(), axis=ring.axis.tolist(), radius_m=ring.radius_m
+    )
 
 
 class Service:
@@ -75,6 +86,7 @@ class Service:
             self.models = ModelStore(folder)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
             self.camera = None if settings.camera is None else Camera.load(settings.camera)
+            self.ring = None if settings.target is None else _ring_of(settings.target)
             self._sources: list[Source] = [open_source(s, self.camera) for s in sources or []]
             if self._sources and self.given is None:
                 raise RendezviewError("a source needs a model to track with: name one")
@@ -188,6 +200,9 @@ class Service:
                 f"camera: frames of {request.camera.width} × {request.camera.height} are larger "
                 f"than this service takes ({self.settings.frame_bytes} bytes)"
             )
+        if self.ring is not None and (request.fusion is None or request.fusion.ring is None):
+            fusion = (request.fusion or FusionRequest()).model_copy(update={"ring": self.ring})
+            request = request.model_copy(update={"fusion": fusion})
         records = self.settings.record is not None and self.settings.record_all
         request = request.model_copy(
             update={
@@ -269,6 +284,8 @@ class Service:
                     "session": session.id,
                     "request": request.model_dump(mode="json"),
                     "model_path": str(model),
+                    "sensors": self.settings.sensors,
+                    "forgotten": session.is_fused,
                     "log_path": None if log_path is None else str(log_path),
                     "log_model": self.settings.record_model,
                     "recording": {

@@ -20,14 +20,17 @@ from rendezview.service.answers import (
     fault,
     frame_time,
     look,
+    measure,
     needs,
+    sensor_name,
     service_of,
     session_of,
 )
+from rendezview.service.fusion_messages import Measured
+from rendezview.service.message_parts import NAME_PATTERN, PoseMessage
 from rendezview.service.messages import (
     Contour,
     History,
-    PoseMessage,
     PoseWithCovarianceStamped,
     SessionInfo,
     SessionList,
@@ -47,6 +50,15 @@ _FRAME_BODY = {
     "requestBody": {
         "required": True,
         "content": dict.fromkeys(("image/png", "image/jpeg", "application/octet-stream"), _BINARY),
+    }
+}
+_LINES_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "application/json": {"schema": {"type": "object"}},
+            "application/x-ndjson": {"schema": {"type": "string"}},
+        },
     }
 }
 _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": _BINARY}}}
@@ -112,6 +124,29 @@ async def post_frame_directly(request: Request) -> Response:
     except ValueError:
         raise HTTPException(422, f"time_s: {text!r:.40} is no number") from None
     return await post_frame(request, request.path_params["name"], time_s)
+
+
+@router.post(
+    "/{name}/measurements",
+    openapi_extra=_LINES_BODY,
+    responses={200: {"model": Measured}, 410: FAULTS[404]},
+)
+async def post_measurements(
+    request: Request,
+    name: str,
+    sensor: Annotated[str, Query(pattern=NAME_PATTERN, description="its name; not camera")],
+) -> Response:
+    """Lines of another sensor's log, as `ring`, `reflectors`, `stereo track` and `track` write
+    them, or of a ranger (`range_m`, `sigma_m`): into the session's filter."""
+    needs(request, Right.TRACK)
+    session = session_of(request, name)
+    sensor_name(sensor)
+    settings = service_of(request).settings
+    content = await body_of(request, min(settings.measurement_bytes, settings.frame_bytes))
+    answer = await measure(session, sensor, content)
+    if answer.status != 200:
+        return fault(answer.status, answer.error)
+    return Response(answer.body, 200, None, JSON)
 
 
 @router.get(

@@ -9,8 +9,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
+from rendezview.service.fusing import CAMERA
 from rendezview.service.history import Past
 from rendezview.service.messages import (
     Phase,
@@ -22,33 +23,35 @@ from rendezview.service.messages import (
 )
 from rendezview.service.metrics import Metrics
 from rendezview.service.pool import Worker
+from rendezview.service.sensors import Allowance, Arrivals, OtherSensors
 from rendezview.service.settings import Settings
 from rendezview.service.wire import Header
 
 log = logging.getLogger("rendezview.service")
 
-_RATE_OVER_S = 3.0
 _STALE_S = 3.0  # a sensor without frames that long is not healthy
 
 
 @dataclass(slots=True, eq=False)
 class Answer:
-    """What came of a frame: a state, or the reason why there is none."""
+    """What came of a frame or a sensor's lines, or the reason why nothing did."""
 
     status: int  # as in HTTP
-    body: bytes  # of a `State`
+    body: bytes  # of a `State`, or `Measured`
     error: str = ""
 
 
 @dataclass(slots=True, eq=False)
 class Waiting:
-    """A frame that is to be looked at."""
+    """A frame that is to be looked at, or lines of another sensor."""
 
     content: bytes
     time_s: float
     received_unix_s: float
     received_s: float  # monotonic
     answer: Callable[[Answer], None]
+    sensor: str | None = None  # whose lines these are; None: a frame
+    waited_s: float = 0.0  # since something came into the session before
 
 
 @dataclass(slots=True, eq=False)
@@ -110,16 +113,17 @@ class Session:
         self._metrics = metrics.of_session(name)
         self._queue: deque[Waiting] = deque()  # of plain requests
         self._newest: Waiting | None = None  # of streams and sources
-        self._flying: Header | None = None  # extras of the frame that is looked at
+        self._due: set[Watcher] = set()  # who will see the frame that is looked at
         self._frame_base = 0  # frames before the worker was started anew
         self._frames = 0
         self._found = 0
         self._drops = 0
         self._last_pose_s: float | None = None
         self._phase = Phase.WAITING
-        self._arrivals: deque[float] = deque(maxlen=256)
+        self._arrivals = Arrivals()
+        self._others = OtherSensors()
+        self._allowance = Allowance(settings.measurements_per_s)
         self._last_fault: str | None = None
-        self._last_unix_s: float | None = None
 
     # Frames in
 
@@ -129,9 +133,23 @@ class Session:
         Raises:
             Full: too many wait.
         """
-        if len(self._queue) >= self.settings.waiting:
+        if self._count(frames=True) >= self.settings.waiting:
             raise Full
         self._arrived(waiting)
+        self._queue.append(waiting)
+        self._wake()
+
+    def measure(self, waiting: Waiting) -> None:
+        """Lines of another sensor; none is dropped.
+
+        Raises:
+            Full: too many wait, or too many come a second.
+        """
+        too_fast = self._allowance.is_spent(waiting.received_s)
+        if too_fast or self._count(frames=False) >= self.settings.measurements_waiting:
+            raise Full
+        waiting.waited_s = max(0.0, waiting.received_s - self.used_s)
+        self.used_s = waiting.received_s
         self._queue.append(waiting)
         self._wake()
 
@@ -144,6 +162,11 @@ class Session:
         self._arrived(waiting)
         self._newest = waiting
         self._wake()
+
+    @property
+    def is_fused(self) -> bool:
+        """Whether another sensor has said something."""
+        return self._others.is_fused
 
     @property
     def has_waiting(self) -> bool:
@@ -160,37 +183,52 @@ class Session:
             return newest
         return self._queue.popleft() if self._queue else None
 
-    def frame_header(self, waiting: Waiting) -> Header:
-        """What the worker is told of a frame."""
-        now_s = time.monotonic()
-        due = [w for w in self.watchers if w.due_s <= now_s]
-        wants = self.past.wants_image(now_s)
-        width = max((w.width for w in due), default=0)
-        if wants:
-            width = max(width, self.settings.history_image_px)
-        self._flying = None
-        if due or wants:
-            self._flying = {
-                "contour": any(w.contour for w in due),
-                "silhouette": any(w.silhouette for w in due),
-                "width": width,
-            }
-        return {
-            "kind": "frame",
+    def header_of(self, waiting: Waiting) -> Header:
+        """What the worker is told of a frame, or of a sensor's lines."""
+        about: Header = {
             "session": self.id,
             "length": len(waiting.content),
-            "time_s": waiting.time_s,
             "received_unix_s": waiting.received_unix_s,
+            "first_frame": self._frame_base,
+        }
+        if waiting.sensor is not None:
+            return about | {
+                "kind": "measure",
+                "sensor": waiting.sensor,
+                "waited_s": waiting.waited_s,
+                "most_lines": self.settings.measurement_lines,
+            }
+        now_s = time.monotonic()
+        self._due = {w for w in self.watchers if w.due_s <= now_s}
+        wants = self.past.wants_image(now_s)
+        width = max((w.width for w in self._due), default=0)
+        if wants:
+            width = max(width, self.settings.history_image_px)
+        extras: Header | None = None
+        if self._due or wants:
+            extras = {
+                "contour": any(w.contour for w in self._due),
+                "silhouette": any(w.silhouette for w in self._due),
+                "width": width,
+            }
+        return about | {
+            "kind": "frame",
+            "time_s": waiting.time_s,
             "received_s": waiting.received_s,
             "drops": self._drops,
-            "first_frame": self._frame_base,
-            "extras": self._flying,
+            "extras": extras,
         }
+
+    def most_lines_of(self, waiting: Waiting) -> int:
+        """How many lines a sensor's message can hold."""
+        return min(1 + waiting.content.count(b"\n"), self.settings.measurement_lines)
+
+    def _count(self, frames: bool) -> int:
+        return sum((waiting.sensor is None) is frames for waiting in self._queue)
 
     def _arrived(self, waiting: Waiting) -> None:
         self.used_s = waiting.received_s
-        self._arrivals.append(waiting.received_s)
-        self._last_unix_s = waiting.received_unix_s
+        self._arrivals.add(waiting.received_s, waiting.received_unix_s)
 
     def _wake(self) -> None:
         if self.worker is not None:
@@ -214,10 +252,21 @@ class Session:
             self._phase = phase
         if "recording" in header:
             self._recorded(header)
+        self._others.told(header)
         now_s = time.monotonic()
         self._metrics.saw(header["status"], header["track_ms"], now_s - waiting.received_s)
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
+
+    def measured(self, waiting: Waiting, header: Header, answer: bytes) -> None:
+        """The worker has taken lines of a sensor."""
+        assert waiting.sensor is not None
+        self._allowance.spend(header["lines"])
+        self._others.heard(waiting.sensor, waiting.received_s, waiting.received_unix_s, header)
+        if "recording" in header:
+            self._recorded(header)
+        self._metrics.measured(waiting.sensor, header["lines"], header["accepted"])
+        waiting.answer(Answer(200, answer))
 
     def saw_more(self, header: Header, picture: bytes) -> None:
         """The pictures and contours that go with the last state."""
@@ -230,9 +279,9 @@ class Session:
         recording = self.recording.model_dump_json().encode()
         contour = json.dumps(header["contour"]).encode()
         outlines = json.dumps(header["silhouette_px"]).encode()
-        for watcher in self.watchers:
-            if watcher.due_s > now_s:
-                continue
+        marks = self._others.marks(now_s)
+        # Who came meanwhile sees the next one: nothing was asked for in its name.
+        for watcher in self._due & self.watchers:
             shown = picture if watcher.width else b""
             text = b"".join(
                 (
@@ -248,6 +297,8 @@ class Session:
                     sensors,
                     b',"recording":',
                     recording,
+                    b',"marks":',
+                    marks,
                     b"}",
                 )
             )
@@ -259,18 +310,24 @@ class Session:
             )
 
     def refused(self, waiting: Waiting, error: str, internal: bool = False) -> None:
-        """The worker could not take a frame."""
-        self._last_fault = error
-        self._metrics.refused.inc()
+        """The worker could not take a frame, or a sensor's lines."""
+        if waiting.sensor is None:
+            self._last_fault = error
+            self._metrics.refused.inc()
+        else:
+            self._allowance.spend(1)
         waiting.answer(Answer(500 if internal else 422, b"", error))
 
     def broken(self, waiting: Waiting) -> None:
-        """The worker ended over a frame."""
-        self._last_fault = "the tracker's process ended; it is started anew"
-        waiting.answer(Answer(503, b"", self._last_fault))
+        """The worker ended over a frame, or a sensor's lines."""
+        told = "the tracker's process ended; it is started anew"
+        if waiting.sensor is None:
+            self._last_fault = told
+        waiting.answer(Answer(503, b"", told))
 
     def reopened(self) -> None:
-        """Another worker goes on with it: the tracker has forgotten."""
+        """Another worker goes on with it: tracker and filter have forgotten."""
+        self._others.forget("its filter ended with the process; it begins anew")
         self._frame_base = self._frames
         for watcher in self.watchers:
             watcher.due_s = 0.0
@@ -314,27 +371,27 @@ class Session:
         """Health of what measures in this session."""
         now_s = time.monotonic()
         reason = None
-        if self._last_unix_s is None:
+        last_unix_s = self._arrivals.last_unix_s
+        if last_unix_s is None:
             reason = "no frame yet"
         elif self.finished:
             reason = self.reason or "the source has come to its end"
-        elif now_s - self._arrivals[-1] > _STALE_S:
-            reason = f"no frame for {now_s - self._arrivals[-1]:.0f} s"
+        elif now_s - self._arrivals.times_s[-1] > _STALE_S:
+            reason = f"no frame for {now_s - self._arrivals.times_s[-1]:.0f} s"
         elif self._last_fault is not None:
             reason = self._last_fault
-        kind: Literal["camera"] = "camera"
-        return [
-            SensorHealth(
-                name="camera",
-                kind=kind,
-                healthy=reason is None,
-                reason=reason,
-                frames=self._frames,
-                drops=self._drops,
-                rate_hz=self._rate_hz(now_s),
-                last_unix_s=self._last_unix_s,
-            )
-        ]
+        camera = SensorHealth(
+            name=CAMERA,
+            kind="camera",
+            healthy=reason is None,
+            reason=reason,
+            frames=self._frames,
+            drops=self._drops,
+            rate_hz=self._arrivals.rate_hz(now_s),
+            last_unix_s=last_unix_s,
+            trust=self._others.trust_of(CAMERA),
+        )
+        return [camera, *self._others.health(now_s)]
 
     def info(self) -> SessionInfo:
         """The session as a message."""
@@ -362,9 +419,3 @@ class Session:
             finished=self.finished,
             reason=self.reason,
         )
-
-    def _rate_hz(self, now_s: float) -> float | None:
-        recent = [at for at in self._arrivals if now_s - at <= _RATE_OVER_S]
-        if len(recent) < 2 or recent[-1] == recent[0]:
-            return None
-        return (len(recent) - 1) / (recent[-1] - recent[0])

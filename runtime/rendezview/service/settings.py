@@ -30,6 +30,7 @@ class Settings(BaseSettings):
 
     models_folder: Path | None = None  # uploaded and trained models; a temporary one otherwise
     camera: Path | None = None  # of sessions that give none
+    target: Path | None = None  # its docking ring, of sessions that say none
     record: Path | None = None  # *.mcap of the first session, or a folder
     record_all: bool = True  # sessions that do not say so are recorded, if `record` is given
     record_images: bool = True
@@ -44,6 +45,11 @@ class Settings(BaseSettings):
     frame_bytes: int = Field(default=32_000_000, ge=1024, le=1_000_000_000)
     model_bytes: int = Field(default=500_000_000, ge=1024)
     mesh_bytes: int = Field(default=200_000_000, ge=1024)
+    sensors: int = Field(default=8, ge=0, le=64)  # of a session, beside its camera; 0: none
+    measurement_bytes: int = Field(default=256_000, ge=256)  # of a message of a sensor
+    measurement_lines: int = Field(default=32, ge=1, le=1000)  # in one message
+    measurements_waiting: int = Field(default=16, ge=1, le=256)  # messages, of a session
+    measurements_per_s: float = Field(default=500.0, gt=0.0)  # lines, of a session
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
     frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is started anew

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import math
 import struct
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Annotated
 
 from fastapi import APIRouter, Query, WebSocket
 from starlette.exceptions import HTTPException
 from starlette.websockets import WebSocketDisconnect
 
-from rendezview.service.answers import needs, service_of, session_of
+from rendezview.errors import RendezviewError
+from rendezview.files import parse_json
+from rendezview.service.answers import needs, sensor_name, service_of, session_of
+from rendezview.service.message_parts import MOST_TIME_S
 from rendezview.service.messages import Fault, WatchEnd
 from rendezview.service.security import SUBPROTOCOL, Right
-from rendezview.service.sessions import Answer, Session, Waiting, Watcher
-from rendezview.service.tracking import MOST_TIME_S
+from rendezview.service.sessions import Answer, Full, Session, Waiting, Watcher
+from rendezview.service.settings import Settings
 
 router = APIRouter(prefix="/v1/sessions")
 
@@ -29,7 +34,10 @@ _REFUSED, _GONE = 1008, 1001
 
 @router.websocket("/{name}/stream")
 async def stream(socket: WebSocket, name: str) -> None:
-    """Frames in, states out; while one is looked at the newest waits, others are dropped."""
+    """Frames and sensors' lines in, states out.
+
+    While a frame is looked at the newest waits, others are dropped.
+    """
     session = await _accepted(socket, name, Right.TRACK)
     if session is None:
         return
@@ -68,8 +76,10 @@ async def stream(socket: WebSocket, name: str) -> None:
             if message["type"] != "websocket.receive":
                 break
             content = message.get("bytes")
-            if content is None or len(content) <= _TIME.size:
-                answer(Answer(422, b"", "a frame is a binary message: 8 bytes of time, a picture"))
+            if content is None:
+                _take_lines(session, service_of(socket).settings, message["text"], answer)
+            elif len(content) <= _TIME.size:
+                answer(Answer(422, b"", "a frame is 8 bytes of time, and a picture"))
             else:
                 _take(session, content, answer)
             await room.wait()
@@ -81,16 +91,46 @@ async def stream(socket: WebSocket, name: str) -> None:
             await sender
 
 
-def _take(session: Session, content: bytes, answer: object) -> None:
+Answering = Callable[[Answer], None]
+
+
+def _take(session: Session, content: bytes, answer: Answering) -> None:
     (time_s,) = _TIME.unpack_from(content)
     now_s = time.time()
     if math.isnan(time_s):
         time_s = now_s
     if not abs(time_s) <= MOST_TIME_S:
-        answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))  # type: ignore[operator]
+        answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
         return
     picture = content[_TIME.size :]
-    session.replace(Waiting(picture, time_s, now_s, time.monotonic(), answer))  # type: ignore[arg-type]
+    session.replace(Waiting(picture, time_s, now_s, time.monotonic(), answer))
+
+
+def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
+    """``{"sensor": name, "record": {…}}``."""
+    most = min(settings.measurement_bytes, settings.frame_bytes)
+    if len(text) > most:
+        answer(Answer(413, b"", f"too long: at most {most} bytes are taken here"))
+        return
+    try:
+        message = parse_json(text, "the message")
+        if not isinstance(message, dict) or set(message) != {"sensor", "record"}:
+            raise RendezviewError('a text message is {"sensor": name, "record": a line of its log}')
+        sensor = sensor_name(message["sensor"])
+        content = json.dumps(message["record"]).encode()
+        if len(content) > most:
+            raise HTTPException(413, f"too long: at most {most} bytes are taken here")
+    except RendezviewError as error:
+        answer(Answer(422, b"", str(error)))
+        return
+    except HTTPException as error:
+        answer(Answer(error.status_code, b"", str(error.detail)))
+        return
+    now_s = time.time()
+    try:
+        session.measure(Waiting(content, now_s, now_s, time.monotonic(), answer, sensor))
+    except Full:
+        answer(Answer(429, b"", "too many lines wait, or come a second: come back later"))
 
 
 @router.websocket("/{name}/watch")

@@ -18,18 +18,14 @@ from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
 from rendezview.sequences.frame import GreyImage
-from rendezview.service.messages import (
-    CameraMessage,
-    Contour,
-    Phase,
-    PoseMessage,
-    SessionRequest,
-)
+from rendezview.service import fusing
+from rendezview.service.fusing import SessionFilter
+from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
+from rendezview.service.messages import CameraMessage, Contour, Phase, SessionRequest
 
 # A `State` as it is written: nothing is validated, for it is our own and of every frame.
 StateDict = dict[str, Any]
 
-MOST_TIME_S = 1e10  # either side of zero: what the stamps of a log can say
 _OUTLINE_POINTS = 600  # of a silhouette that is shown
 
 
@@ -101,8 +97,19 @@ def _quat_wxyz(r: list[list[float]]) -> list[float]:
 class Follower:
     """A tracker with the names and counters that its states carry."""
 
-    def __init__(self, session: str, model: ViewModel, request: SessionRequest) -> None:
+    def __init__(
+        self,
+        session: str,
+        model: ViewModel,
+        request: SessionRequest,
+        most_sensors: int | None = None,
+        forgotten: bool = False,
+    ) -> None:
         """A tracker as a session's request, camera included, asks for it.
+
+        Args:
+            most_sensors: beside the camera; None: any number.
+            forgotten: its filter has ended with another process.
 
         Raises:
             RendezviewError: camera, prior or direction to the Sun are impossible.
@@ -119,6 +126,7 @@ class Follower:
         recognizer = Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior)
         self._nodes = model.geodesic.nodes.tolist()
+        self.filter = SessionFilter(request.fusion, most_sensors, forgotten)
         self._frames = 0
         self._last_s = -math.inf
         self._last_pose_s: float | None = None
@@ -144,8 +152,20 @@ class Follower:
         if sighting.pose is not None:
             self._last_pose_s = time_s
         state = self._state(sighting, time_s, received_unix_s, track_ms)
+        if self.filter.running:
+            state["fused"] = self.filter.look(time_s, sighting.pose, sighting.covariance)
         self._frames += 1
         return state, sighting
+
+    @property
+    def frames(self) -> int:
+        """Looked at so far."""
+        return self._frames
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last frame; -inf: none yet."""
+        return self._last_s
 
     def _state(
         self, sighting: Sighting, time_s: float, received_unix_s: float, track_ms: float
@@ -227,6 +247,7 @@ def warm_up(model: ViewModel) -> int:
             if recognizer.finder is not None:
                 recognizer.finder.at(image, Sky.of(image), prior, np.pi)
         contour_at(model, camera, prior)
+        fusing.warm_up()
     return len(recorder.buffer) // 2  # each has a start and an end
 
 

@@ -34,7 +34,7 @@ from rendezview.service.frames import read_frame
 from rendezview.service.logs import set_up_logging
 from rendezview.service.messages import Contour, SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
-from rendezview.service.tracking import Follower, contour_at, silhouette_px, warm_up
+from rendezview.service.tracking import Follower, StateDict, contour_at, silhouette_px, warm_up
 from rendezview.service.wire import Header, mapped, pack, receive
 
 JPEG_QUALITY = 80
@@ -75,6 +75,8 @@ class Worker:
         try:
             if request["kind"] == "frame":
                 self._frame(request)
+            elif request["kind"] == "measure":
+                self._measure(request)
             elif request["kind"] == "open":
                 self._send({"kind": "opened", "session": request["session"], **self._open(request)})
             elif request["kind"] == "warm":
@@ -87,19 +89,12 @@ class Worker:
             elif request["kind"] == "quit":
                 return False
         except RendezviewError as error:
-            self._send({"kind": "fault", "session": request.get("session"), "error": str(error)})
+            self._send(_fault(request, str(error)))
         except Exception:
             # One frame's misfortune must not take the other sessions of this process along.
             log.exception("a request failed")
-            fault = "this frame met an error of the service itself; its log says which"
-            self._send(
-                {
-                    "kind": "fault",
-                    "session": request.get("session"),
-                    "error": fault,
-                    "internal": True,
-                }
-            )
+            told = "this met an error of the service itself; its log says which"
+            self._send(_fault(request, told) | {"internal": True})
         return True
 
     def _model(self, path: Path) -> ViewModel:
@@ -114,12 +109,15 @@ class Worker:
         asked = SessionRequest.model_validate(request["request"])
         path = Path(request["model_path"])
         model = self._model(path)
-        follower = Follower(request["session"], model, asked)
+        follower = Follower(
+            request["session"], model, asked, request["sensors"], request["forgotten"]
+        )
         writer = None
         if request["log_path"] is not None:
             options = RecordingOptions(**request["recording"])
             content = path.read_bytes() if request["log_model"] and options.images else None
             notes = session_notes(request["session"], asked, model.name, path)
+            notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
             writer = LogWriter(place, follower.camera, notes, content, options)
         self._sessions[request["session"]] = _Session(follower, writer)
@@ -147,12 +145,63 @@ class Worker:
             **{name: state[name] for name in _TOLD},
             "done": not more,
         }
+        if follower.filter.running:
+            answer["sensors"] = follower.filter.health()
         if session.log is not None:
             answer["recording"] = _recording(session.log)
             answer["log_path"] = str(session.log.path)
         self._send(answer, text)
         if more:
             self._extras(more, follower, image, state["frame"], sighting)
+
+    def _measure(self, request: Header) -> None:
+        """Lines of another sensor: all checked, then taken one by one, logged, answered."""
+        session = self._sessions[request["session"]]
+        follower, sensor = session.follower, request["sensor"]
+        text = bytes(self._memory[: request["length"]])
+        lines = follower.filter.check(
+            sensor, text, follower.last_s, request["waited_s"], request["most_lines"]
+        )
+        logged, verdicts, marks = [], [], None
+        fused: StateDict | None = None
+        for line in lines:
+            order = follower.filter.lines
+            verdict, fused = follower.filter.take(sensor, line)
+            verdicts.append(verdict)
+            marks = line.marks or marks
+            logged.append(
+                {
+                    "session": follower.session,
+                    "order": order,
+                    "frame": request["first_frame"] + follower.frames,
+                    "sensor": sensor,
+                    "received_unix_s": request["received_unix_s"],
+                    "record": line.record,
+                    "verdict": verdict,
+                    "fused": fused,
+                }
+            )
+        told = {
+            "type": "measured",
+            "session": follower.session,
+            "sensor": sensor,
+            "verdicts": verdicts,
+            "fused": fused,
+            "recorded": session.log is not None and session.log.write_measurements(logged),
+        }
+        answer: Header = {
+            "kind": "measured",
+            "session": follower.session,
+            "accepted": sum(v is not None and v["accepted"] for v in verdicts),
+            "lines": len(lines),
+            "sensors": follower.filter.health(),
+            "marks": marks,
+            "done": True,
+        }
+        if session.log is not None:
+            answer["recording"] = _recording(session.log)
+            answer["log_path"] = str(session.log.path)
+        self._send(answer, to_json(told, inf_nan_mode="null"))
 
     def _extras(
         self, more: Header, follower: Follower, image: GreyImage, frame: int, sighting: Sighting
@@ -212,6 +261,15 @@ def jpeg(image: GreyImage, width: int) -> bytes:
             cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8
         )
     return bytes(cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1])
+
+
+def _fault(request: Header, error: str) -> Header:
+    return {
+        "kind": "fault",
+        "of": request["kind"],
+        "session": request.get("session"),
+        "error": error,
+    }
 
 
 def _recording(writer: LogWriter | None) -> Header | None:

@@ -5,18 +5,19 @@ import { apply, rotation } from "./pose.js";
 // Outline, step, crease: told apart by lightness too.
 const KINDS = ["#58e0ff", "#ffb454", "#d2a8ff"];
 const NODE = "#f2c14e";
+const MARK = "#ff7bd5"; // what other sensors saw
 
 export class LiveView {
   constructor(canvas) {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d", { alpha: false });
-    this.layers = { contour: true, nodes: true, silhouette: false };
+    this.layers = { contour: true, nodes: true, silhouette: false, ellipses: true, spots: true };
     this.geometry = null;
     this.camera = null; // of the session: places are in its full pixels
   }
 
   /** Draws a picture (or the dark where there is none), contour, outlines, and nodes of a state. */
-  draw({ bitmap, contour, silhouette, state }) {
+  draw({ bitmap, contour, silhouette, marks, state }) {
     const { canvas, pen } = this;
     const width = bitmap?.width ?? canvas.width, height = bitmap?.height ?? canvas.height;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -30,6 +31,10 @@ export class LiveView {
     const place = ([u, v]) => [(u + 0.5) * scale, (v + 0.5) * scale];
     if (this.layers.silhouette && silhouette) this._outlines(silhouette, place);
     if (this.layers.contour && contour) this._contour(contour, place);
+    for (const seen of marks ?? []) {
+      if (this.layers.ellipses) this._ellipses(seen, place, scale);
+      if (this.layers.spots) this._spots(seen, place);
+    }
     if (this.layers.nodes && state) this._nodes(state);
   }
 
@@ -43,6 +48,34 @@ export class LiveView {
       pen.closePath();
     }
     pen.stroke();
+  }
+
+  /** The one that the poses are of is drawn thick. */
+  _ellipses({ ellipses, chosen }, place, scale) {
+    const { pen } = this;
+    pen.strokeStyle = MARK;
+    ellipses.forEach(({ centre_px: centre, semi_axes_px: [a, b], angle_rad: angle }, k) => {
+      pen.lineWidth = k === chosen ? 2.5 : 1;
+      pen.beginPath();
+      pen.ellipse(...place(centre), Math.abs(a) * scale, Math.abs(b) * scale, angle, 0, 2 * Math.PI);
+      pen.stroke();
+    });
+  }
+
+  _spots({ spots_px: spots }, place) {
+    const { pen } = this;
+    pen.strokeStyle = MARK;
+    pen.lineWidth = 1.5;
+    for (const spot of spots) {
+      const [x, y] = place(spot);
+      pen.beginPath();
+      pen.arc(x, y, 6, 0, 2 * Math.PI);
+      pen.moveTo(x - 9, y);
+      pen.lineTo(x - 3, y);
+      pen.moveTo(x + 3, y);
+      pen.lineTo(x + 9, y);
+      pen.stroke();
+    }
   }
 
   _contour({ points_px: points, kinds }, place) {

@@ -3,7 +3,7 @@
 import { downloadLog, fitsSocket, json, setToken, token, watch } from "./api.js";
 import { LiveView } from "./live.js";
 import { Past } from "./past.js";
-import { say, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
+import { say, showFused, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
 
 const find = (id) => document.getElementById(id);
 const SLOW_MS = 100; // between drawings of what is read, not watched: words, numbers, space
@@ -54,6 +54,7 @@ async function decode() {
     state: message.state,
     contour: bitmap && message.contour,
     silhouette: bitmap && message.silhouette_px,
+    marks: bitmap && message.marks,
     bitmap: bitmap ?? shown?.bitmap ?? null,
     note: bitmap ? `frame ${message.state.frame}` : "no picture of this frame",
   });
@@ -114,7 +115,8 @@ function drawSpace(now) {
     const states = paused === null ? past.states : paused.states.slice(0, paused.place + 1);
     const from = shown.state.received_unix_s - span();
     space.update(shown.state, states.filter((state) => state.received_unix_s >= from));
-    say(find("space-scale"), shown.state.covariance ? `target frame · where the camera is, 3σ × ${space.magnified}` : "target frame");
+    const green = shown.state.fused?.pose ? " · green: fused" : "";
+    say(find("space-scale"), (shown.state.covariance ? `target frame · where the camera is, 3σ × ${space.magnified}` : "target frame") + green);
   }
   if (space.draw(now)) drawn.spaces += 1;
 }
@@ -132,11 +134,13 @@ function slow() {
   showVerdict(words());
   say(find("frame-note"), shown.note);
   showNumbers(shown.state);
+  showFused(shown.state.fused ?? null);
   sayWhen();
   if (paused === null && last !== null) {
     showSensors(last.message.sensors);
     showRecording(last.message.recording);
   }
+  for (const label of document.querySelectorAll(".others")) label.hidden = !shown.state.fused && !shown.marks?.length;
   moved = true;
 }
 
@@ -298,7 +302,7 @@ function seek(place) {
   const text = `${new Date(1000 * state.received_unix_s).toLocaleTimeString()} (−${ago.toFixed(1)} s)`;
   say(find("at"), text);
   find("scrub").setAttribute("aria-valuetext", text);
-  present({ ...shown, state, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame} · picture: …` });
+  present({ ...shown, state, marks: null, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame} · picture: …` });
   fetchPicture();
 }
 
@@ -377,6 +381,8 @@ const KEYS = {
   c: () => press("contour"),
   n: () => press("nodes"),
   o: () => press("silhouette"),
+  e: () => press("ellipses"),
+  p: () => press("spots"),
   d: download,
   s: () => find("sessions").focus(),
   "?": () => find("help-dialog").showModal(),
@@ -412,7 +418,7 @@ find("token-value").onkeydown = (event) => {
 };
 find("help").onclick = KEYS["?"];
 find("help-close").onclick = () => find("help-dialog").close();
-for (const layer of ["contour", "nodes", "silhouette"]) {
+for (const layer of ["contour", "nodes", "silhouette", "ellipses", "spots"]) {
   live.layers[layer] = find(`layer-${layer}`).checked;
   find(`layer-${layer}`).onchange = () => toggle(layer);
 }

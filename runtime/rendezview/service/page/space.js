@@ -6,6 +6,7 @@ import { applyInverse, cameraPosition, eigen, rotation } from "./pose.js";
 const SIGMAS = 3;
 const KINDS = [[0.35, 0.72, 0.85], [1.0, 0.7, 0.33], [0.72, 0.6, 0.95]];
 const TRAIL = 4000; // points at most
+const FUSED = 0x56d364;
 const BARS = 60; // of the trajectory's uncertainty
 
 export class SpaceView {
@@ -43,13 +44,15 @@ export class SpaceView {
     this.trail = new three.Line(buffer(TRAIL * 3), new three.LineBasicMaterial({ color: 0x58c4dd }));
     this.bars = new three.LineSegments(buffer(BARS * 6), new three.LineBasicMaterial({ color: 0xb8871f }));
     this.body = frustum(camera, 0.35 * radius);
+    this.fusedBody = frustum(camera, 0.35 * radius, FUSED);
+    this.fusedTrail = new three.Line(buffer(TRAIL * 3), new three.LineBasicMaterial({ color: FUSED }));
     this.line = new three.Line(buffer(6), new three.LineBasicMaterial({ color: 0x3d5a6b }));
     this.ellipsoid = new three.Mesh(
       new three.SphereGeometry(1, 20, 14),
       new three.MeshBasicMaterial({ color: 0xf2c14e, transparent: true, opacity: 0.35, depthWrite: false }),
     );
-    this.ellipsoid.matrixAutoUpdate = this.body.matrixAutoUpdate = false;
-    for (const part of [this.nodes, this.trail, this.bars, this.body, this.line, this.ellipsoid]) {
+    this.ellipsoid.matrixAutoUpdate = this.body.matrixAutoUpdate = this.fusedBody.matrixAutoUpdate = false;
+    for (const part of [this.nodes, this.trail, this.bars, this.fusedTrail, this.body, this.fusedBody, this.line, this.ellipsoid]) {
       part.frustumCulled = false;
       part.visible = false;
       this.scene.add(part);
@@ -91,10 +94,16 @@ export class SpaceView {
         this.ellipsoid.matrix.set(...placed(transposed(directions.flatMap((d, k) => d.map((v) => v * size[k]))), at, true));
       }
     }
+    const fused = state?.fused?.pose ?? null;
+    this.fusedBody.visible = fused !== null;
+    if (fused !== null) this.fusedBody.matrix.set(...placed(rotation(fused.quat_wxyz), cameraPosition(fused)));
     this._trajectory(states);
   }
 
   _trajectory(states) {
+    const together = states.filter((state) => state.fused?.pose);
+    const each = Math.max(1, Math.ceil(together.length / TRAIL));
+    fill(this.fusedTrail, together.filter((_, k) => k % each === 0).map((state) => cameraPosition(state.fused.pose)));
     const kept = states.filter((state) => state.pose !== null);
     const step = Math.max(1, Math.ceil(kept.length / TRAIL));
     fill(this.trail, kept.filter((_, k) => k % step === 0).map((state) => cameraPosition(state.pose)));
@@ -252,7 +261,7 @@ function axes(length) {
 }
 
 /** The camera's field of view, in its own frame, with the way up of its picture. */
-function frustum({ width, height, fx, fy, cx, cy }, depth) {
+function frustum({ width, height, fx, fy, cx, cy }, depth, color = 0xffffff) {
   const corner = (u, v) => [((u - 0.5 - cx) / fx) * depth * 1.6, ((v - 0.5 - cy) / fy) * depth * 1.6, depth * 1.6];
   const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
   const roof = [corner(0.3 * width, 0), corner(0.5 * width, -0.3 * height), corner(0.7 * width, 0)];
@@ -260,5 +269,5 @@ function frustum({ width, height, fx, fy, cx, cy }, depth) {
   ends.push(roof[0], roof[1], roof[1], roof[2]);
   const geometry = new three.BufferGeometry();
   geometry.setAttribute("position", new three.BufferAttribute(new Float32Array(ends.flat()), 3));
-  return new three.LineSegments(geometry, new three.LineBasicMaterial({ color: 0xffffff }));
+  return new three.LineSegments(geometry, new three.LineBasicMaterial({ color }));
 }

@@ -72,12 +72,37 @@ export function showNumbers(state) {
   rows(find("numbers").tBodies[0], entries);
 }
 
+/** The state by all sensors; nothing where the camera is alone. */
+export function showFused(fused) {
+  const table = find("fused");
+  if (table.hidden !== (fused === null)) table.hidden = fused === null;
+  if (fused === null) return;
+  const { pose, covariance, rates } = fused;
+  const sigma = (k) => 3 * Math.sqrt(covariance[k][k]);
+  const kind = { tracking: "good", lost: "bad wrap", late: "bad wrap" }[fused.status] ?? "warn wrap";
+  const entries = [["status", `${fused.status}${fused.reason ? `: ${fused.reason}` : ""}`, kind]];
+  if (pose !== null) {
+    entries.push(["x y z", `${pose.translation_m.map((value) => fixed(value, 3)).join(" ")} m`]);
+    entries.push(["place ±", `${[3, 4, 5].map((k) => sigma(k).toFixed(3)).join(" ")} m`]);
+    entries.push(["q wxyz", pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ")]);
+    entries.push(["attitude ±", `${[0, 1, 2].map((k) => (DEGREES * sigma(k)).toFixed(2)).join(" ")} °`]);
+    const turning = (DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2);
+    entries.push(["rates", `${turning} °/s · ${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s`]);
+  }
+  rows(table.tBodies[0], entries);
+}
+
 export function showSensors(sensors) {
   const entries = [];
   for (const sensor of sensors) {
     const rate = sensor.rate_hz === null ? "– Hz" : `${sensor.rate_hz.toFixed(1)} Hz`;
     entries.push([sensor.name, sensor.healthy ? `● healthy · ${rate}` : `▲ ${sensor.reason}`, sensor.healthy ? "good" : "bad wrap"]);
-    entries.push(["frames · drops", `${sensor.frames} · ${sensor.drops}`, sensor.drops > 0 ? "drops" : ""]);
+    if (sensor.kind === "camera") entries.push(["frames · drops", `${sensor.frames} · ${sensor.drops}`, sensor.drops > 0 ? "drops" : ""]);
+    const trust = sensor.trust ?? null;
+    if (trust === null) continue;
+    const nis = trust.mean_nis === null ? "–" : trust.mean_nis.toFixed(2);
+    const locked = trust.locked_out ? " · locked out" : "";
+    entries.push(["heard · taken · NIS", `${trust.heard} · ${trust.accepted} · ${nis}${locked}`, trust.locked_out ? "bad" : ""]);
   }
   rows(find("sensors").tBodies[0], entries);
 }

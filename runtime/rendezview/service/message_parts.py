@@ -1,0 +1,31 @@
+"""What messages are made of: their base, numbers of fixed count, names, poses."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+
+MOST_TIME_S = 1e10  # either side of zero: what the stamps of a log can say
+Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]
+Six = Annotated[list[FiniteFloat], Field(min_length=6, max_length=6)]
+Matrix6 = Annotated[list[Six], Field(min_length=6, max_length=6)]
+Twelve = Annotated[list[FiniteFloat], Field(min_length=12, max_length=12)]
+Matrix12 = Annotated[list[Twelve], Field(min_length=12, max_length=12)]
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+
+
+class Message(BaseModel):
+    """Base of all messages: unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class PoseMessage(Message):
+    """camera_from_target: ``p_camera = R p_target + t``."""
+
+    quat_wxyz: Four
+    translation_m: Three

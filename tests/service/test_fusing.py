@@ -1,0 +1,405 @@
+"""Several sensors of one session: lines in, one state out, logged and repeated."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import time
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+from scipy.spatial.transform import Rotation
+from websockets.sync.client import connect
+
+from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
+from rendezview.errors import RendezviewError
+from rendezview.fusion import Fusion, PoseMeasurement
+from rendezview.fusion.logs import LogContext, kind_of, read_record
+from rendezview.service.fusing import SessionFilter, split_records
+from rendezview.service.fusion_messages import FusionRequest, LoggedMeasurement, Measured
+from rendezview.service.messages import State, WatchState
+from rendezview.service.replay import model_of, read_log, repeat
+from rendezview.target import DockingRing
+
+RING = DockingRing(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.6, 0.8]), 0.5)
+SIGMA_M, SIGMA_RAD = 0.01, 0.01
+
+
+class Sensors:
+    """Lines of a ring detector, a ranger and a second pose sensor at a true pose."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.rng = np.random.default_rng(seed)
+
+    def ring(self, time_s, truth, offset_m=0.0):
+        centre = truth.apply(RING.centre_m) + SIGMA_M * self.rng.normal(size=3)
+        axis = truth.rotation @ RING.axis + SIGMA_RAD * self.rng.normal(size=3)
+        covariance = np.diag([SIGMA_M**2] * 3 + [SIGMA_RAD**2] * 2)
+        pose = {"centre_m": centre + offset_m, "axis": axis / np.linalg.norm(axis)}
+        edge = {"centre_px": [200.0, 180.5], "semi_axes_px": [40.0, 30.0], "angle_rad": 0.5}
+        return _plain(
+            {
+                "time_s": time_s, "status": "ok", "ellipses": [edge], "ellipse": 0,
+                "poses": [pose | {"covariance": covariance}],
+            }
+        )  # fmt: skip
+
+    def range(self, time_s, truth):
+        normal = truth.rotation @ RING.axis
+        distance = normal @ truth.apply(RING.centre_m) / normal[2]
+        return {"time_s": time_s, "range_m": distance + 0.02 * self.rng.normal(), "sigma_m": 0.02}
+
+    def pose(self, time_s, truth, offset_m=0.0):
+        sigma = np.array([0.01] * 3 + [0.02] * 3)
+        seen = truth.perturbed(sigma * self.rng.normal(size=6) + [0, 0, 0, offset_m, 0, 0])
+        spots = [{"x_px": 100.0, "y_px": 120.5, "reflector": "left"}]
+        return _plain(
+            {"time_s": time_s, "pose": seen, "covariance": np.diag(sigma**2), "spots": spots}
+        )
+
+
+def _plain(record):
+    from rendezview.results import json_line
+
+    return json.loads(json_line(record))
+
+
+@pytest.fixture
+def sensors() -> Sensors:
+    return Sensors()
+
+
+@pytest.fixture
+def session(client, camera, tour):
+    opened = client.open(camera, prior=tour[0][1], fusion={"ring": RING})
+    yield opened
+    with contextlib.suppress(ServiceError):
+        opened.close()
+
+
+def test_lines_read_for_the_service_are_those_of_the_command(sensors, tour):
+    time_s, truth, _ = tour[0]
+    context = LogContext(RING)
+    for record in (sensors.ring(time_s, truth), sensors.range(time_s, truth)):
+        kind = kind_of(record, "here")
+        assert read_record(record, kind, "any", context, "here").time_s == time_s
+        with pytest.raises(RendezviewError, match=r"where it is|what the beam meets"):
+            read_record(record, kind, "any", LogContext(), "here")
+
+
+def test_a_state_is_what_the_filter_gives_of_the_same_words(session, sensors, tour):
+    own = Fusion(None)
+    context = LogContext(RING)
+    for k, (time_s, truth, image) in enumerate(tour[:8]):
+        state = session.track(image, time_s)
+        State.model_validate(state)
+        assert ("fused" in state) == (k > 0)
+        if k > 0:
+            pose, covariance = pose_of_state(state), np.array(state["covariance"])
+            own.add(PoseMeasurement(time_s, "camera", pose, covariance))
+            assert state["fused"]["status"] == str(own.state_at(time_s).status)
+        lines = [sensors.pose(time_s, truth), sensors.ring(time_s + 0.01, truth),
+                 sensors.range(time_s + 0.02, truth)]  # fmt: skip
+        for sensor, record in zip(("mirrors", "ring", "laser"), lines, strict=True):
+            told = Measured.model_validate(session.measure(sensor, record))
+            measurement = read_record(record, kind_of(record, ""), sensor, context, "")
+            verdict = own.add(measurement)
+            assert told.verdicts[0].accepted == verdict.accepted
+            assert told.recorded
+        expected = own.state_at(record["time_s"])
+        assert np.array(told.fused.covariance) == pytest.approx(expected.covariance, rel=1e-6)
+    assert expected.status == "tracking"
+    fused = fused_pose_of_state(told.model_dump())
+    assert fused.translation_m == pytest.approx(expected.pose.translation_m, abs=1e-9)
+    assert fused.angle_to(truth) < np.deg2rad(2.0)
+    health = {s["name"]: s for s in session.info()["sensors"]}
+    assert [(name, s["kind"]) for name, s in health.items()] == [
+        ("camera", "camera"), ("mirrors", "pose"), ("ring", "ring"), ("laser", "range"),
+    ]  # fmt: skip
+    assert health["camera"]["trust"]["heard"] == 7
+    assert health["ring"]["frames"] == health["ring"]["trust"]["heard"] == 8
+    assert health["ring"]["healthy"]
+    metrics = session.client.fetch("GET", "/metrics").decode()
+    assert f'sensor="laser",session="{session.name}"}} 8.0' in metrics
+
+
+def test_a_camera_alone_has_states_as_ever(session, sensors, tour):
+    silent = {"time_s": 0.0, "status": "lost", "pose": None, "covariance": None}
+    told = session.measure("mirrors", silent)
+    assert (told["verdicts"], told["fused"]) == ([None], None)
+    assert "fused" not in session.track(tour[0][2], 0.0)
+    assert session.info()["sensors"][0]["trust"] is None
+
+
+def test_a_sensor_that_lies_is_locked_out_and_said_so(session, sensors, tour):
+    for k, (time_s, truth, image) in enumerate(tour[:12]):
+        time_s *= 20.0  # the tour turns faster than the filter expects
+        session.track(image, time_s)
+        session.measure("mirrors", sensors.pose(time_s, truth))
+        if k > 3:  # before, nobody can know who lies
+            told = session.measure("liar", sensors.pose(time_s, truth, offset_m=3.0))
+    assert not told["verdicts"][0]["accepted"]
+    assert told["verdicts"][0]["nis"] > 100.0
+    liar = next(s for s in session.info()["sensors"] if s["name"] == "liar")
+    assert liar["trust"]["locked_out"]
+    assert "locked out" in liar["reason"]
+    assert fused_pose_of_state(told).translation_m == pytest.approx(truth.translation_m, abs=0.3)
+
+
+def _bad(sensors, truth):
+    pose, ring = sensors.pose(1.0, truth), sensors.ring(1.0, truth)
+    reach = sensors.range(1.0, truth)
+    negative = np.diag([1e-4] * 4 + [-1e-4]).tolist()
+    return [
+        ("mirrors", b"", "empty"),
+        ("mirrors", b"[1, 2]", "object"),
+        ("mirrors", b"{", "JSON"),
+        ("mirrors", b"\xff\xfe{}", "UTF-8"),
+        ("mirrors", b"[" * 100_000, "JSON"),
+        ("mirrors", b'{"a": ' * 5000 + b"1" + b"}" * 5000, "JSON"),
+        ("mirrors", {}, "neither 'pose'"),
+        ("mirrors", {"pose": pose["pose"], "covariance": pose["covariance"]}, "time_s"),
+        ("mirrors", pose | {"time_s": float("nan")}, "not valid JSON"),
+        ("mirrors", pose | {"time_s": 1e11}, "1e.10"),
+        ("mirrors", pose | {"time_s": 10**400}, "line 1"),
+        ("mirrors", pose | {"time_s": True}, "time_s"),
+        ("mirrors", pose | {"covariance": [[1.0]]}, "covariance"),
+        ("mirrors", pose | {"covariance": (-np.eye(6)).tolist()}, "positive definite"),
+        ("mirrors", pose | {"covariance": (1e30 * np.eye(6)).tolist()}, "variances"),
+        ("mirrors", pose | {"pose": {"quat_wxyz": [0, 0, 0, 0], "translation_m": [0, 0, 1]}},
+         "quat_wxyz"),
+        ("mirrors", pose | {"spots": [{"x_px": "far"}]}, "spots"),
+        ("mirrors", pose | {"pose": 7}, "line 1"),
+        ("ring", ring | {"ellipses": [{}]}, "centre_px"),
+        ("ring", ring | {"poses": [ring["poses"][0] | {"axis": [0, 0, 5]}]}, "unit vector"),
+        ("ring", ring | {"poses": [ring["poses"][0] | {"covariance": negative}]}, "negative"),
+        ("laser", reach | {"range_m": -1.0}, "positive"),
+        ("laser", reach | {"sigma_m": None}, "line 1"),
+        ("camera", pose, "the session's own"),
+        ("a/b", pose, "sensor"),
+    ]  # fmt: skip
+
+
+def test_what_is_no_line_is_refused_in_words_and_nothing_is_taken(session, sensors, tour):
+    time_s, truth, image = tour[0]
+    for sensor, content, said in _bad(sensors, truth):
+        body = content if isinstance(content, bytes) else json.dumps(content).encode()
+        path = f"{session._path}/measurements?sensor={sensor}"
+        with pytest.raises(ServiceError, match=said) as refused:
+            session.client.request("POST", path, body)
+        assert refused.value.status == 422, (sensor, said)
+    good = json.dumps(sensors.pose(1.0, truth)).encode()
+    with pytest.raises(ServiceError, match="line 2"):
+        session.client.request("POST", f"{session._path}/measurements?sensor=m", good + b"\n{}")
+    assert len(session.info()["sensors"]) == 1
+    assert "fused" not in session.track(image, time_s)
+
+
+def test_limits_hold_for_lines_bytes_sensors_and_clocks(session, sensors, tour):
+    _, truth, image = tour[0]
+    session.track(image, 5.0)
+    line = sensors.pose(5.0, truth)
+    for time_s in (5.0 + 400.0, 5.0 - 400.0):
+        with pytest.raises(ServiceError, match="one clock"):
+            session.measure("mirrors", line | {"time_s": time_s})
+    with pytest.raises(ServiceError, match="33 lines"):
+        session.measure("mirrors", *[line] * 33)
+    with pytest.raises(ServiceError) as refused:
+        session.measure("mirrors", line | {"more": "x" * 300_000})
+    assert refused.value.status == 413
+    for k in range(8):
+        session.measure(f"sensor-{k}", line)
+    with pytest.raises(ServiceError, match="8 sensors"):
+        session.measure("sensor-8", line)
+    with pytest.raises(ServiceError, match="a name of its own"):
+        session.measure("sensor-0", sensors.range(5.0, truth))
+    statuses = []
+    for _ in range(60):
+        try:
+            session.measure("sensor-0", *[line] * 32)
+            statuses.append(200)
+        except ServiceError as error:
+            statuses.append(error.status)
+    assert statuses[0] == 200
+    assert set(statuses) <= {200, 429}
+
+
+def test_impossible_fusion_is_refused_when_the_session_opens(client, camera):
+    for fusion, said in [
+        ({"ring": {"centre_m": [0, 0, 0], "axis": [0, 0, 0], "radius_m": 1}}, "direction"),
+        ({"ring": {"centre_m": [0, 0, 0], "axis": [0, 0, 1], "radius_m": -1}}, "radius_m"),
+        ({"mounts": {"a": {"quat_wxyz": [0, 0, 0, 0], "translation_m": [0, 0, 0]}}}, "quat"),
+        ({"options": {"speed": 1}}, "speed"),
+        ({"options": {"history_s": 1e6}}, "history_s"),
+        ({"options": {"motion": {"angular": -1.0}}}, "angular"),
+        ({"surfaces": [{"point_m": [0, 0], "normal": [0, 0, 1]}]}, "point_m"),
+    ]:
+        with pytest.raises(ServiceError, match=said) as refused:
+            client.open(camera, fusion=fusion)
+        assert refused.value.status == 422
+
+
+def test_a_stream_takes_lines_between_frames(session, sensors, tour):
+    with session.stream() as stream:
+        for time_s, truth, image in tour[:4]:
+            stream.send(image, time_s)
+            assert stream.receive(10.0)["pose"] is not None
+            stream.measure("mirrors", sensors.pose(time_s, truth))
+            told = stream.receive(10.0)
+            Measured.model_validate(told)
+        assert told["fused"]["status"] == "tracking"
+        stream.measure("camera", sensors.pose(time_s, truth))
+        with pytest.raises(ServiceError, match="own"):
+            stream.receive(10.0)
+
+
+def test_watchers_see_what_other_sensors_saw(session, sensors, tour):
+    url = session.client.stream_url(session.name, "watch?rate_hz=100&image=0&contour=0")
+    with connect(url, max_size=None) as socket:
+        while session.info()["watchers"] < 1:
+            time.sleep(0.01)
+        time_s, truth, image = tour[0]
+        session.measure("ring", sensors.ring(time_s, truth))
+        session.measure("mirrors", sensors.pose(time_s, truth))
+        session.track(image, time_s + 0.05)
+        told = WatchState.model_validate(json.loads(socket.recv(10.0)))
+    assert told.state.fused.pose is not None
+    by_name = {marks.sensor: marks for marks in told.marks}
+    assert by_name["ring"].ellipses[0].centre_px == [200.0, 180.5]
+    assert by_name["ring"].chosen == 0
+    assert by_name["mirrors"].spots_px == [[100.0, 120.5]]
+
+
+def test_a_run_of_several_sensors_is_logged_and_repeated_bit_for_bit(
+    service, session, sensors, tour
+):
+    answers, sent = [], []
+    for time_s, truth, image in tour[:8]:
+        session.track(image, time_s)
+        sent += [sensors.ring(time_s + 0.01, truth), sensors.range(time_s - 0.15, truth)]
+        answers.append(session.measure("ring", sent[-2]))
+        answers.append(session.measure("laser", sent[-1]))
+    log_name = session.info()["recording"]["name"]
+    session.close()
+    with open(service.folder / log_name, "rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        kept = [
+            LoggedMeasurement.model_validate_json(message.data)
+            for _, _, message in reader.iter_messages(topics=["/rendezview/measurement"])
+        ]
+        fused = [m for *_, m in reader.iter_decoded_messages(topics=["/target/fused"])]
+    assert [line.order for line in kept] == list(range(16))
+    assert [line.record for line in kept] == sent
+    assert [line.verdict.model_dump() for line in kept] == [a["verdicts"][0] for a in answers]
+    last = answers[-1]["fused"]["pose"]
+    assert fused[-1].pose.position.z == last["translation_m"][2]
+    assert fused[-1].pose.orientation.w == last["quat_wxyz"][0]
+    log = read_log(service.folder / log_name)
+    *_, (_, so_far) = repeat(log, model_of(log, None))
+    assert (so_far.frames, so_far.lines, so_far.differing, so_far.gap) == (8, 16, 0, None)
+
+
+def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
+    start_service, sensors, camera, tour
+):
+    served = start_service()
+    with served.client() as client:
+        session = client.open(camera, prior=tour[0][1], fusion={"ring": RING})
+        for time_s, truth, image in tour[:4]:
+            session.track(image, time_s)
+            session.measure("mirrors", sensors.pose(time_s, truth))
+        children = subprocess.run(
+            ["ps", "-o", "pid=", "--ppid", str(served.process.pid)],
+            capture_output=True, text=True, check=True,
+        ).stdout.split()  # fmt: skip
+        os.kill(int(children[0]), signal.SIGKILL)
+        state = None
+        for time_s, _, image in tour[4:] * 40:
+            with contextlib.suppress(ServiceError):
+                state = session.track(image, time_s + 100.0)
+                break
+            time.sleep(0.1)
+        assert state is not None
+        assert "process ended" in state["fused"]["reason"]
+        assert state["fused"]["status"] in ("waiting", "starting")
+        mirrors = session.info()["sensors"][1]
+        assert "begins anew" in mirrors["reason"]
+        told = session.measure("mirrors", sensors.pose(time_s + 100.0, tour[4][1]))
+        assert told["verdicts"][0]["time_s"] == time_s + 100.0
+    served.stop()
+
+
+def test_a_target_gives_its_ring_to_sessions_that_say_none(
+    start_service, sensors, camera, tour, tmp_path
+):
+    (tmp_path / "mesh.stl").write_text("solid\nendsolid\n")
+    (tmp_path / "target.toml").write_text(
+        'name = "bumpy"\n[mesh]\npath = "mesh.stl"\nunit = "m"\n[docking_ring]\n'
+        f"centre_m = {RING.centre_m.tolist()}\naxis = {RING.axis.tolist()}\nradius_m = 0.5\n"
+    )
+    served = start_service("--target", str(tmp_path / "target.toml"))
+    with served.client() as client:
+        session = client.open(camera, prior=tour[0][1])
+        assert (
+            session.measure("ring", sensors.ring(0.0, tour[0][1]))["fused"]["status"] == "waiting"
+        )
+    served.stop()
+
+
+# The filter of a session, without a service
+
+
+def test_the_filter_begins_anew_where_the_cameras_clock_jumps(tour):
+    truth = tour[0][1]
+    one = SessionFilter(FusionRequest())
+    sensors = Sensors()
+    for k in range(5):
+        text = json.dumps(sensors.pose(float(k), truth)).encode()
+        (line,) = one.check("mirrors", text, float(k))
+        one.take("mirrors", line)
+        state = one.look(float(k), truth, 1e-4 * np.eye(6))
+    assert state["status"] == "tracking"
+    state = one.look(1e6, truth, 1e-4 * np.eye(6))
+    assert state["status"] == "starting"
+    assert "camera's time" in state["reason"]
+    assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m)
+    for k in range(1, 3):
+        state = one.look(1e6 + k, truth, 1e-4 * np.eye(6))
+    assert (state["status"], state["reason"]) == ("tracking", None)
+
+
+def test_a_frame_older_than_what_is_remembered_is_late(tour):
+    truth = tour[0][1]
+    one = SessionFilter(FusionRequest())
+    sensors = Sensors()
+    for k in range(40):
+        (line,) = one.check("m", json.dumps(sensors.pose(float(k), truth)).encode(), 0.0, 1e3)
+        one.take("m", line)
+    state = one.look(2.0, truth, 1e-4 * np.eye(6))
+    assert (state["status"], state["pose"]) == ("late", None)
+    assert "before what is remembered" in state["reason"]
+
+
+def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):
+    from rendezview.pose import Pose
+
+    truth = tour[0][1]
+    mount = Pose(Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix(), [0.5, 0.1, -0.2])
+    fusion = _plain({"mounts": {"side": mount}})
+    one = SessionFilter(FusionRequest.model_validate(fusion))
+    record = Sensors().pose(0.0, mount @ truth)
+    (line,) = one.check("side", json.dumps(record).encode(), 0.0)
+    assert line.marks is None  # its pixels are not the camera's
+    _, state = one.take("side", line)
+    assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m, abs=0.2)
+
+
+def test_a_message_is_one_object_or_one_a_line():
+    assert split_records(b'{"a": 1}\n\n{"b": 2}\n') == [{"a": 1}, {"b": 2}]
+    assert split_records(b'{\n "a": {\n  "b": 1\n }\n}') == [{"a": {"b": 1}}]
+    assert split_records('{"a": "\u2028"}'.encode()) == [{"a": "\u2028"}]
