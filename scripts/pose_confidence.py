@@ -1,6 +1,6 @@
-"""Confidence and covariance of a pose, fitted to what ``pose_accuracy.py --log`` wrote.
+"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``.
 
-    python scripts/pose_confidence.py LOG.jsonl
+    python scripts/pose_confidence.py LOG.jsonl [LOG.jsonl …]
 
 Prints the coefficients of ``rendezview.appearance.pose_finder`` (confidence) and of
 ``rendezview.appearance.refine`` (inflation of the covariance, to multiply what it has), and, each
@@ -48,9 +48,9 @@ def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("log", type=Path)
+    parser.add_argument("logs", type=Path, nargs="+")
     arguments = parser.parse_args()
-    records = [json.loads(line) for line in arguments.log.read_text().splitlines()]
+    records = [json.loads(line) for log in arguments.logs for line in log.read_text().splitlines()]
     chosen = [r for r in records if "features" in r]
     features = np.array([r["features"] for r in chosen])
     right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
@@ -62,12 +62,13 @@ def main() -> None:
     theta, rest = inflation(records)
     print("inflation", np.round(theta, 2).tolist())
     answers = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
-    for condition in ("low", "high", "earth"):
+    conditions = sorted({r["condition"] for r in records})
+    for condition in conditions:
         part = rest[[r["condition"] == condition for r in answers]]
         print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
     print("coefficients", np.round(fitted(features, right).coef_[0], 2).tolist())
     for mode in ("first", "tracked"):
-        for condition in ("low", "high", "earth"):
+        for condition in conditions:
             these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
             total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
             for least in (0.5, 0.7, 0.8, 0.9, 0.95):

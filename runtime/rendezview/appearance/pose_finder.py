@@ -84,8 +84,9 @@ class Found:
         return float(1.0 / (1.0 + np.exp(-odds)))
 
 
-# Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seed 1).
-_LOGISTIC = np.array([-3.36, 6.46, 1.22, -13.28, -5.76, 6.29, -3.31, 1.5, 1.51, 8.32])
+# Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seeds 1 and 88,
+# and 1 and 2 of scripts/pose_cut.py). ``outline`` counts what is out of the picture as not found.
+_LOGISTIC = np.array([-2.96, 6.53, 4.49, -11.86, -7.04, 7.99, -4.62, 1.78, 1.95, 6.32])
 
 
 def merit(refined: Refined, excess: float) -> float:
