@@ -4,8 +4,8 @@
 
 MODELS is a folder with a model ``<target>.rvm`` of each. Frames of our own simulator, 1024 × 1024,
 Sun 0–60° from behind the camera, any attitude. Half of them are ``close``, the view centre 1.3 to
-3.2 target radii away; the others ``off``, 4 to 10 radii away and about on the border. Each is looked
-at as in ``pose_accuracy.py``: on its own, and from the true pose of a second earlier.
+3.2 target radii away; the others ``off``, 4 to 10 radii away and about on the border. Each is
+looked at as in ``pose_accuracy.py``: on its own, and from the true pose of a second earlier.
 """
 
 from __future__ import annotations
@@ -99,8 +99,9 @@ def main() -> None:
                 ]
                 right = sum(r.get("rotation_deg", 180.0) < WRONG_DEG for r in part)
                 given = sum("rotation_deg" in r for r in part)
-                table.add_row(f"{mode} {condition}", f"{low:.1f}–{min(high, 1.0):.1f}",
-                              *map(str, (len(part), right, given - right, len(part) - given)))  # fmt: skip
+                counts = (len(part), right, given - right, len(part) - given)
+                share = f"{low:.1f}–{min(high, 1.0):.1f}"
+                table.add_row(f"{mode} {condition}", share, *map(str, counts))
     Console().print(table)
 
 
