@@ -151,10 +151,12 @@ class Cluster:
                 ) from None
             except _LOST as error:
                 lost += 1
-                if lost > _TIMES_LOST or self._client.status != "running":
+                gone = self._client.status != "running"
+                if gone or lost > _TIMES_LOST:
+                    what = "is gone" if gone else "gives no results"
                     raise RendezviewError(
-                        f"{self._address}: the cluster is gone ({_reason(error)}): start it and "
-                        "give the same command again, what is done is kept"
+                        f"{self._address}: the cluster {what} ({_reason(error)}): start it anew "
+                        "and give the same command again, what is done is kept"
                     ) from None
                 continue
             raise result.error
