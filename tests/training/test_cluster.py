@@ -50,8 +50,10 @@ class Processes:
 
 
 @contextmanager
-def processes(folder: Path, workers: int, allowed_failures: int = 3) -> Iterator[Processes]:
-    """As a user starts them, each worker without a nanny: one that dies stays dead."""
+def processes(
+    folder: Path, workers: int, allowed_failures: int = 3, nanny: bool = False
+) -> Iterator[Processes]:
+    """As a user starts them; without a nanny a worker that dies stays dead."""
     environment = dict(
         os.environ,
         OMP_NUM_THREADS="1",
@@ -79,7 +81,7 @@ def processes(folder: Path, workers: int, allowed_failures: int = 3) -> Iterator
         )  # fmt: skip
         joined = [
             start(
-                "worker", "--scheduler-file", place, "--nthreads", 1, "--no-nanny",
+                "worker", "--scheduler-file", place, "--nthreads", 1, "--nanny" if nanny else "--no-nanny",
                 "--no-dashboard", "--host", "127.0.0.1", "--local-directory", folder,
             )
             for _ in range(workers)
@@ -87,8 +89,9 @@ def processes(folder: Path, workers: int, allowed_failures: int = 3) -> Iterator
         while not place.exists():
             time.sleep(0.05)
         address = json.loads(place.read_text())["address"]
-        with distributed.Client(address, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=60)
+        if workers:
+            with distributed.Client(address, set_as_default=False) as client:
+                client.wait_for_workers(workers, timeout=60)
         yield Processes(address, scheduler, joined)
 
 
@@ -161,33 +164,32 @@ def test_large_shared_data_is_moved_once_to_each_worker(several):
 
 def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
     log = tmp_path / "log"
-    with processes(tmp_path, 3) as started:
-        with cluster.Cluster.connect(started.address) as workers:
-            assert workers.cores == 3
-            results = {}
-            arguments = [(k, log, 0.1) for k in range(24)]
-            for k, result in workers.results(double, (7,), arguments):
-                results[k] = result
-                if len(results) == 5:
-                    started.workers[0].kill()
-            assert results == {k: 7 + 2 * k for k in range(24)}
-            lines = log.read_text().splitlines()
-            assert len({line.split()[1] for line in lines}) == 3
-            assert len(lines) <= 24 + 1
+    with processes(tmp_path, 3) as started, cluster.Cluster.connect(started.address) as workers:
+        assert workers.cores == 3
+        results = {}
+        arguments = [(k, log, 0.1) for k in range(24)]
+        for k, result in workers.results(double, (7,), arguments):
+            results[k] = result
+            if len(results) == 5:
+                started.workers[0].kill()
+        assert results == {k: 7 + 2 * k for k in range(24)}
+        lines = log.read_text().splitlines()
+        assert len({line.split()[1] for line in lines}) == 3
+        assert len(lines) <= 24 + 1
 
-            def kill(stage: str, done: int, of: int) -> None:
-                if stage == "contours" and done == 1:
-                    started.workers[1].kill()
+        def kill(stage: str, done: int, of: int) -> None:
+            if stage == "contours" and done == 1:
+                started.workers[1].kill()
 
-            train(
-                bumpy_mesh,
-                tmp_path / "m.rvm",
-                name="bumpy",
-                options=SMALL,
-                workers=workers,
-                progress=kill,
-            )
-            assert workers.cores == 1
+        train(
+            bumpy_mesh,
+            tmp_path / "m.rvm",
+            name="bumpy",
+            options=SMALL,
+            workers=workers,
+            progress=kill,
+        )
+        assert workers.cores == 1
     assert (tmp_path / "m.rvm").read_bytes() == reference
 
 
@@ -200,10 +202,8 @@ def test_a_shard_that_kills_its_workers_is_told_and_not_waited_for(tmp_path):
 
 def test_data_that_died_with_the_last_worker_is_sent_again(tmp_path):
     with (
-        distributed.LocalCluster(  # its nanny starts another worker
-            n_workers=1, threads_per_worker=1, dashboard_address=None, silence_logs=50
-        ) as local,
-        cluster.Cluster.connect(local.scheduler_address) as workers,
+        processes(tmp_path, 1, nanny=True) as started,  # which starts another worker
+        cluster.Cluster.connect(started.address) as workers,
     ):
         arguments = [(k, tmp_path / "once") for k in range(8)]
         assert dict(workers.results(deadly, (), arguments)) == {k: k for k in range(8)}
@@ -224,9 +224,7 @@ def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(
             cluster.Cluster.connect(started.address) as workers,
             pytest.raises(RendezviewError, match="is gone.*what is done is kept"),
         ):
-            train(
-                bumpy_mesh, path, name="bumpy", options=SMALL, workers=workers, progress=kill
-            )
+            train(bumpy_mesh, path, name="bumpy", options=SMALL, workers=workers, progress=kill)
     train(
         bumpy_mesh,
         path,
@@ -265,7 +263,9 @@ def test_workers_with_other_versions_are_refused_by_name(several, monkeypatch):
     monkeypatch.setattr(metadata, "version", lambda p: "9.9" if p == "numpy" else original(p))
     cluster.installed.cache_clear()
     try:
-        with pytest.raises(RendezviewError, match=r"worker tcp://\S+ has other.*numpy .* 9\.9 here"):
+        with pytest.raises(
+            RendezviewError, match=r"worker tcp://\S+ has other.*numpy .* 9\.9 here"
+        ):
             cluster.Cluster.connect(several.address)
     finally:
         cluster.installed.cache_clear()

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import asyncio
 import concurrent.futures
+import contextlib
 import functools
 import hashlib
 import logging
+import os
 import platform
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -23,7 +25,7 @@ from typing import Any, Self
 
 import rendezview
 from rendezview.errors import RendezviewError
-from rendezview.training.workers import Shared, Task, compute, parallel
+from rendezview.training.workers import ClusterError, Shared, Task, compute, parallel
 
 try:
     import distributed
@@ -71,16 +73,17 @@ class Cluster:
             timeout_s: for the scheduler to answer, and for a first worker to come.
 
         Raises:
-            RendezviewError: no scheduler or no worker there, or other versions than here.
+            ClusterError: no scheduler or no worker there, or other versions than here.
         """
         for name in ("distributed", *_TALKATIVE):  # what goes wrong is an error here, in words
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # versions are compared below
+                asyncio.run(_greet(address, timeout_s))
                 client = distributed.Client(address, timeout=timeout_s, set_as_default=False)
         except (OSError, ValueError, TypeError, TimeoutError, RuntimeError) as error:
-            raise RendezviewError(
+            raise ClusterError(
                 f"{address}: no Dask scheduler answers there ({_reason(error)}): give the "
                 "address that `dask scheduler` prints, such as tcp://host:8786"
             ) from None
@@ -124,7 +127,7 @@ class Cluster:
         """See ``Workers``.
 
         Raises:
-            RendezviewError: the scheduler is gone, or a shard kills the workers it is given to.
+            ClusterError: the scheduler is gone, or a shard kills the workers it is given to.
         """
         left = dict(enumerate(arguments))
         lost = 0
@@ -133,18 +136,18 @@ class Cluster:
             try:
                 backend = _Backend(self._client, shared)
                 own = [left[k] for k in numbers]
-                for k, result in parallel(
-                    backend, -1, _compared, (task, installed()), shared, own
-                ):
-                    if isinstance(result, _Failed):
-                        break
-                    lost = 0
-                    del left[numbers[k]]
-                    yield numbers[k], result
-                else:
-                    continue
+                runs = parallel(backend, -1, _compared, (task, installed()), shared, own)
+                with contextlib.closing(runs):
+                    for k, result in runs:
+                        if isinstance(result, _Failed):
+                            raise result
+                        lost = 0
+                        del left[numbers[k]]
+                        yield numbers[k], result
+            except _Failed as failed:
+                raise failed.error from None
             except distributed.KilledWorker as error:
-                raise RendezviewError(
+                raise ClusterError(
                     f"{self._address}: a worker died {error.allowed_failures + 1} times at the same "
                     f"work, the last at {error.last_worker.address}: does it have too little "
                     "memory? What is done is kept"
@@ -154,29 +157,38 @@ class Cluster:
                 gone = self._client.status != "running"
                 if gone or lost > _TIMES_LOST:
                     what = "is gone" if gone else "gives no results"
-                    raise RendezviewError(
+                    raise ClusterError(
                         f"{self._address}: the cluster {what} ({_reason(error)}): start it anew "
                         "and give the same command again, what is done is kept"
                     ) from None
-                continue
-            raise result.error
 
     def _wait_and_compare(self, timeout_s: float) -> None:
         try:
             self._client.wait_for_workers(1, timeout=timeout_s)
             there = self._client.run(installed, on_error="return")
         except (TimeoutError, OSError) as error:
-            raise RendezviewError(
+            raise ClusterError(
                 f"{self._address}: no worker has joined this scheduler ({_reason(error)}): "
                 f"start some with `dask worker {self._address}`"
             ) from None
         for worker, versions in there.items():
             if not isinstance(versions, dict):
-                raise RendezviewError(
+                raise ClusterError(
                     f"worker {worker} cannot run rendezview ({_reason(versions)}): install "
                     "'rendezview[training,dask]' there, the version that is here"
                 )
             _compare(versions, installed(), worker)
+
+
+async def _greet(address: str, timeout_s: float) -> None:
+    """Connect and leave: a client would wait forever for what listens and says nothing."""
+    if "://" in address and address.partition("://")[0] not in distributed.comm.registry.backends:
+        raise ValueError("no such kind of address")
+    security = distributed.Security().get_connection_args("client")
+    comm = await asyncio.wait_for(
+        distributed.core.connect(address, timeout=timeout_s, **security), timeout_s + 1.0
+    )
+    await comm.close()
 
 
 _TALKATIVE = tuple(
@@ -194,11 +206,13 @@ _LOST = (
 )
 
 
-class _Failed:
+class _Failed(Exception):
     """What a task raised, apart from what may befall a cluster."""
 
-    def __init__(self, error: Exception) -> None:
-        self.error = error
+    @property
+    def error(self) -> Exception:
+        cause: Exception = self.args[0]
+        return cause
 
 
 class _Backend(DaskDistributedBackend):  # type: ignore[misc]
@@ -232,7 +246,7 @@ def _compared(
     """One shard, on a worker that may have joined only now."""
     function, versions = task
     try:
-        _compare(installed(), versions, distributed.get_worker().address)
+        _compare(installed(), versions, f"{platform.node()}, process {os.getpid()},")
         return compute(function, k, shared, own)
     except Exception as error:
         return k, _Failed(error)
@@ -245,7 +259,7 @@ def _compare(there: Installed, here: Installed, worker: str) -> None:
         if there.get(name) != here.get(name)
     ]
     if different:
-        raise RendezviewError(
+        raise ClusterError(
             f"worker {worker} has other versions, and would give other results: "
             f"{'; '.join(different)}"
         )

@@ -98,7 +98,7 @@ def train(
     if (path.exists() and not path.is_file()) or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera)
-    inputs = _inputs(mesh, options, camera)
+    inputs = provenance(mesh, options, camera)
     renderer = make_renderer(options.renderer, mesh)
     beside = faces_beside(mesh)
     shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
@@ -194,12 +194,16 @@ class _Drawn:
         """The clean views at the sphere radius and the slope of their area with range."""
         directions = Geodesic.of_order(self.options.order + 1).nodes
         near = self._views(
-            "lattice", clean_views, [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)]
+            "lattice",
+            clean_views,
+            [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)],
         )
         if self.options.perturbed_views == 0:  # the paper's weak perspective
             return near, np.zeros(len(near))
         far = self._views(
-            "perspective", far_views, [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)]
+            "perspective",
+            far_views,
+            [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)],
         )
         return near, lattice_slopes(near, far, self.geometry)
 
@@ -240,9 +244,7 @@ class _Drawn:
         directions = Geodesic.of_order(self.options.order + 1).nodes
         maps = sun_maps(self.mesh, self.geometry)
         shared = (self.mesh, maps, self.geometry)
-        parts = [
-            (directions[p], p.start) for p in _parts(len(directions), _SLOW_VIEWS_PER_SHARD)
-        ]
+        parts = [(directions[p], p.start) for p in _parts(len(directions), _SLOW_VIEWS_PER_SHARD)]
         shards = self._run("lit", _lit_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         return LitViews(suns=maps.suns, **views)
@@ -328,7 +330,7 @@ def _code_sha256() -> str:
     return digest.hexdigest()
 
 
-def _inputs(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> dict[str, Any]:
+def provenance(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> dict[str, Any]:
     """What decides the bytes of the model."""
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(mesh.vertices_m, dtype="<f8").tobytes())

@@ -7,6 +7,7 @@ module, so that other processes find it, and gets what all shards share and then
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -15,6 +16,11 @@ import cv2
 import joblib
 
 from rendezview.errors import RendezviewError
+
+
+class ClusterError(RendezviewError):
+    """Something about a cluster, and not about what it was given to do."""
+
 
 Task = Callable[..., Any]
 Shared = tuple[Any, ...]
@@ -102,7 +108,14 @@ def parallel(
         return_as="generator_unordered",  # each is kept as soon as it is done
     )
     calls = (joblib.delayed(runner)(task, k, shared, own) for k, own in enumerate(arguments))
-    yield from workers(calls)
+    results = workers(calls)
+    try:
+        for result in results:  # noqa: UP028  closed below, and not by `yield from`
+            yield result
+    finally:  # stops what waits where one fails
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it was stopped
+            results.close()
 
 
 def compute(task: Task, k: int, shared: Shared, own: tuple[Any, ...]) -> tuple[int, Any]:
