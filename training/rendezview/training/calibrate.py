@@ -23,7 +23,8 @@ _PRIOR_ERROR_RAD = np.deg2rad(10.0)
 def prior_errors(count: int, seed: int) -> Array:
     """(K, 3) rotation vectors by which the priors of K held-out views are off: 10° each."""
     errors = np.random.default_rng([seed, _STREAM]).normal(size=(count, 3))
-    return errors * (_PRIOR_ERROR_RAD / np.linalg.norm(errors, axis=1, keepdims=True))
+    errors *= _PRIOR_ERROR_RAD / np.linalg.norm(errors, axis=1, keepdims=True)
+    return errors
 
 
 def recognition_errors(model: ViewModel, views: ViewSet, priors: Array, rows: slice) -> Array:

@@ -115,18 +115,18 @@ def _entries(file: _File, path: Path) -> Iterator[Entry]:
 
 
 def _options(told: dict[str, Any], where: str) -> TrainingOptions:
-    known = {f.name: f.type for f in dataclasses.fields(TrainingOptions)}
-    for key in told:
-        if key not in known:
+    known = {f.name for f in dataclasses.fields(TrainingOptions)}
+    for name in told:
+        if name not in known:
             raise RendezviewError(
-                f"{where}: there is no training option {key}; there are {', '.join(known)}"
+                f"{where}: there is no training option {name}; there are {', '.join(sorted(known))}"
             )
     try:
         return TypeAdapter(TrainingOptions).validate_python(told)
     except ValidationError as error:
         first = error.errors()[0]
-        key = first["loc"][0] if first["loc"] else "options"
-        raise RendezviewError(f"{where}: {key}: {first['msg']}") from None
+        place = ".".join(map(str, first["loc"]))
+        raise RendezviewError(f"{where}: {place}: {first['msg']}") from None
     except RendezviewError as error:
         raise RendezviewError(f"{where}: {error}") from None
 

@@ -148,8 +148,8 @@ class Cluster:
                 raise failed.error from None
             except distributed.KilledWorker as error:
                 raise ClusterError(
-                    f"{self._address}: a worker died {error.allowed_failures + 1} times at the same "
-                    f"work, the last at {error.last_worker.address}: does it have too little "
+                    f"{self._address}: a worker died {error.allowed_failures + 1} times at the "
+                    f"same work, the last at {error.last_worker.address}: does it have too little "
                     "memory? What is done is kept"
                 ) from None
             except _LOST as error:

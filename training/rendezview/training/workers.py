@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -99,7 +99,7 @@ def parallel(
     task: Any,
     shared: Shared,
     arguments: Sequence[tuple[Any, ...]],
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """The one way to compute shards: ``runner(task, k, shared, arguments[k])`` on a backend."""
     workers = joblib.Parallel(
         n_jobs=jobs,
