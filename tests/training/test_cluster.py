@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
+from rendezview.evaluation.campaign import CampaignOptions, campaign
 from rendezview.training.job import train
 from rendezview.training.options import TrainingOptions
 from rendezview.training.workers import Cores, open_workers
@@ -143,6 +144,17 @@ def test_a_cluster_gives_the_bytes_of_one_machine(tmp_path, bumpy_mesh, several,
     with open_workers(-1, several.address, tell=lambda line: None) as workers:
         train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, workers=workers)
     assert (tmp_path / "m.rvm").read_bytes() == reference
+
+
+def test_a_campaign_on_a_cluster_gives_the_bytes_of_one_machine(
+    tmp_path, bumpy_mesh, camera, several, refining_model
+):
+    options = CampaignOptions(frames=20, samples=1)
+    shared = (refining_model, bumpy_mesh, camera)
+    campaign(*shared, tmp_path / "here", Cores(1), options)
+    with cluster.Cluster.connect(several.address) as workers:
+        campaign(*shared, tmp_path / "there", workers, options)
+    assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 
 def test_what_a_shard_raises_is_raised_here(several):
