@@ -85,6 +85,7 @@ def processes(
                 "worker", "--scheduler-file", place, "--nthreads", 1,
                 "--nanny" if nanny else "--no-nanny",
                 "--no-dashboard", "--host", "127.0.0.1", "--local-directory", folder,
+                "--death-timeout", 60,
             )
             for _ in range(workers)
         ]  # fmt: skip
@@ -263,6 +264,23 @@ def test_an_address_without_a_scheduler_is_refused():
             with pytest.raises(RendezviewError, match="no Dask scheduler answers"):
                 cluster.Cluster.connect(address, timeout_s=1.0)
             assert time.monotonic() - start < 5.0
+
+
+@pytest.mark.parametrize(
+    ("before", "reason"),
+    [("", "no Dask scheduler answers"), ("sys.modules['distributed'] = None; ", "[dask]'")],
+)
+def test_the_command_says_in_one_line_why_there_is_no_cluster(tmp_path, before, reason):
+    program = f"import sys; {before}from rendezview.cli.main import main; main()"
+    command = ["train", "scole", "-o", str(tmp_path / "m.rvm"), "--dask", "tcp://127.0.0.1:1"]
+    done = subprocess.run(
+        [sys.executable, "-c", program, *command], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("rendezview: ")
+    assert reason in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_scheduler_without_workers_is_refused(tmp_path):
