@@ -40,18 +40,19 @@ from rendezview.training.options import TrainingOptions
 from rendezview.training.workers import Cores, Workers
 from training_speed import split
 
-MEDIUM = TrainingOptions(
-    order=2, perturbed_views=4000, held_out_views=1000, contour_radii=(1.0, 1.5)
-)
-SMALL = replace(
-    MEDIUM,
-    order=1,
-    perturbed_views=1200,
-    held_out_views=200,
-    contour_radii=(1.0,),
-    contour_resolution_px=128,
-)
+MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))
+SMALL = replace(MEDIUM, order=1, perturbed_views=1200, held_out_views=200)
 TINY = replace(SMALL, order=0, perturbed_views=60, held_out_views=20)
+KILLED = replace(
+    SMALL,
+    perturbed_views=600,
+    held_out_views=20,
+    bins=60,
+    smooth_bins=3,
+    resolution_px=64,
+    contour_points=20,
+    contour_resolution_px=64,
+)
 STAGES = {  # of training, and how often the default training does each: views or nodes
     "lattice": 2562, "perspective": 2562, "views": 32_000, "held-out": 4000,
     "contours": 3 * 2562, "lit": 2562, "trees": 642, "calibration": 4000,
@@ -147,7 +148,7 @@ def speed(arguments: argparse.Namespace) -> None:
 
 def kill(arguments: argparse.Namespace) -> None:
     mesh = mesh_of(arguments.target)
-    expected = run_training(mesh, SMALL, Cores(-1))
+    expected = run_training(mesh, KILLED, Cores(-1))
     passed = 0
     with local_cluster(arguments.workers) as (local, cluster):
         for run in range(arguments.runs):
@@ -173,7 +174,7 @@ def kill(arguments: argparse.Namespace) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "model.rvm"
                 start = time.perf_counter()
-                train(mesh, path, name="target", options=SMALL, workers=cluster, progress=progress)
+                train(mesh, path, name="target", options=KILLED, workers=cluster, progress=progress)
                 same = path.read_bytes() == expected and bool(killed)
             passed += same
             print(
@@ -206,15 +207,12 @@ def stage_cpu(mesh: Mesh, options: TrainingOptions) -> tuple[dict[str, float], f
 def cost(arguments: argparse.Namespace) -> None:
     mesh = mesh_of(arguments.target)
     stage_cpu(mesh, TINY)  # loads compiled code
-    base = replace(SMALL, contour_resolution_px=MEDIUM.contour_resolution_px)
-    if arguments.full:
-        base = TrainingOptions()
+    base = TrainingOptions() if arguments.full else SMALL
     cases = {f"order {base.order}, {len(mesh.faces)} triangles": (mesh, base)}
     if not arguments.full:
         cases["order 2"] = (mesh, replace(base, order=2))
-        for least in (4, 16):
-            finer = split(mesh, least * len(mesh.faces))
-            cases[f"{len(finer.faces)} triangles"] = (finer, base)
+        finer = split(mesh, 4 * len(mesh.faces))
+        cases[f"{len(finer.faces)} triangles"] = (finer, base)
         cases["half the pixels across"] = (
             mesh,
             replace(

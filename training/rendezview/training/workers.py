@@ -59,9 +59,12 @@ class Cores:
         self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
     ) -> Iterator[tuple[int, Any]]:
         """See ``Workers``."""
-        yield from parallel(
-            "loky" if self.processes else "threading", self.jobs, compute, task, shared, arguments
-        )
+        threads = cv2.getNumThreads()
+        backend = "loky" if self.processes else "threading"
+        try:
+            yield from parallel(backend, self.jobs, compute, task, shared, arguments)
+        finally:
+            cv2.setNumThreads(threads)
 
 
 @contextlib.contextmanager
