@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
@@ -27,6 +26,7 @@ from rendezview.appearance import Recognizer, Sighting, ViewModel
 from rendezview.pose import Array, Pose
 from rendezview.sequences import open_sequence
 from rendezview.symmetry import angle_between, nearest_alike
+from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0
 
@@ -132,18 +132,17 @@ def main() -> None:
     parser.add_argument("--sun", action="store_true", help="tell the direction to the Sun")
     parser.add_argument("--log", type=Path, help="every answer, JSON lines")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--dask", help="scheduler of a cluster that has the folders too")
     arguments = parser.parse_args()
     scenes = sorted(
         (p.parent.parent.name, p.parent.name) for p in arguments.frames.glob("*/*/scene_gt.json")
     )
     started = time.perf_counter()
-    parts = Parallel(n_jobs=arguments.jobs)(
-        delayed(run)(
-            arguments.frames, arguments.models, target, condition, arguments.seed, arguments.sun
-        )
-        for target, condition in scenes
-    )
-    records = [record for part in parts for record in part]
+    folders = arguments.frames.resolve(), arguments.models.resolve()
+    with open_workers(arguments.jobs, arguments.dask, processes=True) as workers:
+        tasks = [(*scene, arguments.seed, arguments.sun) for scene in scenes]
+        parts = dict(workers.results(run, folders, tasks))
+    records = [record for k in sorted(parts) for record in parts[k]]
     if arguments.log:
         arguments.log.write_text("".join(json.dumps(r) + "\n" for r in records))
     table = Table(title="poses")

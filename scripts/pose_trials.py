@@ -20,7 +20,6 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 from scipy.spatial.transform import Rotation
 
 from rendezview.appearance import Recognizer, Tracker, ViewModel
@@ -40,6 +39,7 @@ from rendezview.training.bundled import find_target
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
+from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0
 FRAMES = 125  # of a sequence
@@ -210,6 +210,7 @@ def main() -> None:
     parser.add_argument("targets", nargs="*")
     parser.add_argument("--seed", type=int, default=77)
     parser.add_argument("--count", type=int, default=42, help="refusals: frames a kind and target")
+    parser.add_argument("--dask", help="scheduler of a cluster that has the files too")
     arguments = parser.parse_args()
     if arguments.part == "inexact":
         inexact(arguments.models, arguments.seed)
@@ -217,9 +218,10 @@ def main() -> None:
     models, targets = Path(arguments.models), arguments.targets
     if arguments.part == "sequences":
         tasks = [(t, kind) for t in targets for kind in ("approach", "fly-around")]
-        done = Parallel(n_jobs=2)(
-            delayed(sequence)(models, t, kind, arguments.seed) for t, kind in tasks
-        )
+        with open_workers(2, arguments.dask, processes=True) as workers:
+            shards = [(t, kind, arguments.seed) for t, kind in tasks]
+            results = dict(workers.results(sequence, (models.resolve(),), shards))
+        done = [results[k] for k in range(len(tasks))]
         for (target, kind), (count, losses, errors, shares) in zip(tasks, done, strict=True):
             print(
                 f"{Path(target).stem} {kind}: {count} frames, {losses} lost, rotation "
@@ -235,10 +237,10 @@ def main() -> None:
     tasks = [
         (t, targets[(i + 1) % len(targets)], kind) for i, t in enumerate(targets) for kind in KINDS
     ]
-    done = Parallel(n_jobs=2)(
-        delayed(refusals)(models, t, o, kind, arguments.count, arguments.seed)
-        for t, o, kind in tasks
-    )
+    with open_workers(2, arguments.dask, processes=True) as workers:
+        shards = [(*task, arguments.count, arguments.seed) for task in tasks]
+        results = dict(workers.results(refusals, (models.resolve(),), shards))
+    done = [results[k] for k in range(len(tasks))]
     for kind in KINDS:
         part = [d for task, d in zip(tasks, done, strict=True) if task[2] == kind]
         print(

@@ -25,7 +25,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
@@ -46,6 +45,7 @@ from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.renderers import make_renderer
 from rendezview.training.views import clean_views, look_from
+from rendezview.training.workers import open_workers
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one
@@ -268,6 +268,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=1, help="of the test frames")
     parser.add_argument("--jobs", type=int, default=-1)
+    parser.add_argument("--dask", help="scheduler of a cluster")
     arguments = parser.parse_args()
     target = Target.load(arguments.target)
     mesh = load_mesh(target.mesh_path, arguments.unit or target.unit)
@@ -287,9 +288,10 @@ def main() -> None:
         ).model
     camera = flight_camera(mesh)
     models = [robust, paper]
-    frames = Parallel(n_jobs=arguments.jobs, prefer="threads")(
-        delayed(one_real)(mesh, models, camera, arguments.seed, k) for k in range(arguments.views)
-    )
+    with open_workers(arguments.jobs, arguments.dask) as workers:
+        shared = (mesh, models, camera, arguments.seed)
+        done = dict(workers.results(one_real, shared, [(k,) for k in range(arguments.views)]))
+    frames = [done[k] for k in range(arguments.views)]
     table = Table(title=f"{target.name}: {arguments.views} random views, seed {arguments.seed}")
     for column in (
         "condition",

@@ -24,6 +24,7 @@ _INTERRUPTED = "rendezview: interrupted"
 _SUMMARIES = {
     "demo": "Train, simulate, track, report: the tour.",
     "train": "Train a view model of a target.",
+    "catalogue": "Train models of many targets, shells and lights.",
     "simulate": "Render camera frames of a target with the truth of every one.",
     "track": "Recognise and track a target through a sequence of frames.",
     "ring": "Find a docking ring: its ellipses, and with its radius its pose.",
@@ -34,6 +35,7 @@ _SUMMARIES = {
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
+    "campaign": "Measure a model on random simulated frames.",
     "show": "Draw a model, a scene or a log.",
     "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }

@@ -20,34 +20,44 @@ _USUAL = 0.995  # share of the held-out views that have less residual than the m
 _PRIOR_ERROR_RAD = np.deg2rad(10.0)
 
 
-def calibrated(model: ViewModel, views: ViewSet, seed: int) -> ViewModel:
-    """The model with the root-mean-square errors of recognition on held-out views.
+def prior_errors(count: int, seed: int) -> Array:
+    """(K, 3) rotation vectors by which the priors of K held-out views are off: 10° each."""
+    errors = np.random.default_rng([seed, _STREAM]).normal(size=(count, 3))
+    errors *= _PRIOR_ERROR_RAD / np.linalg.norm(errors, axis=1, keepdims=True)
+    return errors
 
-    Each view is matched from a prior that is off by 10° about a random axis.
+
+def recognition_errors(model: ViewModel, views: ViewSet, priors: Array, rows: slice) -> Array:
+    """(M, 5) of the views among ``rows`` that are recognised: errors and residual.
+
+    Each view is matched from a prior that is off by its row of ``priors`` (K, 3). Columns:
+    direction, rad; roll, rad; range, share; bearing, share of the sphere radius; residual.
     """
-    rng = np.random.default_rng([seed, _STREAM])
     matcher = Matcher(model)
-    errors, residuals = [], []
-    for k in range(len(views)):
-        prior_error = rng.normal(size=3)
-        prior_error *= _PRIOR_ERROR_RAD / np.linalg.norm(prior_error)
+    errors: list[tuple[float, ...]] = []
+    for k in range(len(views))[rows]:
         truth = views.centred_from_target[k]
         signature = Signature(views.readings[k], float(views.area_sr[k]), np.eye(3))
-        match = matcher.match(signature, Rotation.from_rotvec(prior_error).as_matrix() @ truth)
+        match = matcher.match(signature, Rotation.from_rotvec(priors[k]).as_matrix() @ truth)
         if match is None or angle_between(match.direction, views.direction[k]) > _LOST_RAD:
             continue
         pose, _ = place(model, match, signature)
-        residuals.append(match.residual)
-        errors.append(_errors(model, pose.apply(model.centre_m), pose.rotation, views, k))
-    if not errors:
+        place_errors = _errors(model, pose.apply(model.centre_m), pose.rotation, views, k)
+        errors.append((*place_errors, match.residual))
+    return np.array(errors).reshape(-1, 5)
+
+
+def calibrated(model: ViewModel, errors: Array) -> ViewModel:
+    """The model with the root-mean-square of ``recognition_errors`` (M, 5) on held-out views."""
+    if not len(errors):
         return model
-    direction, roll, range_fraction, bearing = np.sqrt(np.mean(np.square(errors), axis=0))
+    direction, roll, range_fraction, bearing = np.sqrt(np.mean(np.square(errors[:, :4]), axis=0))
     held_out = HeldOut(
         float(direction / np.sqrt(2.0)),
         float(roll),
         float(range_fraction),
         float(bearing),
-        float(np.quantile(residuals, _USUAL)),
+        float(np.quantile(errors[:, 4], _USUAL)),
     )
     return dataclasses.replace(model, held_out=held_out)
 

@@ -21,6 +21,7 @@ from rendezview.training.mesh import load_mesh
 from rendezview.training.options import Neighbourhood, TrainingOptions
 from rendezview.training.renderers import Renderer
 from rendezview.training.symmetries import find_symmetries
+from rendezview.training.workers import open_workers
 
 _DEFAULT = TrainingOptions()
 _SHELLS = ",".join(f"{shell:g}" for shell in _DEFAULT.contour_radii)
@@ -60,6 +61,9 @@ def train(
     ] = Neighbourhood.DISC,
     renderer: Annotated[Renderer, typer.Option(help="What draws the views.")] = Renderer.NUMBA,
     jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    dask: Annotated[
+        str | None, typer.Option(help="Scheduler of a Dask cluster that does the work.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the random views.")] = 0,
 ) -> None:
     """Train a view model of a target.
@@ -90,7 +94,10 @@ def train(
     if paper:
         options = replace(options.paper(), held_out_views=held_out)
     start = time.perf_counter()
-    with ProgressBar() as progress:
+    with (
+        open_workers(jobs, dask, tell=lambda line: console.print(line, style="dim")) as workers,
+        ProgressBar() as progress,
+    ):
         trained = train_model(
             mesh,
             output,
@@ -98,7 +105,7 @@ def train(
             options=options,
             camera=Camera.load(camera) if camera else None,
             symmetries=found.symmetries or find_symmetries(mesh),
-            jobs=jobs,
+            workers=workers,
             progress=progress,
         )
     if not console.is_terminal:

@@ -26,7 +26,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geodesic import Geodesic
 from rendezview.pose import Array
 from rendezview.target import Symmetry
-from rendezview.training.calibrate import calibrated
+from rendezview.training.calibrate import calibrated, prior_errors, recognition_errors
 from rendezview.training.contours import contour_points, faces_beside
 from rendezview.training.learn import Decisions, Samples, TreeSet, decide, learn_trees
 from rendezview.training.lit_views import SunMaps, lit_views, sun_maps
@@ -42,8 +42,10 @@ from rendezview.training.views import (
     lattice_slopes,
     perturbed_views,
 )
+from rendezview.training.workers import Cores, Shared, Task, Workers
 
 _VIEWS_PER_SHARD = 256
+_SLOW_VIEWS_PER_SHARD = 64  # a second or two, as the others
 _NODES_PER_SHARD = 16
 _STREAM_OF_TRAINING, _STREAM_OF_HELD_OUT = 1, 2
 
@@ -66,13 +68,14 @@ def train(
     camera: Camera | None = None,
     symmetries: Sequence[Symmetry] = (),
     jobs: int = -1,
+    workers: Workers | None = None,
     progress: Progress | None = None,
 ) -> Trained:
     """Train a view model and write it to ``path``.
 
     Finished shards lie in ``path`` + ``.partial`` until the model is written, so that a
     killed job goes on where it stopped. The same mesh, options and camera give the same
-    bytes, whatever the number of jobs and interruptions.
+    bytes, whatever the workers, their number and interruptions.
 
     Args:
         mesh: the target, in its own frame.
@@ -82,7 +85,8 @@ def train(
         symmetries: of the target, declared or found; see ``find_symmetries``.
         camera: the flight camera; it decides the sphere radius and the sharpness of the
             perturbed views. ``None``: a 40° field of view, 480 pixels.
-        jobs: parallel jobs, −1 for all cores (joblib).
+        jobs: parallel jobs on this machine, −1 for all cores (joblib).
+        workers: a cluster instead; see ``rendezview.training.cluster``.
         progress: called with stage, shards done and shards in all.
 
     Raises:
@@ -90,19 +94,18 @@ def train(
             model cannot be written.
     """
     options = options or TrainingOptions()
-    if jobs == 0:
-        raise RendezviewError("jobs = 0: give the number of parallel jobs, or -1 for all cores")
+    workers = workers or Cores(jobs)
     if (path.exists() and not path.is_file()) or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera)
-    inputs = _inputs(mesh, options, camera)
+    inputs = provenance(mesh, options, camera)
     renderer = make_renderer(options.renderer, mesh)
     beside = faces_beside(mesh)
     shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
-        drawn = _Drawn(shards, mesh, beside, renderer, geometry, options, jobs, progress)
+        drawn = _Drawn(shards, mesh, beside, renderer, geometry, options, workers, progress)
         trained = _train(drawn, name, tuple(symmetries), inputs)
     finally:
         cv2.setNumThreads(threads)
@@ -160,7 +163,7 @@ def _train(
         symmetries=symmetries,
     )
     if held_out is not None:
-        model = calibrated(model, held_out, options.seed)
+        model = calibrated(model, drawn.calibration(model, held_out))
     return Trained(model, decisions, geometry)
 
 
@@ -184,19 +187,23 @@ class _Drawn:
     renderer: SilhouetteRenderer
     geometry: ViewGeometry
     options: TrainingOptions
-    jobs: int
+    workers: Workers
     progress: Progress | None
 
     def lattice(self) -> tuple[ViewSet, Array]:
         """The clean views at the sphere radius and the slope of their area with range."""
         directions = Geodesic.of_order(self.options.order + 1).nodes
         near = self._views(
-            "lattice", clean_views, [(directions[p],) for p in _parts(len(directions))]
+            "lattice",
+            clean_views,
+            [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)],
         )
         if self.options.perturbed_views == 0:  # the paper's weak perspective
             return near, np.zeros(len(near))
         far = self._views(
-            "perspective", far_views, [(directions[p],) for p in _parts(len(directions))]
+            "perspective",
+            far_views,
+            [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)],
         )
         return near, lattice_slopes(near, far, self.geometry)
 
@@ -204,7 +211,7 @@ class _Drawn:
         """Random views; ``None`` where none are asked for."""
         if count == 0:
             return None
-        parts = [(stream, range(p.start, p.stop)) for p in _parts(count)]
+        parts = [(stream, range(p.start, p.stop)) for p in _parts(count, _VIEWS_PER_SHARD)]
         return self._views(stage, perturbed_views, parts)
 
     def contours(self) -> Contours | None:
@@ -214,12 +221,13 @@ class _Drawn:
             return None
         directions = Geodesic.of_order(self.options.order + 1).nodes
         shells_m = np.array(radii) * self.geometry.sphere_radius_m
-        tasks = [
-            (self.mesh, self.beside, self.geometry, self.options, directions[p], range_m)
+        shared = (self.mesh, self.beside, self.geometry, self.options)
+        parts = [
+            (directions[p], range_m)
             for range_m in shells_m
-            for p in _parts(len(directions))
+            for p in _parts(len(directions), _SLOW_VIEWS_PER_SHARD)
         ]
-        shards = self.shards.run("contours", _contour_arrays, tasks, self.jobs, self.progress)
+        shards = self._run("contours", _contour_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         palette, views["strip"] = surface_palette(views.pop("surfaces"))
         shape = (len(shells_m), len(directions))
@@ -235,32 +243,39 @@ class _Drawn:
             return None
         directions = Geodesic.of_order(self.options.order + 1).nodes
         maps = sun_maps(self.mesh, self.geometry)
-        tasks = [
-            (self.mesh, maps, self.geometry, directions[p], p.start)
-            for p in _parts(len(directions))
-        ]
-        shards = self.shards.run("lit", _lit_arrays, tasks, self.jobs, self.progress)
+        shared = (self.mesh, maps, self.geometry)
+        parts = [(directions[p], p.start) for p in _parts(len(directions), _SLOW_VIEWS_PER_SHARD)]
+        shards = self._run("lit", _lit_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         return LitViews(suns=maps.suns, **views)
 
     def trees(self, samples: Samples) -> TreeSet:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
-        tasks = [
-            (samples, self.options, range(k, min(k + _NODES_PER_SHARD, nodes)))
-            for k in range(0, nodes, _NODES_PER_SHARD)
-        ]
-        shards = self.shards.run("trees", _tree_arrays, tasks, self.jobs, self.progress)
+        parts = [(range(nodes)[p],) for p in _parts(nodes, _NODES_PER_SHARD)]
+        shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
         return TreeSet.joined([_tree_set(a) for a in shards])
 
+    def calibration(self, model: ViewModel, held_out: ViewSet) -> Array:
+        """Errors of recognition on the held-out views."""
+        priors = prior_errors(len(held_out), self.options.seed)
+        parts = [(p,) for p in _parts(len(held_out), _VIEWS_PER_SHARD)]
+        shards = self._run("calibration", _error_arrays, (model, held_out, priors), parts)
+        return np.concatenate([a["errors"] for a in shards])
+
     def _views(self, stage: str, draw: Any, parts: list[tuple[Any, ...]]) -> ViewSet:
-        tasks = [(draw, self.renderer, self.geometry, self.options, *p) for p in parts]
-        shards = self.shards.run(stage, _view_arrays, tasks, self.jobs, self.progress)
+        shared = (draw, self.renderer, self.geometry, self.options)
+        shards = self._run(stage, _view_arrays, shared, parts)
         return ViewSet.joined([ViewSet(**a) for a in shards])
 
+    def _run(
+        self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
+    ) -> list[Arrays]:
+        return self.shards.run(stage, task, shared, parts, self.workers, self.progress)
 
-def _parts(count: int) -> list[slice]:
-    return [slice(k, min(k + _VIEWS_PER_SHARD, count)) for k in range(0, count, _VIEWS_PER_SHARD)]
+
+def _parts(count: int, size: int) -> list[slice]:
+    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
 
 
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:
@@ -297,6 +312,10 @@ def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Ar
     }
 
 
+def _error_arrays(model: ViewModel, held_out: ViewSet, priors: Array, rows: slice) -> Arrays:
+    return {"errors": recognition_errors(model, held_out, priors, rows)}
+
+
 def _tree_set(arrays: Arrays) -> TreeSet:
     forest = Forest(**{f.name: arrays[f.name] for f in dataclasses.fields(Forest)})
     return TreeSet(forest, arrays["leaf_on"], arrays["leaf_off"], arrays["training_accuracy"])
@@ -311,7 +330,7 @@ def _code_sha256() -> str:
     return digest.hexdigest()
 
 
-def _inputs(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> dict[str, Any]:
+def provenance(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> dict[str, Any]:
     """What decides the bytes of the model."""
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(mesh.vertices_m, dtype="<f8").tobytes())

@@ -7,16 +7,16 @@ import io
 import json
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.files import atomic_write
+from rendezview.training.workers import Shared, Workers
 
 Arrays = dict[str, npt.NDArray[Any]]
 Progress = Callable[[str, int, int], None]  # stage, done, of
@@ -42,14 +42,15 @@ class Shards:
         self,
         stage: str,
         task: Callable[..., Arrays],
+        shared: Shared,
         arguments: Sequence[tuple[Any, ...]],
-        jobs: int,
+        workers: Workers,
         progress: Progress | None,
     ) -> list[Arrays]:
-        """Results of the task for each tuple of arguments, in order.
+        """``task(*shared, *own)`` for the own arguments of each shard, in their order.
 
-        Finished shards are read back; the others are computed in parallel through joblib
-        (so on whatever backend its context sets) and each is kept as soon as it is done.
+        Finished shards are read back; the others are computed by the workers, and each is kept
+        as soon as it is done.
         """
         results: dict[int, Arrays] = {}
         for k in range(len(arguments)):
@@ -59,11 +60,11 @@ class Shards:
         todo = [k for k in range(len(arguments)) if k not in results]
         if progress:
             progress(stage, len(results), len(arguments))
-        for k, result in zip(
-            todo, _parallel(task, [arguments[k] for k in todo], jobs), strict=True
-        ):
-            self._write(stage, k, result)
-            results[k] = result
+        if not todo:
+            return [results[k] for k in range(len(arguments))]
+        for i, result in workers.results(task, shared, [arguments[k] for k in todo]):
+            self._write(stage, todo[i], result)
+            results[todo[i]] = result
             if progress:
                 progress(stage, len(results), len(arguments))
         return [results[k] for k in range(len(arguments))]
@@ -90,10 +91,3 @@ class Shards:
         np.savez(buffer, **result)  # type: ignore[arg-type]
         with atomic_write(self._path(stage, index), durable=False) as file:
             file.write(buffer.getvalue())
-
-
-def _parallel(
-    task: Callable[..., Arrays], arguments: Sequence[tuple[Any, ...]], jobs: int
-) -> Iterator[Arrays]:
-    workers = joblib.Parallel(n_jobs=jobs, prefer="threads", return_as="generator")
-    yield from workers(joblib.delayed(task)(*a) for a in arguments)

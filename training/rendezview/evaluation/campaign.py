@@ -1,0 +1,226 @@
+"""Monte-Carlo accuracy: random frames of a target, and what a model says of each."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from rendezview.appearance import Recognizer, Sighting, Status, ViewModel
+from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
+from rendezview.files import atomic_write_text
+from rendezview.pose import Array, Pose
+from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
+from rendezview.symmetry import nearest_alike
+from rendezview.training.mesh import Mesh
+from rendezview.training.stages import Arrays, Progress, Shards
+from rendezview.training.workers import Workers
+
+FRAMES_PER_SHARD = 16
+LOOKS = ("first", "tracked")
+WRONG_RAD = math.radians(5.0)
+_STATUSES = list(Status)
+_MARGIN = 1.08  # of the bounding sphere's picture to the border, as a factor
+_PRIOR_RAD = math.radians(5.0)
+_PRIOR_RANGE, _PRIOR_BEARING = 0.03, 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignOptions:
+    """What the frames of a campaign show."""
+
+    frames: int = 1000
+    sun_phase_rad: tuple[float, float] = (0.0, math.radians(30.0))  # Sun, target, camera
+    range_radii: tuple[float, float] = (1.0, 2.0)  # of the sphere at which the camera is full
+    samples: int = 2  # of shading, a pixel and axis
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        checks = {
+            "frames": 1 <= self.frames <= 10_000_000,
+            "sun_phase_rad": 0.0 <= self.sun_phase_rad[0] <= self.sun_phase_rad[1] <= math.pi,
+            "range_radii": 1.0 <= self.range_radii[0] <= self.range_radii[1] < math.inf,
+            "samples": 1 <= self.samples <= 16,
+            "seed": self.seed >= 0,
+        }
+        for name, right in checks.items():
+            if not right:
+                raise RendezviewError(
+                    f"campaign option {name} = {getattr(self, name)} is out of range"
+                )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answers:
+    """What was said of K frames at one look. Errors of frames without a pose are NaN."""
+
+    status: Sequence[Status]  # (K,)
+    confidence: Array  # (K,)
+    rotation_rad: Array  # (K,) to the nearest pose that looks alike
+    translation: Array  # (K,) of the view centre, share of its distance
+    nees: Array  # (K,) error squared, by the covariance: 6 on average if that is right
+
+    @property
+    def given(self) -> npt.NDArray[np.bool_]:
+        """(K,) whether there is a pose."""
+        return ~np.isnan(self.rotation_rad)
+
+    @property
+    def right(self) -> npt.NDArray[np.bool_]:
+        """(K,) whether there is a pose, less than 5° off."""
+        return np.asarray(self.rotation_rad < WRONG_RAD)  # false where there is none
+
+
+def campaign(
+    model: ViewModel,
+    mesh: Mesh,
+    camera: Camera,
+    path: Path,
+    workers: Workers,
+    options: CampaignOptions | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Answers]:
+    """Look at random frames, each twice, and write every answer to ``path`` (JSON lines).
+
+    A frame shows the target at any attitude, whole and anywhere in the picture. The first look
+    has no prior; the tracked one has a pose up to 5° off about a random axis, 3 % of range off
+    along the line of sight and 1 % across. Each frame has its own random numbers (seed, frame),
+    so the bytes of the file depend on the inputs and neither on the workers nor on what
+    befell them. Finished shards lie in ``path`` + ``.partial`` until the file is written.
+
+    Returns:
+        The answers by look, in the order of the frames.
+
+    Raises:
+        RendezviewError: the file cannot be written, or see ``Workers``.
+    """
+    options = options or CampaignOptions()
+    if path.is_dir() or not path.parent.is_dir():
+        raise RendezviewError(f"{path}: give a file name in an existing folder for the answers")
+    shards = Shards(path.with_name(path.name + ".partial"), _inputs(model, mesh, camera, options))
+    parts = [
+        (range(k, min(k + FRAMES_PER_SHARD, options.frames)),)
+        for k in range(0, options.frames, FRAMES_PER_SHARD)
+    ]
+    shared = (model, mesh, camera, options)
+    done = shards.run("frames", _look_at, shared, parts, workers, progress)
+    table = {name: np.concatenate([a[name] for a in done], axis=1) for name in done[0]}
+    answers = {}
+    for k, look in enumerate(LOOKS):
+        columns = {name: column[k] for name, column in table.items()}
+        status = [_STATUSES[i] for i in columns.pop("status")]
+        answers[look] = Answers(status=status, **columns)
+    atomic_write_text(path, "".join(_lines(answers, options.frames)))
+    shards.remove()
+    return answers
+
+
+def _look_at(
+    model: ViewModel, mesh: Mesh, camera: Camera, options: CampaignOptions, frames: range
+) -> Arrays:
+    recognizer = Recognizer(model, camera)
+    records = []
+    for k in frames:
+        rng = np.random.default_rng([options.seed, k])
+        truth, image = _frame(model, mesh, camera, options, rng)
+        prior = _second_earlier(truth, model.centre_m, rng)
+        records.append(
+            [
+                _compared(recognizer.recognize(image), truth, model),
+                _compared(recognizer.recognize(image, prior, 1.2 * _PRIOR_RAD), truth, model),
+            ]
+        )
+    table = np.array(records).transpose(2, 1, 0)  # value, look, frame
+    names = ("status", "confidence", "rotation_rad", "translation", "nees")
+    arrays: Arrays = dict(zip(names, table, strict=True))
+    return arrays | {"status": table[0].astype(np.uint8)}
+
+
+def _frame(
+    model: ViewModel,
+    mesh: Mesh,
+    camera: Camera,
+    options: CampaignOptions,
+    rng: np.random.Generator,
+) -> tuple[Pose, npt.NDArray[np.uint8]]:
+    """A pose and its picture."""
+    radius_m = model.target_radius_m
+    near_m = radius_m * _MARGIN / math.sin(camera.half_fov_rad)
+    depth_m = near_m * rng.uniform(*options.range_radii)
+    # the sphere's picture is widest along the line to the border: a bound, so that it is whole
+    half = np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2.0
+    room = np.maximum(half - math.tan(math.asin(radius_m * _MARGIN / depth_m)), 0.0)
+    middle = (np.array([camera.width, camera.height]) - 1.0) / 2.0
+    offset = (middle - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+    bearing = offset + 0.9 * room * rng.uniform(-1.0, 1.0, 2)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    centre = np.array([*bearing, 1.0]) * depth_m
+    pose = Pose(rotation, centre - rotation @ model.centre_m)
+    phase, azimuth = rng.uniform(*options.sun_phase_rad), rng.uniform(0.0, 2.0 * math.pi)
+    sun = sun_at_phase(centre, phase, azimuth)
+    scene = SceneOptions(sky_frame="camera", shading=ShadingOptions(samples=options.samples))
+    return pose, render_frame(mesh, camera, pose, sun, scene, rng)
+
+
+def _second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
+    axis = rng.normal(size=3)
+    turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
+    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
+    centre = truth.apply(centre_m)
+    range_m = float(np.linalg.norm(centre))
+    centre = centre * (1.0 + rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE))
+    centre[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * range_m
+    return Pose(rotation, centre - rotation @ centre_m)
+
+
+def _compared(sighting: Sighting, truth: Pose, model: ViewModel) -> list[float]:
+    """Status, confidence, errors of rotation and translation, normalised error squared."""
+    status = float(_STATUSES.index(sighting.status))
+    confidence = math.nan if sighting.confidence is None else sighting.confidence
+    if sighting.pose is None or sighting.covariance is None:
+        return [status, confidence, math.nan, math.nan, math.nan]
+    pose = nearest_alike(sighting.pose, truth, model.symmetries)
+    turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
+    error = np.concatenate([turn, truth.translation_m - pose.translation_m])
+    centre = truth.apply(model.centre_m)
+    off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
+    nees = float(error @ np.linalg.solve(sighting.covariance, error))
+    return [status, confidence, float(np.linalg.norm(turn)), off, nees]
+
+
+def _lines(answers: dict[str, Answers], frames: int) -> list[str]:
+    lines = []
+    for k in range(frames):
+        for look, said in answers.items():
+            record: dict[str, Any] = {"frame": k, "look": look, "status": str(said.status[k])}
+            for name in ("confidence", "rotation_rad", "translation", "nees"):
+                value = float(getattr(said, name)[k])
+                record[name] = None if math.isnan(value) else value
+            lines.append(json.dumps(record) + "\n")
+    return lines
+
+
+def _inputs(
+    model: ViewModel, mesh: Mesh, camera: Camera, options: CampaignOptions
+) -> dict[str, Any]:
+    """What decides the answers, but for the code."""
+    digest = hashlib.sha256()
+    for array in (model.views.readings, model.forest.threshold, mesh.vertices_m, mesh.faces):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return {
+        "model": model.provenance,
+        "data": digest.hexdigest(),
+        "camera": dataclasses.asdict(camera),
+        "options": {k: v for k, v in dataclasses.asdict(options).items() if k != "frames"},
+        "frames": options.frames,
+    }

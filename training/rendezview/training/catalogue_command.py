@@ -1,0 +1,61 @@
+"""``rendezview catalogue``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from rendezview.cli.progress import ProgressBar
+from rendezview.errors import RendezviewError
+from rendezview.training.catalogue import read_catalogue, train_catalogue
+from rendezview.training.workers import open_workers
+
+
+def catalogue(
+    file: Annotated[Path, typer.Argument(help="Catalogue, TOML: targets, shells, lighting.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the models.")],
+    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    dask: Annotated[
+        str | None, typer.Option(help="Scheduler of a Dask cluster that does the work.")
+    ] = None,
+    at_once: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Models at a time; by itself 1, on a cluster 3.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Train models of many targets, with several sets of shells, in several lights.
+
+    Models that are there are left as they are. Given again after an interruption, the same
+    command goes on where it stopped.
+
+    Example: rendezview catalogue targets.toml -o models --dask tcp://host:8786
+    """
+    console = Console(stderr=True)
+    entries = read_catalogue(file)
+    start = time.perf_counter()
+    with (
+        open_workers(jobs, dask, tell=lambda line: console.print(line, style="dim")) as workers,
+        ProgressBar() as progress,
+    ):
+        outcome = train_catalogue(
+            entries,
+            output,
+            workers,
+            at_once=at_once or (3 if dask else 1),
+            progress=progress,
+        )
+    console.print(
+        f"{output}: {len(outcome.trained)} models trained, {len(outcome.there_already)} were there "
+        f"already, in {time.perf_counter() - start:.0f} s",
+        highlight=False,
+        soft_wrap=True,
+    )
+    if outcome.refused:
+        why = "; ".join(f"{name}: {reason}" for name, reason in outcome.refused.items())
+        raise RendezviewError(f"{len(outcome.refused)} of {len(entries)} not trained: {why}")

@@ -1,0 +1,127 @@
+"""Where shards are computed: the cores of this machine, or a Dask cluster.
+
+Both go through one ``joblib.Parallel``; only its backend differs. A task is a function of a
+module, so that other processes find it, and gets what all shards share and then its own arguments.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import cv2
+import joblib
+
+from rendezview.errors import RendezviewError
+
+
+class ClusterError(RendezviewError):
+    """Something about a cluster, and not about what it was given to do."""
+
+
+Task = Callable[..., Any]
+Shared = tuple[Any, ...]
+
+
+class Workers(Protocol):
+    """Computes shards, in any order."""
+
+    def results(
+        self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        """``(k, task(*shared, *arguments[k]))`` as each is done.
+
+        Args:
+            task: of a module; what it returns depends on its arguments alone.
+            shared: moved once to each machine. Not to be changed by the task.
+            arguments: small; they travel with their shard.
+
+        Raises:
+            Exception: what a task raises. The others are abandoned.
+        """
+
+
+@dataclass(frozen=True, slots=True)
+class Cores:
+    """The cores of this machine."""
+
+    jobs: int = -1  # as joblib counts: −1 for all cores
+    processes: bool = False  # for tasks that hold the interpreter's lock
+
+    def __post_init__(self) -> None:
+        if self.jobs == 0:
+            raise RendezviewError("jobs = 0: give the number of parallel jobs, or -1 for all cores")
+
+    def results(
+        self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
+    ) -> Iterator[tuple[int, Any]]:
+        """See ``Workers``."""
+        threads = cv2.getNumThreads()
+        backend = "loky" if self.processes else "threading"
+        try:
+            yield from parallel(backend, self.jobs, compute, task, shared, arguments)
+        finally:
+            cv2.setNumThreads(threads)
+
+
+@contextlib.contextmanager
+def open_workers(
+    jobs: int,
+    dask: str | None = None,
+    *,
+    processes: bool = False,
+    tell: Callable[[str], None] = print,
+) -> Iterator[Workers]:
+    """The cores of this machine, or of the Dask cluster whose scheduler has this address.
+
+    Args:
+        jobs: at a time on this machine; a cluster has its own number.
+        processes: on this machine, for tasks that hold the interpreter's lock.
+        tell: gets a line about the cluster, with the link to its dashboard.
+
+    Raises:
+        RendezviewError: the cluster cannot be reached or used, or Dask is not installed.
+    """
+    if dask is None:
+        yield Cores(jobs, processes)
+        return
+    from rendezview.training.cluster import Cluster
+
+    with Cluster.connect(dask) as cluster:
+        tell(f"{cluster.cores} cores at {dask}, dashboard: {cluster.dashboard or 'none'}")
+        yield cluster
+
+
+def parallel(
+    backend: Any,
+    jobs: int,
+    runner: Callable[..., Any],
+    task: Any,
+    shared: Shared,
+    arguments: Sequence[tuple[Any, ...]],
+) -> Generator[tuple[int, Any], None, None]:
+    """The one way to compute shards: ``runner(task, k, shared, arguments[k])`` on a backend."""
+    workers = joblib.Parallel(
+        n_jobs=jobs,
+        backend=backend,
+        batch_size=1,  # a shard that is lost takes no other with it
+        return_as="generator_unordered",  # each is kept as soon as it is done
+    )
+    calls = (joblib.delayed(runner)(task, k, shared, own) for k, own in enumerate(arguments))
+    results = workers(calls)
+    try:
+        for result in results:  # noqa: UP028  closed below, and not by `yield from`
+            yield result
+    finally:  # stops what waits where one fails
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that it was stopped
+            results.close()
+
+
+def compute(task: Task, k: int, shared: Shared, own: tuple[Any, ...]) -> tuple[int, Any]:
+    """One shard, and which."""
+    cv2.setNumThreads(1)  # the shards are the parallelism
+    return k, task(*shared, *own)
