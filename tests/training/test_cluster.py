@@ -158,6 +158,15 @@ def test_a_campaign_on_a_cluster_gives_the_bytes_of_one_machine(
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 
+def test_one_worker_alone_computes_and_not_the_command(tmp_path):
+    with (
+        processes(tmp_path, 1) as started,
+        cluster.Cluster.connect(started.address) as workers,
+    ):
+        seen = list(workers.results(address_of, (np.zeros(4),), [(k,) for k in range(3)]))
+    assert os.getpid() not in {pid for _, (pid, _) in seen}
+
+
 def test_what_a_shard_raises_is_raised_here(several):
     with (
         cluster.Cluster.connect(several.address) as workers,

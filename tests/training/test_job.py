@@ -152,6 +152,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "contours",
         "lit",
         "trees",
+        "calibration",
     ]
     for stage, counts in told.items():
         assert counts == list(range(ends[stage] + 1))

@@ -225,6 +225,10 @@ class _Backend(DaskDistributedBackend):  # type: ignore[misc]
         (sent,) = client.scatter(self._scatter, broadcast=True, hash=False)
         self.data_futures = {id(shared): sent}
 
+    def effective_n_jobs(self, n_jobs: int) -> int:
+        """At least two: for one joblib would not ask the cluster, but compute here."""
+        return max(2, int(super().effective_n_jobs(n_jobs)))
+
     def submit(
         self, func: Any, callback: Callable[[Any], None] | None = None
     ) -> concurrent.futures.Future[Any]:
