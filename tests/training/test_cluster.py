@@ -198,7 +198,8 @@ def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
         assert results == {k: 7 + 2 * k for k in range(24)}
         lines = log.read_text().splitlines()
         assert len({line.split()[1] for line in lines}) == 3
-        assert len(lines) <= 24 + 1
+        # The shard in its hands, and one that it had done but not handed over yet.
+        assert len(lines) <= 24 + 2
 
         def kill(stage: str, done: int, of: int) -> None:
             if stage == "contours" and done == 1:
