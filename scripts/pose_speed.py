@@ -121,17 +121,23 @@ def calls(
 
 def nearest_view(
     frame: np.ndarray, camera: Camera, model: ViewModel
-) -> Callable[[], np.intp] | None:
-    """Circular correlation of the frame's signature with all views: the best of them."""
+) -> Callable[[], np.ndarray] | None:
+    """Circular correlation of the frame's signature with all views: the best one's attitude."""
     mask = cv2.threshold(frame, 30, 255, cv2.THRESH_BINARY)[1]
-    signature = Signature.of_outlines([camera.rays(o) for o in outlines_of_mask(mask)], 360, 1)
+    outlines = [camera.rays(o) for o in outlines_of_mask(mask)]
+    signature = Signature.of_outlines(outlines, model.bins, 1)
     if signature is None:
         return None
     views = model.views.readings.astype(np.float32)
     spectra = np.conj(fft.rfft(views, axis=1))
 
-    def search() -> np.intp:
-        return np.argmax(fft.irfft(fft.rfft(signature.readings) * spectra, n=360, axis=1))
+    def search() -> np.ndarray:
+        likeness = fft.irfft(fft.rfft(signature.readings) * spectra, n=model.bins, axis=1)
+        view, shift = divmod(int(np.argmax(likeness)), model.bins)
+        # Bins run counter-clockwise, a positive roll clockwise.
+        roll = Rotation.from_rotvec([0.0, 0.0, -2.0 * np.pi * shift / model.bins]).as_matrix()
+        attitude = roll @ model.views.centred_from_target[view]
+        return signature.centred_from_camera.T @ attitude
 
     return search
 
