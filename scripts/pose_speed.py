@@ -129,6 +129,8 @@ def nearest_view(
     if signature is None:
         return None
     views = model.views.readings.astype(np.float32)
+    views -= views.mean(axis=1, keepdims=True)
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
     spectra = np.conj(fft.rfft(views, axis=1))
 
     def search() -> np.ndarray:
