@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from benchmark_check import ALLOWED, Row, worse, write
+from benchmark_check import ALLOWED, Row, best, worse, write
 from benchmark_rows import Bench, groups
 from flight_code_driver import compiler
 from rendezview.training.bundled import find_target
@@ -39,6 +39,7 @@ from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
 ROOT = Path(__file__).resolve().parents[1]
+AGAIN = 4  # passes at most
 SMALL = TrainingOptions(
     order=2,
     resolution_px=256,
@@ -147,7 +148,7 @@ def draw(rows: list[Row], path: Path) -> None:
             ha="left" if row.ratio > 1 else "right",
         )  # fmt: skip
     axes.set_xscale("log")
-    axes.set_xlim(0.4 * min(r.ratio for r in drawn), 2.5 * max(r.ratio for r in drawn))
+    axes.set_xlim(0.15 * min(r.ratio for r in drawn), 2.5 * max(r.ratio for r in drawn))
     axes.axvline(1.0, color="black", linewidth=0.8)
     labels = [f"{row.name}  |  {row.beside}" for row in drawn]
     axes.set_yticks(range(len(drawn)), labels, fontsize=7)
@@ -187,6 +188,29 @@ def campaigns(folder: str) -> int:
     return failed
 
 
+def measured(bench: Bench, passes: int, kept: Path | None) -> tuple[list[Row], dict[str, str]]:
+    """All rows, the best of the passes, and what is worse than kept.
+
+    Groups with a row that is worse are measured again: noise passes, what is really slower stays.
+    """
+    everything = groups()
+    rows: dict[str, Row] = {}
+    of_group: dict[str, int] = {}
+    again = set(range(len(everything)))
+    wrong: dict[str, str] = {}
+    for turn in range(max(passes, AGAIN if kept else 1)):
+        for k in sorted(again):
+            found = list(everything[k](bench))
+            of_group |= {row.key: k for row in found}
+            rows = best([*rows.values(), *found])
+        wrong = worse(rows.values(), kept) if kept else {}
+        if turn + 1 >= passes:
+            again = {of_group[key] for key in wrong if key in of_group}
+            if not again:
+                break
+    return list(rows.values()), wrong
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--short", action="store_true", help="small model, less than a minute")
@@ -220,7 +244,7 @@ def main() -> None:
             bench = Bench(mesh, path, 3, 200, 0.6, arguments.seed, peers)
         else:
             bench = Bench(mesh, path, 12, 1000, 4.0, arguments.seed, peers)
-        rows = [row for group in groups() for row in group(bench)]
+        rows, wrong = measured(bench, 3 if arguments.write else 1, arguments.check)
     show(rows)
     for line in absent(peers):
         print(f"absent: {line}")
@@ -231,8 +255,7 @@ def main() -> None:
     if arguments.write:
         write(rows, arguments.write)
     if arguments.check:
-        wrong = worse(rows, arguments.check)
-        for line in wrong:
+        for line in wrong.values():
             print(line, file=sys.stderr)
         print(f"{len(rows)} ratios, {len(wrong)} not within {ALLOWED} × {arguments.check}")
         sys.exit(1 if wrong else 0)
