@@ -243,7 +243,7 @@ def main() -> None:
         if arguments.short:
             bench = Bench(mesh, path, 3, 200, 0.6, arguments.seed, peers)
         else:
-            bench = Bench(mesh, path, 8, 1000, 2.0, arguments.seed, peers)
+            bench = Bench(mesh, path, 6, 1000, 1.5, arguments.seed, peers)
         rows, wrong = measured(bench, 3 if arguments.write else 1, arguments.check)
     show(rows)
     for line in absent(peers):
