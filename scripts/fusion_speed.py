@@ -64,6 +64,18 @@ def measurements(seed: int) -> dict[str, list[Measurement]]:
     return found
 
 
+WHITE = SensorOptions(lasting=0.1)  # as these are made
+OPTIONS = FusionOptions(pose=WHITE, ring=WHITE, range=WHITE)
+
+
+def started(kinds: dict[str, list[Measurement]]) -> Fusion:
+    """All three sensors have been heard: the state has its full size."""
+    fusion = Fusion(OPTIONS)
+    for kind in ("pose", "ring", "range"):
+        fusion.add(kinds[kind][0])
+    return fusion
+
+
 def plain_numpy() -> Callable[[], None]:
     """One step of a 12-state Kalman filter."""
     step, noise = np.eye(12), 1e-6 * np.eye(12)
@@ -90,8 +102,6 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=15)
     arguments = parser.parse_args()
     kinds = measurements(arguments.seed)
-    white = SensorOptions(lasting=0.1)  # as these are made
-    options = FusionOptions(pose=white, ring=white, range=white)
     spent_us: dict[str, list[float]] = {kind: [] for kind in (*kinds, "state_at", "late", "numpy")}
     for _ in range(arguments.repeats):
         plain = plain_numpy()
@@ -100,10 +110,7 @@ def main() -> None:
             plain()
         spent_us["numpy"].append(1e6 * (time.perf_counter() - start) / STEPS)
         for kind, series in kinds.items():
-            fusion = Fusion(options)
-            # All three sensors have been heard: the state has its full size.
-            for other in ("pose", "ring", "range"):
-                fusion.add(kinds[other][0])
+            fusion = started(kinds)
             start = time.perf_counter()
             for measurement in series[1:]:
                 fusion.add(measurement)
@@ -113,7 +120,7 @@ def main() -> None:
             fusion.state_at(0.1 * STEPS + 1e-3 * k)
         spent_us["state_at"].append(1e6 * (time.perf_counter() - start) / STEPS)
         late = kinds["pose"]
-        fusion = Fusion(options)
+        fusion = Fusion(OPTIONS)
         for k in range(0, STEPS - 12, 12):  # the second of each dozen comes ten steps late
             for j in (0, *range(2, 12)):
                 fusion.add(late[k + j])

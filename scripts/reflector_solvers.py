@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from functools import partial
 
 import cv2
@@ -22,7 +23,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from rendezview.reflectors.judgement import facing_root
-from rendezview.reflectors.p3p import solve_p3p_batch
+from rendezview.reflectors.p3p import solve_p3p, solve_p3p_batch
 from rendezview.reflectors.triangulation import pose_from_distances, triangulate_batch
 
 BASE, POST = 0.3683, 0.1016
@@ -132,6 +133,13 @@ def in_front(problem: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     return rotations[keep], places[keep], points[keep], seen[keep]
 
 
+def problems(rng: np.random.Generator, name: str, wanted: int) -> tuple[np.ndarray, ...]:
+    """Rotations, translations, points and rays (z = 1) of a class."""
+    rotations, places, points, seen = in_front(MAKERS[name](rng, round(1.02 * wanted)))
+    assert len(rotations) >= wanted
+    return rotations[:wanted], places[:wanted], points[:wanted], (seen / seen[..., 2:])[:wanted]
+
+
 def pose_errors(found_r: np.ndarray, found_t: np.ndarray, r: np.ndarray, t: np.ndarray):
     """Errors (..., ) of poses: the larger of rotation (rad, small) and position over range."""
     turn = np.linalg.norm(found_r - r, axis=(-1, -2)) / np.sqrt(2.0)
@@ -147,6 +155,10 @@ def best_us(call, repeats: int = 5) -> float:
         call()
         spent.append(time.perf_counter() - start)
     return 1e6 * min(spent)
+
+
+def this_one(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    return [(p.rotation, p.translation_m) for p in solve_p3p(rays, points)]
 
 
 def peers() -> dict[str, object]:
@@ -201,13 +213,8 @@ def main() -> None:
         table.add_column(name, justify="left" if name == "class" else "right")
     everything, samples = [], {}
     for name, share in SHARES.items():
-        rotations, places, points, seen = in_front(
-            MAKERS[name](rng, round(1.02 * share * arguments.count))
-        )
         wanted = round(share * arguments.count)
-        rotations, places, points, seen = (a[:wanted] for a in (rotations, places, points, seen))
-        assert len(rotations) == wanted
-        rays = seen / seen[..., 2:]
+        rotations, places, points, rays = problems(rng, name, wanted)
         errors = []
         for part in np.array_split(np.arange(wanted), max(1, wanted // 50_000)):
             r, t, _ = solve_p3p_batch(rays[part], points[part])
@@ -272,28 +279,35 @@ def compare(console: Console, samples: dict[str, tuple[np.ndarray, ...]], count:
         table.add_column(name, justify="right")
     table.add_column("µs a call", justify="right")
 
-    from rendezview.reflectors.p3p import solve_p3p
-
-    def ours(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(p.rotation, p.translation_m) for p in solve_p3p(rays, points)]
-
-    for solver, solve in {"this one": ours, **peers()}.items():
+    for solver, solve in {"this one": this_one, **peers()}.items():
         cells = []
         spent = []
-        for rotations, places, points, rays in samples.values():
-            hits = 0
-            for n in range(min(count, len(rays))):
-                ray, corner = rays[n].copy(), np.array(points[n])
-                start = time.perf_counter()
-                try:
-                    roots = solve(ray, corner)
-                except cv2.error:
-                    roots = []
-                spent.append(time.perf_counter() - start)
-                hits += any(pose_errors(r, t, rotations[n], places[n]) <= 1e-6 for r, t in roots)
+        for sample in samples.values():
+            hits, times = ask(solve, sample, count)
+            spent += times
             cells.append(f"{hits}")
         table.add_row(solver, *cells, f"{1e6 * np.median(spent):.1f}")
     console.print(table)
+
+
+def ask(
+    solve: Callable[..., list[tuple[np.ndarray, np.ndarray]]],
+    sample: tuple[np.ndarray, ...],
+    count: int,
+) -> tuple[int, list[float]]:
+    """How often the truth is among the roots to 1e-6, and seconds of every call."""
+    rotations, places, points, rays = sample
+    hits, spent = 0, []
+    for n in range(min(count, len(rays))):
+        ray, corner = rays[n].copy(), np.array(points[n])
+        start = time.perf_counter()
+        try:
+            roots = solve(ray, corner)
+        except cv2.error:
+            roots = []
+        spent.append(time.perf_counter() - start)
+        hits += any(pose_errors(r, t, rotations[n], places[n]) <= 1e-6 for r, t in roots)
+    return hits, spent
 
 
 def iterations(console: Console, rng: np.random.Generator) -> None:

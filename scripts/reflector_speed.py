@@ -23,6 +23,7 @@ from reflector_run import CAMERA, CLIENT
 from rendezview.reflectors import (
     Acquirer,
     LitDark,
+    ReflectorPattern,
     ReflectorSensor,
     find_spots,
     patterns_of,
@@ -83,6 +84,26 @@ def many_spots(rng: np.random.Generator, count: int, alike: bool) -> Spots:
     return Spots(table)
 
 
+def pairs_at(rng: np.random.Generator, pattern: ReflectorPattern, range_m: float) -> list[LitDark]:
+    """Five pairs of one pose."""
+    pose, _ = random_pose(rng, pattern, range_m)
+    return [LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)) for _ in range(5)]
+
+
+def tracking(pattern: ReflectorPattern, pairs: list[LitDark]) -> Callable[[], None]:
+    """One reading of a sensor that follows the target, checked to be one."""
+    sensor = ReflectorSensor(CAMERA, [pattern])
+    count = 0
+
+    def track() -> None:
+        nonlocal count
+        count += 1
+        reading = sensor.update(0.1 * count, pairs[count % len(pairs)])
+        assert count < 3 or (reading.tracked and reading.pose is not None)
+
+    return track
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=41)
@@ -96,24 +117,14 @@ def main() -> None:
                  "acquisition", "× floor", "tracking", "× floor"):  # fmt: skip
         table.add_column(name, justify="right")
     for range_m in (12.0, 6.0, 3.0, 1.5):
-        pose, _ = random_pose(rng, pattern, range_m)
-        pairs = [LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)) for _ in range(5)]
+        pairs = pairs_at(rng, pattern, range_m)
         first = pairs[0]
         base = median_ms(lambda f=first: floor(f.lit, f.dark))
         spots = find_spots(first)
         spots_ms = median_ms(lambda f=first: find_spots(f))
         triplets_ms = median_ms(lambda s=spots: acquirer.acquire(s))
         both_ms = median_ms(lambda f=first: acquirer.acquire(find_spots(f)))
-        sensor = ReflectorSensor(CAMERA, [pattern])
-        count = 0
-
-        def track(sensor: ReflectorSensor = sensor, pairs: list[LitDark] = pairs) -> None:
-            nonlocal count
-            count += 1
-            reading = sensor.update(0.1 * count, pairs[count % len(pairs)])
-            assert count < 3 or (reading.tracked and reading.pose is not None)
-
-        track_ms = median_ms(track)
+        track_ms = median_ms(tracking(pattern, pairs))
         table.add_row(
             f"{range_m:g}", f"{base:.3f}", f"{spots_ms:.3f}", f"{triplets_ms:.3f}",
             f"{both_ms:.3f}", f"{both_ms / base:.1f}", f"{track_ms:.3f}", f"{track_ms / base:.1f}",

@@ -12,13 +12,14 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from itertools import count
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.stereo import MotionOptions, StereoTracker, TrackerOptions, reprocess
+from rendezview.stereo import MotionOptions, Rig, StereoTracker, TrackerOptions, reprocess
 from rendezview.stereo.laboratory import calibrate_laboratory
 from rendezview.target import Target
 
@@ -34,30 +35,16 @@ def main() -> None:
     arguments = parser.parse_args()
     target = Target.load(arguments.target)
     leds = np.array([led.position_m for led in target.leds])
-    laboratory = Laboratory(leds, LaboratoryOptions(), arguments.seed)
-    rng = np.random.default_rng(arguments.seed)
-    angles = np.deg2rad(40.0) * np.sin(np.arange(READINGS) * np.deg2rad(2.0) / np.deg2rad(40.0))
-    currents = laboratory.currents(laboratory.stage(angles), rng)
-    rig = calibrate_laboratory(laboratory.calibration(rng)).rig
+    rig, currents = laboratory_run(leds, arguments.seed)
     log = np.concatenate([currents] * LOG_TIMES)
     table = Table("what", "wall µs, best / median", "CPU µs", "a second (wall)", "(CPU)")
     for name, motion in (("tracker", None), ("tracker with filter", MotionOptions())):
-        tracker = StereoTracker.of_target(rig, target, TrackerOptions(motion=motion))
-        clock = iter(range(10**9))
-
-        def follow(tracker: StereoTracker = tracker, clock: object = clock) -> None:
-            for reading in currents:
-                spots = [
-                    camera.photodiode.read(row)
-                    for camera, row in zip(rig.cameras, reading, strict=True)
-                ]
-                tracker.update(0.1 * next(clock), spots)
-
+        follow = following(rig, target, currents, TrackerOptions(motion=motion))
         _row(table, name, follow, len(currents))
     tracker = StereoTracker.of_target(rig, target)
     _row(table, "log at once", lambda: reprocess(tracker, log), len(log))
     few = currents[:410]
-    _row(table, "plain numpy, one iteration", lambda: _plain(rig, leds, few), len(few))
+    _row(table, "plain numpy, one iteration", lambda: plain(rig, leds, few), len(few))
     print(
         f"seed {arguments.seed}; {READINGS} readings of {len(leds)} lights in {len(rig)} cameras; "
         f"log of {len(log)}; {reprocess(tracker, log).ok.sum()} of them with a pose"
@@ -65,14 +52,40 @@ def main() -> None:
     Console(width=100).print(table)
 
 
-def _row(table: Table, name: str, call: Callable[[], object], count: int) -> None:
+def laboratory_run(leds: np.ndarray, seed: int) -> tuple[Rig, np.ndarray]:
+    """A calibrated rig, and its currents while the lights turn to and fro."""
+    laboratory = Laboratory(leds, LaboratoryOptions(), seed)
+    rng = np.random.default_rng(seed)
+    angles = np.deg2rad(40.0) * np.sin(np.arange(READINGS) * np.deg2rad(2.0) / np.deg2rad(40.0))
+    currents = laboratory.currents(laboratory.stage(angles), rng)
+    return calibrate_laboratory(laboratory.calibration(rng)).rig, currents
+
+
+def following(
+    rig: Rig, target: Target, currents: np.ndarray, options: TrackerOptions
+) -> Callable[[], None]:
+    """All readings, one after the other; time goes on from call to call."""
+    tracker, clock = StereoTracker.of_target(rig, target, options), count()
+
+    def follow() -> None:
+        for reading in currents:
+            spots = [
+                camera.photodiode.read(row)
+                for camera, row in zip(rig.cameras, reading, strict=True)
+            ]
+            tracker.update(0.1 * next(clock), spots)
+
+    return follow
+
+
+def _row(table: Table, name: str, call: Callable[[], object], readings: int) -> None:
     call()
     wall, cpu = [], []
     for _ in range(REPEATS):
         start, used = time.perf_counter(), time.process_time()
         call()
-        wall.append(1e6 * (time.perf_counter() - start) / count)
-        cpu.append(1e6 * (time.process_time() - used) / count)
+        wall.append(1e6 * (time.perf_counter() - start) / readings)
+        cpu.append(1e6 * (time.process_time() - used) / readings)
     table.add_row(
         name,
         f"{min(wall):.2f} / {np.median(wall):.2f}",
@@ -82,7 +95,7 @@ def _row(table: Table, name: str, call: Callable[[], object], count: int) -> Non
     )
 
 
-def _plain(rig: object, leds: np.ndarray, currents: np.ndarray) -> None:
+def plain(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:
     """Eq. 4 linearised by numpy: 24 equations, one iteration from the last estimate."""
     rotation, translation = np.eye(3), np.zeros(3)
     for reading in currents:

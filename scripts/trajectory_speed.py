@@ -1,4 +1,3 @@
-# ruff: noqa: B023  (the ways are timed within the turn of the loop that makes them)
 """Speed of a segment fit, docs/trajectory.md: ours beside scipy's and nlopt's simplex.
 
     pip install nlopt
@@ -16,8 +15,9 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
-import nlopt
 import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
@@ -27,6 +27,11 @@ from rendezview.trajectory import FitOptions, PointCloud, Segment, Shape, fit_se
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import code_of
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton
+
+try:
+    import nlopt
+except ImportError:
+    nlopt = None
 
 POINTS, SPAN_S, RANGE_M, NOISE = 100, 200.0, 30.0, 0.001
 MEAN_MOTION_RAD_S = 0.0011
@@ -60,6 +65,88 @@ def timed(run: Callable[[], tuple[Array, int]], repeats: int) -> tuple[float, Ar
     return min(spent), answer, evaluations
 
 
+Way = Callable[[], tuple[Array, int]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """One cloud, the ways to fit a segment to it, and Gauss–Newton's answer to go by."""
+
+    ways: dict[str, Way]
+    whole: Callable[[Segment | None], tuple[Array, int]]
+    best: Segment
+    goal: Array
+    sigmas: Array
+
+    def gap(self, answer: Array) -> float:
+        """How far off Gauss–Newton's an answer is, in standard deviations."""
+        return float(np.max(np.abs(answer - self.goal) / self.sigmas))
+
+
+def problem(shape: Shape, seed: int) -> Problem:
+    rng = np.random.default_rng(seed)
+    times, places = points(shape, rng)
+    cloud = PointCloud.of_places(
+        times, places, np.tile((NOISE * RANGE_M) ** 2 * np.eye(3), (POINTS, 1, 1))
+    )
+    n = MEAN_MOTION_RAD_S
+    fit_segment(cloud, shape, mean_motion_rad_s=n)  # compiles
+    best = fit_segment(cloud, shape, mean_motion_rad_s=n, options=FitOptions(simplex=False))
+    assert isinstance(best, Segment)
+    data = (
+        times - best.middle_s, best.base, best.constants, np.zeros((POINTS, 3)),
+        cloud.points, cloud.whitening, cloud.by_node,
+    )  # fmt: skip
+    weights, code = cloud.weights, code_of(shape)
+    sigmas = np.sqrt(np.diag(best.covariance))
+    scales = np.maximum(np.abs(best.parameters), 0.02)
+    goal, _ = gauss_newton(code, best.parameters, scales, data, weights, CUT, 20)
+    start = goal + 0.02 * scales * rng.choice([-1.0, 1.0], len(scales))
+    steps = 0.02 * scales
+    place, out = np.empty((POINTS, 3)), np.empty((POINTS, RESIDUALS))
+
+    def asked(p: Array, *_: object) -> float:
+        return float(cost(code, p, data, weights, CUT, place, out))
+
+    def ours() -> tuple[Array, int]:
+        answer, _, count = downhill_simplex(code, start, steps, data, weights, CUT, 5000, NEAR)
+        return answer, count
+
+    def scipys() -> tuple[Array, int]:
+        corners = np.vstack([start, start + np.diag(steps)])
+        options = {"initial_simplex": corners, "fatol": NEAR, "xatol": np.inf}
+        options |= {"adaptive": True, "maxfev": 5000}
+        found = minimize(asked, start, method="Nelder-Mead", options=options)
+        return found.x, found.nfev
+
+    def nlopts() -> tuple[Array, int]:
+        simplex = nlopt.opt(nlopt.LN_NELDERMEAD, len(start))
+        simplex.set_min_objective(asked)
+        simplex.set_ftol_abs(NEAR)
+        simplex.set_maxeval(5000)
+        simplex.set_initial_step(steps)
+        return simplex.optimize(start), simplex.get_numevals()
+
+    def newtons() -> tuple[Array, int]:
+        answer, _ = gauss_newton(code, start, scales, data, weights, CUT, 20)
+        return answer, 0
+
+    ways: dict[str, Way] = {
+        "simplex, ours": ours,
+        "simplex, scipy": scipys,
+    }
+    if nlopt is not None:
+        ways["simplex, nlopt"] = nlopts
+    ways["Gauss–Newton, ours"] = newtons
+
+    def whole(previous: Segment | None) -> tuple[Array, int]:
+        found = fit_segment(cloud, shape, mean_motion_rad_s=n, previous=previous)
+        assert isinstance(found, Segment)
+        return found.parameters, found.evaluations
+
+    return Problem(ways, whole, best, goal, sigmas)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=30)
@@ -68,81 +155,17 @@ def main() -> None:
     print("| segment | way | ms | evaluations | off Gauss–Newton, σ |")
     print("|---|---|---|---|---|")
     for shape in (Shape.CIRCULAR, Shape.ORBIT):
-        rng = np.random.default_rng(args.seed)
-        times, places = points(shape, rng)
-        cloud = PointCloud.of_places(
-            times, places, np.tile((NOISE * RANGE_M) ** 2 * np.eye(3), (POINTS, 1, 1))
-        )
-        n = MEAN_MOTION_RAD_S
-        fit_segment(cloud, shape, mean_motion_rad_s=n)  # compiles
-        best = fit_segment(cloud, shape, mean_motion_rad_s=n, options=FitOptions(simplex=False))
-        assert isinstance(best, Segment)
-        data = (
-            times - best.middle_s, best.base, best.constants, np.zeros((POINTS, 3)),
-            cloud.points, cloud.whitening, cloud.by_node,
-        )  # fmt: skip
-        weights, code = cloud.weights, code_of(shape)
-        sigmas = np.sqrt(np.diag(best.covariance))
-        scales = np.maximum(np.abs(best.parameters), 0.02)
-        goal, _ = gauss_newton(code, best.parameters, scales, data, weights, CUT, 20)
-        start = goal + 0.02 * scales * rng.choice([-1.0, 1.0], len(scales))
-        steps = 0.02 * scales
-        place, out = np.empty((POINTS, 3)), np.empty((POINTS, RESIDUALS))
-
-        def asked(p: Array, *_: object) -> float:
-            return float(cost(code, p, data, weights, CUT, place, out))
-
-        def ours() -> tuple[Array, int]:
-            answer, _, count = downhill_simplex(
-                code,
-                start,
-                steps,
-                data,
-                weights,
-                CUT,
-                5000,
-                NEAR,
-            )
-            return answer, count
-
-        def scipys() -> tuple[Array, int]:
-            corners = np.vstack([start, start + np.diag(steps)])
-            options = {"initial_simplex": corners, "fatol": NEAR, "xatol": np.inf}
-            options |= {"adaptive": True, "maxfev": 5000}
-            found = minimize(asked, start, method="Nelder-Mead", options=options)
-            return found.x, found.nfev
-
-        def nlopts() -> tuple[Array, int]:
-            simplex = nlopt.opt(nlopt.LN_NELDERMEAD, len(start))
-            simplex.set_min_objective(asked)
-            simplex.set_ftol_abs(NEAR)
-            simplex.set_maxeval(5000)
-            simplex.set_initial_step(steps)
-            return simplex.optimize(start), simplex.get_numevals()
-
-        def newtons() -> tuple[Array, int]:
-            answer, _ = gauss_newton(code, start, scales, data, weights, CUT, 20)
-            return answer, 0
-
-        ways = {
-            "simplex, ours": ours,
-            "simplex, scipy": scipys,
-            "simplex, nlopt": nlopts,
-            "Gauss–Newton, ours": newtons,
-        }
-        for name, run in ways.items():
+        fit = problem(shape, args.seed)
+        for name, run in fit.ways.items():
             run()
             spent, answer, count = timed(run, args.repeats)
-            gap = float(np.max(np.abs(answer - goal) / sigmas))
+            gap = fit.gap(answer)
             print(f"| {shape} | {name} | {spent:.2f} | {count or '–'} | {gap:.2f} |")
-        for name, previous in (("whole fit, cold", None), ("whole fit, from the last one", best)):
-
-            def whole(previous: Segment | None = previous) -> tuple[Array, int]:
-                found = fit_segment(cloud, shape, mean_motion_rad_s=n, previous=previous)
-                assert isinstance(found, Segment)
-                return found.parameters, found.evaluations
-
-            spent, _, count = timed(whole, args.repeats)
+        for name, previous in (
+            ("whole fit, cold", None),
+            ("whole fit, from the last one", fit.best),
+        ):
+            spent, _, count = timed(partial(fit.whole, previous), args.repeats)
             print(f"| {shape} | {name} | {spent:.2f} | {count} | |")
 
 

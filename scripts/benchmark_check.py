@@ -1,0 +1,78 @@
+"""Rows of the benchmark, kept in a file, and what has become worse than it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+ALLOWED = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One comparison: less is better, of ``ours`` and of the ratio."""
+
+    name: str  # of the row, unique
+    ours: float
+    beside: str  # the peer or floor
+    peer: float
+    unit: str  # "ms", "µs" or what else is counted
+    command: str  # the script that measures it at length
+
+    @property
+    def ratio(self) -> float:
+        """Ours over the peer's; 1 where both are nothing."""
+        if self.peer == 0.0:
+            return 1.0 if self.ours == 0.0 else float("inf")
+        return self.ours / self.peer
+
+    @property
+    def key(self) -> str:
+        return f"{self.name} / {self.beside}"
+
+
+def best(rows: Iterable[Row]) -> dict[str, Row]:
+    """One row a key: the least of ours and the least of the peer's."""
+    found: dict[str, Row] = {}
+    for row in rows:
+        other = found.get(row.key, row)
+        found[row.key] = replace(
+            row, ours=min(row.ours, other.ours), peer=min(row.peer, other.peer)
+        )
+    return found
+
+
+def write(rows: Iterable[Row], path: Path) -> None:
+    """Ratios to be kept, and the numbers they came of, for readers."""
+    kept = {
+        row.key: {
+            "ratio": float(f"{row.ratio:.4g}"), "ours": float(f"{row.ours:.4g}"),
+            "peer": float(f"{row.peer:.4g}"), "unit": row.unit,
+        }
+        for row in rows
+    }  # fmt: skip
+    path.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def worse(rows: Iterable[Row], path: Path, allowed: float = ALLOWED) -> dict[str, str]:
+    """What is wrong, a line for each key: ratios above ``allowed`` × the kept ones, missing rows.
+
+    A row that the file does not have is wrong too: it wants ``--write``.
+    """
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        limits = {key: allowed * float(entry["ratio"]) for key, entry in kept.items()}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        return {"": f"{path} is not a file of kept ratios ({error!r})"}
+    measured = {row.key: row.ratio for row in rows}
+    wrong = {key: f"{key}: kept, but not measured" for key in limits if key not in measured}
+    for key, ratio in measured.items():
+        if key not in limits:
+            wrong[key] = f"{key}: measured, but not kept; --write"
+        elif not ratio <= limits[key]:
+            was = limits[key] / allowed
+            times = f"{ratio / was:.2f} × as much" if was > 0.0 else "was nothing"
+            wrong[key] = f"{key}: ratio {ratio:.3g}, kept {was:.3g} ({times})"
+    return wrong
