@@ -84,7 +84,7 @@ def main() -> None:
     rng = np.random.default_rng(arguments.seed)
     acknowledged_in_all = lost = unreadable = cut_files = cut_bytes = 0
     with tempfile.TemporaryDirectory() as work:
-        for _ in range(arguments.kills):
+        for done in range(1, arguments.kills + 1):
             folder = Path(work) / "logs"
             folder.mkdir()
             process, url = serve(arguments.model, folder, Path(work) / "models")
@@ -129,6 +129,8 @@ def main() -> None:
                     as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in told
                 )
             shutil.rmtree(folder)
+            told_so_far = f"{done} of {arguments.kills}: {acknowledged_in_all} poses, {lost} lost"
+            print(f"\r{told_so_far}", end="", file=sys.stderr, flush=True)
     print(
         f"seed {arguments.seed}: {arguments.kills} kills, {acknowledged_in_all} acknowledged "
         f"poses, {lost} lost, {unreadable} logs unreadable; {cut_files} logs ended in half a "
