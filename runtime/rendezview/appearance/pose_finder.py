@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
 from scipy.spatial.transform import Rotation
 
 from rendezview.appearance.contours import NO_POINT
@@ -215,9 +216,21 @@ def half_turns(model: ViewModel) -> Array:
     contours = model.contours
     if contours is None:
         raise ValueError("the model has no contour points")
-    points = contours.point[contours.kind != NO_POINT].astype(np.float64)
-    _, axes = np.linalg.eigh(points.T @ points)
+    shape = (-1, contours.point.shape[-1])
+    _, axes = np.linalg.eigh(_second_moments(contours.point.reshape(shape), contours.kind.ravel()))
     return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in axes.T])
+
+
+@njit(cache=True, nogil=True)
+def _second_moments(points, kinds):  # type: ignore[no-untyped-def]
+    """(3, 3) Σ p pᵀ of the points (N, 3) int16 that are any; whole numbers, so it is exact."""
+    moments = np.zeros((3, 3))
+    for k in range(points.shape[0]):
+        if kinds[k] != NO_POINT:
+            for i in range(3):
+                for j in range(3):
+                    moments[i, j] += float(points[k, i]) * float(points[k, j])
+    return moments
 
 
 def _reach(error_rad: float) -> float:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.appearance import Recognizer, Sighting, Status, ViewModel
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write_text
+from rendezview.files import atomic_write_text, check_place
 from rendezview.pose import Array, Pose
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.symmetry import nearest_alike
@@ -105,8 +105,7 @@ def campaign(
         RendezviewError: the file cannot be written, or see ``Workers``.
     """
     options = options or CampaignOptions()
-    if path.is_dir() or not path.parent.is_dir():
-        raise RendezviewError(f"{path}: give a file name in an existing folder for the answers")
+    check_place(path, "the answers")
     shards = Shards(path.with_name(path.name + ".partial"), _inputs(model, mesh, camera, options))
     parts = [
         (range(k, min(k + FRAMES_PER_SHARD, options.frames)),)
