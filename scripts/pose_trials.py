@@ -166,11 +166,15 @@ def inexact(path: str, seed: int) -> None:
     stretched = dataclasses.replace(mesh, vertices_m=mesh.vertices_m * np.array([1.04, 1.0, 1.0]))
     camera = default_camera()
     with tempfile.TemporaryDirectory() as folder:
-        for what, made in (("exact", mesh), ("4 % longer", stretched)):
+        for what, made, shape_error in (
+            ("exact", mesh, 0.0),
+            ("4 % longer", stretched, 0.0),
+            ("4 % longer, shape_error = 0.04", stretched, 0.04),
+        ):
             model_path = Path(folder) / "model.rvm"
             # The trees do not matter here: poses are refined from near the truth.
             options = TrainingOptions(perturbed_views=1000, held_out_views=100, lit_views=False)
-            train(made, model_path, name=name, options=options)
+            train(made, model_path, name=name, options=options, shape_error=shape_error)
             model = ViewModel.load(model_path)
             recognizer = Recognizer(model, camera)
             errors, shares, nees, given = [], [], [], 0

@@ -15,6 +15,7 @@ description = "one line"
 [mesh]
 path = "meshes/client.glb"
 unit = "mm"
+shape_error = 0.01
 [docking_ring]
 centre_m = [-1, 0.0, 0.25]
 axis = [-2.0, 0.0, 0.0]
@@ -58,6 +59,7 @@ def test_every_field_is_read(tmp_path):
     target = Target.load(path)
     assert (target.name, target.description, target.unit) == ("client", "one line", "mm")
     assert target.mesh_path == tmp_path / "meshes" / "client.glb"
+    assert target.shape_error == 0.01
     assert target.docking_ring.centre_m.tolist() == [-1.0, 0.0, 0.25]
     assert target.docking_ring.axis.tolist() == [-1.0, 0.0, 0.0]
     assert target.docking_ring.radius_m == 0.597
@@ -86,6 +88,7 @@ def test_a_folder_with_a_target_file_is_a_target(tmp_path):
     target = Target.load(tmp_path)
     assert target.name == "x"
     assert target.docking_ring is None
+    assert target.shape_error == 0.0
     assert target.reflectors == target.leds == target.symmetries == ()
 
 
@@ -129,6 +132,7 @@ REFLECTOR = (
             'name = "x"\n' + MESH + REFLECTOR.replace("diameter_m", "size_m"),
             r"reflectors\.0\.diameter_m: missing, add it; reflectors\.0\.size_m: unknown",
         ),
+        ('name = "x"\n' + MESH + "shape_error = 0.5\n", r"mesh\.shape_error"),
         ('name = "x"\n' + MESH + '[[symmetries]]\nkind = "mirror"\n', r"symmetries\.0"),
         (
             'name = "x"\n' + MESH + '[[symmetries]]\nkind = "discrete"\naxis = [0, 0, 1]\n',

@@ -87,6 +87,7 @@ class Target:
     reflectors: tuple[Reflector, ...] = ()
     leds: tuple[Led, ...] = ()
     symmetries: tuple[Symmetry, ...] = ()
+    shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
 
     @classmethod
     def load(cls, path: StrPath) -> Target:
@@ -142,6 +143,7 @@ class _Table(BaseModel):
 class _MeshTable(_Table):
     path: _Name
     unit: Literal["m", "cm", "mm", "in", "ft"]
+    shape_error: Annotated[FiniteFloat, Field(ge=0.0, le=0.2)] = 0.0
 
 
 class _RingTable(_Table):
@@ -209,6 +211,7 @@ def _read_target(path: Path) -> Target:
         description=file.description,
         mesh_path=mesh_path,
         unit=file.mesh.unit,
+        shape_error=file.mesh.shape_error,
         docking_ring=None
         if ring is None
         else DockingRing(_frozen(ring.centre_m), _frozen(ring.axis), ring.radius_m),

@@ -28,6 +28,7 @@ _DAMPING = 1e-3  # of the normal equations: what the edges do not show stays as 
 _AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
 _NO_LIGHT = np.zeros(1)
 ASTRAY = -9.0  # of ``align``: no pose
+_HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix
 
 
 @njit(cache=True, nogil=True)
@@ -127,15 +128,60 @@ def covariance_of(edges, cut, least_sigma_px, loose, arm):  # type: ignore[no-un
         for b in range(a):
             matrix[b, a], spread[b, a] = matrix[a, b], spread[a, b]
     residual = np.sqrt(squares / weights)
-    inverse = np.linalg.inv(matrix)
-    # From the view centre to the target's origin: t = centre − arm.
+    response = _to_origin(arm) @ np.linalg.inv(matrix)
+    covariance = response @ spread @ response.T
+    covariance *= max(residual, least_sigma_px) ** 2
+    return 0.5 * (covariance + covariance.T), residual
+
+
+@njit(cache=True, nogil=True)
+def strain_covariance(edges, cut, loose, centre, arm):  # type: ignore[no-untyped-def]
+    """(6, 6) of a pose where the craft is the model strained: per unit of the strain's variance.
+
+    A strain S (symmetric, its six components independent) moves the edge of a point q from the
+    view centre by j S q along its normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since
+    J = (q × j, j), and j · (q + centre) = 0 as for every projection, q follows from J.
+
+    Args:
+        edges, cut, loose, arm: as for ``covariance_of``.
+        centre: (3,) of the view centre, camera frame.
+    """
+    matrix, moved = np.zeros((6, 6)), np.zeros((6, 6))
+    strains = np.empty(6)
+    for a in range(6):
+        matrix[a, a] = loose[a]
+    for n in range(edges.shape[0]):
+        ratio = edges[n, RESIDUAL] / cut
+        if edges[n, STATE] != FOUND or ratio * ratio >= 1.0:
+            continue
+        w = edges[n, WEIGHT] * (1.0 - ratio * ratio) ** 2
+        x, j = edges[n, :3], edges[n, 3:6]
+        along = -(j[0] * centre[0] + j[1] * centre[1] + j[2] * centre[2])
+        square = j[0] * j[0] + j[1] * j[1] + j[2] * j[2]
+        q0 = (j[1] * x[2] - j[2] * x[1] + j[0] * along) / square
+        q1 = (j[2] * x[0] - j[0] * x[2] + j[1] * along) / square
+        q2 = (j[0] * x[1] - j[1] * x[0] + j[2] * along) / square
+        strains[0], strains[1], strains[2] = j[0] * q0, j[1] * q1, j[2] * q2
+        strains[3] = (j[0] * q1 + j[1] * q0) * _HALF_ROOT
+        strains[4] = (j[0] * q2 + j[2] * q0) * _HALF_ROOT
+        strains[5] = (j[1] * q2 + j[2] * q1) * _HALF_ROOT
+        for a in range(6):
+            wj = w * edges[n, a]
+            for b in range(6):
+                matrix[a, b] += wj * edges[n, b]
+                moved[a, b] += wj * strains[b]
+    response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
+    return response @ response.T
+
+
+@njit(cache=True, nogil=True)
+def _to_origin(arm):  # type: ignore[no-untyped-def]
+    """(6, 6) from errors at the view centre to errors at the target's origin: t = centre − arm."""
     shift = np.eye(6)
     shift[3, 1], shift[3, 2] = -arm[2], arm[1]
     shift[4, 0], shift[4, 2] = arm[2], -arm[0]
     shift[5, 0], shift[5, 1] = -arm[1], arm[0]
-    covariance = shift @ (inverse @ spread @ inverse) @ shift.T
-    covariance *= max(residual, least_sigma_px) ** 2
-    return 0.5 * (covariance + covariance.T), residual
+    return shift
 
 
 @njit(cache=True, nogil=True)

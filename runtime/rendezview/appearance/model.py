@@ -72,6 +72,7 @@ class ViewModel:
     lit: LitViews | None  # for first poses in hard light; None: trained without
     symmetries: tuple[Symmetry, ...]  # turns that change nothing
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
+    shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
 
     @property
     def bins(self) -> int:
@@ -112,6 +113,7 @@ class ViewModel:
                 {"kind": s.kind, "axis": np.asarray(s.axis).tolist(), "angle_rad": s.angle_rad}
                 for s in self.symmetries
             ],
+            "shape_error": self.shape_error,
             "provenance": self.provenance,
         }
         write_container(Path(path), header, arrays)
@@ -142,6 +144,7 @@ class ViewModel:
                     Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
                     for s in header.get("symmetries", [])
                 ),
+                shape_error=float(header.get("shape_error", 0.0)),
                 provenance=dict(header["provenance"]),
                 **{name: arrays[name] for name in _ARRAYS},
             )

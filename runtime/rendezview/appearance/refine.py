@@ -19,6 +19,7 @@ from rendezview.appearance.align import (
     align,
     align_each,
     covariance_of,
+    strain_covariance,
     support,
 )
 from rendezview.appearance.contours import Contours
@@ -200,10 +201,15 @@ class Refiner:
         covariance, residual = covariance_of(
             self._edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm
         )
+        strained = None
+        if self.model.shape_error > 0.0:
+            strained = strain_covariance(self._edges, _CUT_PX, self._nothing_known, centre, arm)
         outline, inner, seen = support(
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, self._edges
         )
         covariance *= np.exp(inflating(outline, residual, frame[2]) @ _INFLATION)
+        if strained is not None:
+            covariance += self.model.shape_error**2 * strained
         pose = Pose(rotation, centre - arm)
         return Refined(pose, covariance, outline, inner, seen, residual, light)
 

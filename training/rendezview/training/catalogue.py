@@ -176,6 +176,7 @@ def train_catalogue(
                 options=entry.options,
                 camera=camera,
                 symmetries=found.symmetries or find_symmetries(mesh),
+                shape_error=found.shape_error,
                 workers=workers,
                 progress=count.shards(),
             )

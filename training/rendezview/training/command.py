@@ -105,6 +105,7 @@ def train(
             options=options,
             camera=Camera.load(camera) if camera else None,
             symmetries=found.symmetries or find_symmetries(mesh),
+            shape_error=found.shape_error,
             workers=workers,
             progress=progress,
         )

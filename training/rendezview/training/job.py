@@ -67,6 +67,7 @@ def train(
     options: TrainingOptions | None = None,
     camera: Camera | None = None,
     symmetries: Sequence[Symmetry] = (),
+    shape_error: float = 0.0,
     jobs: int = -1,
     workers: Workers | None = None,
     progress: Progress | None = None,
@@ -83,6 +84,7 @@ def train(
         name: of the target.
         options: see ``TrainingOptions``.
         symmetries: of the target, declared or found; see ``find_symmetries``.
+        shape_error: σ of the strain by which the mesh may differ from the craft.
         camera: the flight camera; it decides the sphere radius and the sharpness of the
             perturbed views. ``None``: a 40° field of view, 480 pixels.
         jobs: parallel jobs on this machine, −1 for all cores (joblib).
@@ -106,7 +108,7 @@ def train(
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
         drawn = _Drawn(shards, mesh, beside, renderer, geometry, options, workers, progress)
-        trained = _train(drawn, name, tuple(symmetries), inputs)
+        trained = _train(drawn, name, tuple(symmetries), shape_error, inputs)
     finally:
         cv2.setNumThreads(threads)
     trained.model.save(path)
@@ -115,7 +117,11 @@ def train(
 
 
 def _train(
-    drawn: _Drawn, name: str, symmetries: tuple[Symmetry, ...], inputs: dict[str, Any]
+    drawn: _Drawn,
+    name: str,
+    symmetries: tuple[Symmetry, ...],
+    shape_error: float,
+    inputs: dict[str, Any],
 ) -> Trained:
     options, geometry = drawn.options, drawn.geometry
     lattice, slopes = drawn.lattice()
@@ -161,6 +167,7 @@ def _train(
         contours=contours,
         lit=lit,
         symmetries=symmetries,
+        shape_error=shape_error,
     )
     if held_out is not None:
         model = calibrated(model, drawn.calibration(model, held_out))
