@@ -21,14 +21,24 @@ from sklearn.linear_model import LogisticRegression
 from rendezview.appearance.refine import inflating
 
 WRONG_DEG = 5.0
+_DARK = 7  # the feature that tells dark skies
 _WEIGHT_OF_WRONG = 2.0  # a wrong answer costs more than one that is not given
 
 
-def fitted(features: np.ndarray, right: np.ndarray) -> LogisticRegression:
-    weight = np.where(right, 1.0, _WEIGHT_OF_WRONG)
-    return LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False).fit(
-        features, right, sample_weight=weight
-    )
+def fitted(features: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Coefficients before a bright sky and before a dark one."""
+    rows = []
+    for dark in (False, True):
+        these = (features[:, _DARK] > 0.5) == dark
+        weight = np.where(right[these], 1.0, _WEIGHT_OF_WRONG)
+        model = LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False)
+        rows.append(model.fit(features[these], right[these], sample_weight=weight).coef_[0])
+    return np.array(rows)
+
+
+def probability(coefficients: np.ndarray, features: np.ndarray) -> np.ndarray:
+    row = (features[:, _DARK] > 0.5).astype(int)
+    return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, coefficients[row])))
 
 
 def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
@@ -57,8 +67,8 @@ def main() -> None:
     target = np.array([r["target"] for r in chosen])
     held_out = np.zeros(len(chosen))
     for name in np.unique(target):
-        model = fitted(features[target != name], right[target != name])
-        held_out[target == name] = model.predict_proba(features[target == name])[:, 1]
+        coefficients = fitted(features[target != name], right[target != name])
+        held_out[target == name] = probability(coefficients, features[target == name])
     theta, rest = inflation(records)
     print("inflation", np.round(theta, 2).tolist())
     answers = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
@@ -66,7 +76,7 @@ def main() -> None:
     for condition in conditions:
         part = rest[[r["condition"] == condition for r in answers]]
         print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
-    print("coefficients", np.round(fitted(features, right).coef_[0], 2).tolist())
+    print("coefficients", np.round(fitted(features, right), 2).tolist())
     for mode in ("first", "tracked"):
         for condition in conditions:
             these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])

@@ -22,6 +22,8 @@ REACH, SPREAD, SMOOTH, ROOM, LINES, STRIDE, STEPS, FIT = range(8)
 _CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
 CLOSE_PX = 1.5  # spread of the edges that support a refined pose …
 _LOOSE_PX = 3.0  # … and one that is roughly aligned
+_LOOSE_STRIDE = 2  # so many points are enough to judge that
+_HOPELESS = 0.65  # of the best loosely judged support: below, one of 200 right poses lies
 _LEAST_EDGES = 12  # found, for six unknowns
 _LONGEST_TURN_RAD = 0.2  # of one step
 _DAMPING = 1e-3  # of the normal equations: what the edges do not show stays as it was
@@ -245,21 +247,24 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def support(image, lens, frame, views, rotation, centre, spread_px, edges):  # type: ignore[no-untyped-def]
+def support(  # type: ignore[no-untyped-def]
+    image, lens, frame, views, rotation, centre, spread_px, stride, edges
+):
     """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
 
-    An edge within half the spread of its place counts nearly whole. ``seen`` is the share of the
+    An edge within half the spread of its place counts nearly whole; every ``stride``-th point is
+    looked at. ``seen`` is the share of the
     outline's points that lie in the picture.
     """
     shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
     kinds = views.kind[shell, view]
     count = measure_edges(
         image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT,
-        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, 1, False, edges,
+        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
     outlines, inners, seen = 1e-9, 1e-9, 0.0
-    for j in range(count):
+    for j in range(0, count, stride):
         agrees = 0.0
         if edges[j, STATE] == FOUND:
             agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / (_AGREEING * spread_px)) ** 2)
@@ -280,7 +285,8 @@ def align_each(  # type: ignore[no-untyped-def]
     """``align`` and ``support`` of K hypotheses, in place.
 
     All go through the stages ``first``; the ``survivors`` best supported, loosely judged, go
-    on through ``then``. ``supports`` is (K, 3), 0 for the others and the lost.
+    on through ``then``, but for those far below the best. ``supports`` is (K, 3), 0 for the others
+    and the lost.
     """
     edges = np.zeros((views.point.shape[2], COLUMNS))
     count = rotations.shape[0]
@@ -289,15 +295,15 @@ def align_each(  # type: ignore[no-untyped-def]
         supports[k] = 0.0
         if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != ASTRAY:
             outline, inner, _ = support(
-                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, edges
+                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, _LOOSE_STRIDE, edges
             )
             rough[k] = outline + 0.5 * inner
     order = np.argsort(-rough)
     for i in range(min(survivors, count)):
         k = order[i]
-        if rough[k] > 0.0 and (
-            align(image, lens, frame, then, views, rotations[k], centres[k], edges) != ASTRAY
-        ):
+        if rough[k] < _HOPELESS * rough[order[0]] or rough[k] <= 0.0:
+            break
+        if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != ASTRAY:
             supports[k] = support(
-                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, edges
+                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, 1, edges
             )

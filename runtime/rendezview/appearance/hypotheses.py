@@ -137,9 +137,9 @@ class Hypotheses:
         return entries[good], shifts[good]
 
     def excess(self, outlines: list[Array], pose: Pose) -> float:
-        """How far lit outlines reach beyond the silhouette that a pose predicts.
+        """How far outlines reach beyond the silhouette that a pose predicts.
 
-        Mean over the bins, in mean radii of the silhouette: 0 where everything that is lit
+        Mean over the bins, in mean radii of the silhouette: 0 where everything that is seen
         lies inside. What is not lit says nothing, so a target half in shadow has none.
 
         Args:

@@ -81,13 +81,19 @@ class Found:
     @property
     def confidence(self) -> float:
         """Probability that the pose is right to 5°, 0 … 1: a logistic regression."""
-        odds = float(np.clip(self.features @ _LOGISTIC, -30.0, 30.0))
+        odds = float(np.clip(self.features @ _LOGISTIC[int(self.dark)], -30.0, 30.0))
         return float(1.0 / (1.0 + np.exp(-odds)))
 
 
-# Of the features; fitted by scripts/pose_confidence.py to frames of four targets (seeds 1 and 88,
-# and 1 and 2 of scripts/pose_cut.py). ``outline`` counts what is out of the picture as not found.
-_LOGISTIC = np.array([-2.96, 6.53, 4.49, -11.86, -7.04, 7.99, -4.62, 1.78, 1.95, 6.32])
+# Of the features, before a bright sky and before a dark one; fitted by scripts/pose_confidence.py
+# to frames of four targets (seeds 1 and 88, and 1 and 2 of scripts/pose_cut.py). ``outline`` counts
+# what is out of the picture as not found.
+_LOGISTIC = np.array(
+    [
+        [-5.28, 4.72, 6.54, -7.17, 0.0, 7.96, -2.29, 0.0, 2.7, 5.75],
+        [-0.6, 5.55, 0.98, -10.34, -9.52, 10.74, -2.62, -0.6, -0.13, 5.45],
+    ]
+)
 
 
 def merit(refined: Refined, excess: float) -> float:
@@ -128,7 +134,7 @@ class PoseFinder:
         refined = self.refiner.best(image, sky, rotations, centres, self.options.refined)
         refined = self._around(image, sky, refined)
         refined = self._flipped(image, sky, refined)
-        return self._chosen(refined, sky, bodies[0] if len(bodies) == 1 else None)
+        return self._chosen(refined, sky, bodies)
 
     def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is sure."""
@@ -137,7 +143,7 @@ class PoseFinder:
             return None
         if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
-        return self._chosen([refined], sky, None, prior=True)
+        return self._chosen([refined], sky, [], prior=True)
 
     def near(
         self,
@@ -163,7 +169,7 @@ class PoseFinder:
         refined = self.refiner.best(image, sky, rotations, centres, keep)
         refined = self._around(image, sky, refined)
         inside = [r for r in refined if r.pose.angle_to(prior) < _reach(error_rad)]
-        return self._chosen(inside, sky, bodies[0] if len(bodies) == 1 else None, prior=True)
+        return self._chosen(inside, sky, bodies, prior=True)
 
     def _sure(self, sky: Sky) -> float:
         return self.options.sure_support if sky.dark else self.options.sure_support_bright
@@ -187,16 +193,12 @@ class PoseFinder:
         return sorted([*refined, *others], key=lambda r: -r.support)
 
     def _chosen(
-        self, refined: list[Refined], sky: Sky, outlines: Outlines | None, prior: bool = False
+        self, refined: list[Refined], sky: Sky, bodies: list[Outlines], prior: bool = False
     ) -> Found | None:
         """The best of refined poses by merit, and the best that is another one."""
         if not refined:
             return None
-        judged = outlines is not None and sky.dark
-        excess = [
-            self.hypotheses.excess(outlines.rays, r.pose) if judged and outlines else 0.0
-            for r in refined
-        ]
+        excess = [self._excess(r.pose, sky, bodies) for r in refined]
         merits = [merit(r, x) for r, x in zip(refined, excess, strict=True)]
         k = int(np.argmax(merits))
         best = refined[k]
@@ -209,6 +211,12 @@ class PoseFinder:
             return Found(best, excess[k], 1.0, sky.dark, prior)
         j = max(others, key=lambda i: merits[i])
         return Found(best, excess[k], merits[k] - merits[j], sky.dark, prior, refined[j])
+
+    def _excess(self, pose: Pose, sky: Sky, bodies: list[Outlines]) -> float:
+        """Before a bright sky the outlines themselves are in doubt, and say nothing."""
+        if not sky.dark:
+            return 0.0
+        return max((self.hypotheses.excess(body.rays, pose) for body in bodies), default=0.0)
 
 
 def half_turns(model: ViewModel) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.appearance.bright_sky import find_bodies
+from rendezview.appearance.foreground import Foreground
 from rendezview.appearance.match import Matcher, MatchOptions
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.placement import node_points, place
@@ -99,6 +100,7 @@ class Recognizer:
         self.silhouette_options = silhouette or SilhouetteOptions()
         self.matcher = Matcher(model, match)
         self.trees = trees
+        self._foreground = Foreground()
         self.least_confidence = least_confidence
         self.finder = PoseFinder(model, camera) if refine and model.contours is not None else None
         if silhouette is None and self.finder is not None:
@@ -201,7 +203,7 @@ class Recognizer:
     ) -> list[Silhouette] | Missing:
         """The target's silhouette; several readings of it before a bright sky."""
         if sky is not None and not sky.dark:
-            bodies = find_bodies(frame, sky.noise_grey)
+            bodies = find_bodies(frame, self._foreground)
             if not isinstance(bodies, Missing):
                 return bodies
         found = find_silhouette(frame, self.silhouette_options, self._expected_px(prior))

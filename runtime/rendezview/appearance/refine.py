@@ -37,8 +37,8 @@ from rendezview.pose import Array, Pose
 Picture = npt.NDArray[np.uint8]
 
 # Reach, spread, smooth, room: pixels; lines, stride, steps, and whether edges are fitted.
-_ROUGH = np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float)
-_COARSE = np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
+_ROUGH = np.array([[20, 9, 4, 4, 1, 4, 2, 0]], float)
+_COARSE = np.array([[10, 4, 2, 2, 1, 2, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
 _FINE = np.array(
     [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 3, 0], [4, 0.5, 1, 0, 3, 1, 3, 1]], float
 )
@@ -205,7 +205,7 @@ class Refiner:
         if self.model.shape_error > 0.0:
             strained = strain_covariance(self._edges, _CUT_PX, self._nothing_known, centre, arm)
         outline, inner, seen = support(
-            image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, self._edges
+            image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
         )
         covariance *= np.exp(inflating(outline, residual, frame[2]) @ _INFLATION)
         if strained is not None:

@@ -17,6 +17,7 @@ from rendezview.grey_frame import Picture
 from rendezview.pose import Array
 
 Border = npt.NDArray[np.int32]
+Box = tuple[int, int, int, int]
 
 
 class Threshold(StrEnum):
@@ -69,7 +70,7 @@ class Silhouette:
 
     outlines_px: tuple[Array, ...]  # (M, 2) each, sub-pixel, counter-clockwise on the screen
     area_px: float  # of the outlines filled, gaps inside counted in
-    box_px: tuple[int, int, int, int]  # left, top, right, bottom, inclusive
+    box_px: Box  # left, top, right, bottom, inclusive
     sky_grey: float
     level_grey: float
 
@@ -166,7 +167,7 @@ def _choose(
     large = [k for k in range(len(borders)) if 4 * size[k] >= _LEAST_BORDER * max(size)]
     area = {k: cv2.contourArea(borders[k]) + 0.5 * size[k] + 1.0 for k in large}
     main = max(area, key=lambda k: area[k])
-    box = {k: _box(borders[k]) for k in large}
+    box = {k: box_of(borders[k]) for k in large}
     bodies = [k for k in large if area[k] >= options.rival_fraction * area[main]]
     if len(bodies) > 1 and expected_px is not None:
         ex, ey = np.asarray(expected_px, dtype=np.float64)
@@ -214,17 +215,17 @@ _LEAST_BORDER = 0.02
 
 def _merge(
     main: int,
-    box: dict[int, tuple[int, int, int, int]],
+    box: dict[int, Box],
     area: dict[int, float],
     options: SilhouetteOptions,
-) -> tuple[list[int], tuple[int, int, int, int]]:
+) -> tuple[list[int], Box]:
     """The blobs within reach of the main one, again from the joined box until none is left."""
     chosen, joined = [main], box[main]
     reach = options.merge_gap * max(joined[2] - joined[0], joined[3] - joined[1])
     least = max(3.0, options.speck_fraction * area[main])
     waiting = {k for k in box if k != main and area[k] >= least}
     while True:
-        near = [k for k in sorted(waiting) if _gap(joined, box[k]) <= reach]
+        near = [k for k in sorted(waiting) if gap_between(joined, box[k]) <= reach]
         if not near:
             return chosen, joined
         for k in near:
@@ -239,12 +240,14 @@ def _merge(
         waiting -= set(near)
 
 
-def _box(border: Border) -> tuple[int, int, int, int]:
+def box_of(border: Border) -> Box:
+    """Left, top, right, bottom, inclusive."""
     left, top, width, height = cv2.boundingRect(border)
     return left, top, left + width - 1, top + height - 1
 
 
-def _gap(a: tuple[int, int, int, int], b: tuple[int, int, int, int]) -> float:
+def gap_between(a: Box, b: Box) -> float:
+    """Pixels from one box to the next; 0 where they overlap."""
     dx = max(a[0] - b[2], b[0] - a[2], 0)
     dy = max(a[1] - b[3], b[1] - a[3], 0)
     return float(np.hypot(dx, dy))

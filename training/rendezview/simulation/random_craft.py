@@ -1,0 +1,171 @@
+"""Spacecraft that nobody built: random bodies, panels, dishes and booms.
+
+What is learned from them knows spacecraft in general and none in particular.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from rendezview.pose import Array
+from rendezview.training.mesh import Mesh
+
+Solid = tuple[trimesh.Trimesh, Array]  # and the albedo of its faces (F,)
+
+# White paint and foil, grey metal, black blankets: albedo, and how often.
+_PAINTS = ((0.6, 0.95), (0.25, 0.6), (0.02, 0.2))
+_PAINT_SHARES = (0.45, 0.35, 0.2)
+
+
+def random_craft(rng: np.random.Generator) -> Mesh:
+    """One craft of a few metres: one to three bodies along an axis, and what is fixed to them."""
+    solids: list[Solid] = []
+    length = 0.0
+    for _ in range(int(rng.integers(1, 4))):
+        height = float(rng.uniform(0.3, 1.6))
+        solid = _body(rng, height)
+        solid[0].apply_translation([0.0, 0.0, length + 0.5 * height])
+        solids.append(solid)
+        length += height
+    width = float(np.ptp(np.vstack([m.vertices for m, _ in solids])[:, :2], axis=0).max())
+    pairs = int(rng.integers(0, 4))
+    for k in range(pairs):
+        both = rng.random() < 0.85
+        panel = _panel(rng, width)
+        turn = rng.uniform(0.0, np.pi)
+        place = rng.uniform(0.1, 0.9) * length
+        azimuth = rng.uniform(0.0, np.pi) if k else 0.0
+        for side in (0.0, np.pi)[: 2 if both else 1]:
+            mesh = panel[0].copy()
+            mesh.apply_transform(_turn([1.0, 0.0, 0.0], turn))
+            mesh.apply_transform(_turn([0.0, 0.0, 1.0], azimuth + side))
+            mesh.apply_translation([0.0, 0.0, place])
+            solids.append((mesh, panel[1]))
+    for _ in range(int(rng.integers(0, 4))):
+        solids.append(_fixed(rng, _dish(rng, width), width, length))
+    for _ in range(int(rng.integers(0, 5))):
+        solids.append(_fixed(rng, _boom(rng, width), width, length))
+    for _ in range(int(rng.integers(0, 9))):
+        solids.append(_fixed(rng, _box(rng, 0.25 * width), width, length))
+    whole, albedo = _joined(solids)
+    rgb = np.repeat(np.clip(albedo, 0.0, 1.0).astype(np.float32)[:, None], 3, axis=1)
+    vertices = np.asarray(whole.vertices, dtype=np.float64)
+    return Mesh(vertices, np.asarray(whole.faces, dtype=np.int32), rgb, ())
+
+
+def _joined(solids: list[Solid]) -> Solid:
+    mesh: Any = trimesh.util.concatenate([mesh for mesh, _ in solids])
+    return mesh, np.concatenate([albedo for _, albedo in solids])
+
+
+def _turn(axis: list[float], angle_rad: float) -> Array:
+    turn: Any = trimesh.transformations.rotation_matrix  # not typed
+    return np.asarray(turn(angle_rad, axis))
+
+
+def _albedo(rng: np.random.Generator) -> float:
+    low, high = _PAINTS[rng.choice(3, p=_PAINT_SHARES)]
+    return float(rng.uniform(low, high))
+
+
+def _painted(rng: np.random.Generator, mesh: trimesh.Trimesh) -> Solid:
+    """One paint, or one for each side."""
+    faces = len(mesh.faces)
+    albedo = np.full(faces, _albedo(rng))
+    if rng.random() < 0.5:
+        normals = np.round(mesh.face_normals, 2)
+        _, side = np.unique(normals, axis=0, return_inverse=True)
+        paints = np.array([_albedo(rng) for _ in range(4)])
+        albedo = paints[side.ravel() % 4]
+    elif rng.random() < 0.4:
+        albedo = albedo * rng.uniform(0.6, 1.1, faces)
+    return mesh, albedo
+
+
+def _body(rng: np.random.Generator, height: float) -> Solid:
+    kind = rng.integers(4)
+    if kind == 0:
+        mesh = trimesh.creation.box([*rng.uniform(0.4, 1.6, 2), height])
+    elif kind == 1:
+        mesh = trimesh.creation.cylinder(rng.uniform(0.25, 0.8), height,
+                                         sections=int(rng.choice([6, 8, 24, 48])))  # fmt: skip
+    elif kind == 2:
+        mesh = trimesh.creation.cone(rng.uniform(0.3, 0.8), height, sections=32)
+        mesh.apply_translation([0.0, 0.0, -0.5 * height])
+    else:
+        mesh = trimesh.creation.icosphere(3, 0.5 * height)
+    while len(mesh.faces) < 200 and rng.random() < 0.6:
+        mesh = mesh.subdivide()
+    return _painted(rng, mesh)
+
+
+def _panel(rng: np.random.Generator, width: float) -> Solid:
+    """A wing in the xy plane, from a yoke outwards along x: cells in a grid, dark or bright."""
+    length, chord = rng.uniform(0.5, 3.0) * width, rng.uniform(0.2, 1.2) * width
+    gap = width * rng.uniform(0.3, 0.8)
+    rows, columns = int(rng.integers(1, 6)), int(rng.integers(1, 12))
+    cell, line = rng.uniform(0.02, 0.25), rng.uniform(0.05, 0.6)
+    if rng.random() < 0.3:
+        cell = _albedo(rng)  # a back, a radiator, a wing
+    share = rng.uniform(0.0, 0.15)
+    taper = rng.uniform(0.3, 1.0) if rng.random() < 0.2 else 1.0
+    back = trimesh.creation.box([length, chord, 0.02 * width])
+    parts: list[Solid] = [(back, np.full(len(back.faces), line))]
+    for i in range(columns):
+        for j in range(rows):
+            size = [length / columns * (1.0 - share), chord / rows * (1.0 - share), 0.024 * width]
+            box = trimesh.creation.box(size)
+            box.apply_translation(
+                [length * ((i + 0.5) / columns - 0.5), chord * ((j + 0.5) / rows - 0.5), 0.0]
+            )
+            paint = cell * rng.uniform(0.8, 1.2) * np.ones(len(box.faces))
+            if rng.random() < 0.7:  # the back is another surface
+                paint[box.face_normals[:, 2] < -0.5] = line
+            parts.append((box, paint))
+    mesh, albedo = _joined(parts)
+    mesh.vertices[:, 1] *= 1.0 - (1.0 - taper) * (mesh.vertices[:, 0] / length + 0.5)
+    mesh.apply_translation([gap + 0.5 * length, 0.0, 0.0])
+    yoke = trimesh.creation.box([gap, 0.05 * width, 0.05 * width])
+    yoke.apply_translation([0.5 * gap, 0.0, 0.0])
+    return _joined([(mesh, albedo), (yoke, np.full(len(yoke.faces), _albedo(rng)))])
+
+
+def _dish(rng: np.random.Generator, width: float) -> Solid:
+    radius = rng.uniform(0.1, 0.6) * width
+    mesh = trimesh.creation.cone(radius, rng.uniform(0.2, 0.8) * radius, sections=32)
+    return _painted(rng, mesh)
+
+
+def _boom(rng: np.random.Generator, width: float) -> Solid:
+    length = rng.uniform(0.3, 2.5) * width
+    mesh = trimesh.creation.cylinder(rng.uniform(0.008, 0.05) * width, length, sections=8)
+    mesh.apply_translation([0.0, 0.0, 0.5 * length])
+    solid = _painted(rng, mesh)
+    if rng.random() < 0.5:
+        tip = _box(rng, 0.2 * width)
+        tip[0].apply_translation([0.0, 0.0, length])
+        return _joined([solid, tip])
+    return solid
+
+
+def _box(rng: np.random.Generator, size: float) -> Solid:
+    return _painted(rng, trimesh.creation.box(rng.uniform(0.2, 1.0, 3) * size))
+
+
+def _fixed(rng: np.random.Generator, solid: Solid, width: float, length: float) -> Solid:
+    """Turned at random, mostly upright or across, and set on a body's surface."""
+    mesh, albedo = solid
+    if rng.random() < 0.6:
+        upright = rng.choice([0.0, 0.5, 1.0]) * np.pi
+        turn = _turn([0.0, 0.0, 1.0], rng.uniform(0.0, 2.0 * np.pi))
+        turn = turn @ _turn([0.0, 1.0, 0.0], upright)
+    else:
+        turn = np.asarray(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+    mesh.apply_transform(turn)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    out = 0.45 * width * (1.0 if rng.random() < 0.7 else rng.random())
+    mesh.apply_translation([out * np.cos(angle), out * np.sin(angle), rng.uniform(0.0, length)])
+    return mesh, albedo
