@@ -81,6 +81,40 @@ class Answers:
         return np.asarray(self.rotation_rad < WRONG_RAD)  # false where there is none
 
 
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """A pose beside the truth."""
+
+    rotation_rad: float  # to the nearest pose that looks alike
+    translation: float  # of the view centre, share of its distance
+    nees: float  # error squared, by the covariance: 6 on average if that is right
+
+
+def pose_error(sighting: Sighting, truth: Pose, model: ViewModel) -> PoseError | None:
+    """How far off a sighting is; ``None`` where it has no pose."""
+    if sighting.pose is None or sighting.covariance is None:
+        return None
+    pose = nearest_alike(sighting.pose, truth, model.symmetries)
+    turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
+    error = np.concatenate([turn, truth.translation_m - pose.translation_m])
+    centre = truth.apply(model.centre_m)
+    off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
+    nees = float(error @ np.linalg.solve(sighting.covariance, error))
+    return PoseError(float(np.linalg.norm(turn)), off, nees)
+
+
+def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
+    """A prior: at most 5° off, the view centre 3 % of range off along and 1 % across."""
+    axis = rng.normal(size=3)
+    turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
+    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
+    centre = truth.apply(centre_m)
+    range_m = float(np.linalg.norm(centre))
+    centre = centre * (1.0 + rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE))
+    centre[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * range_m
+    return Pose(rotation, centre - rotation @ centre_m)
+
+
 def campaign(
     model: ViewModel,
     mesh: Mesh,
@@ -133,11 +167,11 @@ def _look_at(
     for k in frames:
         rng = np.random.default_rng([options.seed, k])
         truth, image = _frame(model, mesh, camera, options, rng)
-        prior = _second_earlier(truth, model.centre_m, rng)
+        prior = second_earlier(truth, model.centre_m, rng)
         records.append(
             [
-                _compared(recognizer.recognize(image), truth, model),
-                _compared(recognizer.recognize(image, prior, 1.2 * _PRIOR_RAD), truth, model),
+                _answer(recognizer.recognize(image), truth, model),
+                _answer(recognizer.recognize(image, prior, 1.2 * _PRIOR_RAD), truth, model),
             ]
         )
     table = np.array(records).transpose(2, 1, 0)  # value, look, frame
@@ -172,30 +206,14 @@ def _frame(
     return pose, render_frame(mesh, camera, pose, sun, scene, rng)
 
 
-def _second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
-    axis = rng.normal(size=3)
-    turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
-    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
-    centre = truth.apply(centre_m)
-    range_m = float(np.linalg.norm(centre))
-    centre = centre * (1.0 + rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE))
-    centre[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * range_m
-    return Pose(rotation, centre - rotation @ centre_m)
-
-
-def _compared(sighting: Sighting, truth: Pose, model: ViewModel) -> list[float]:
+def _answer(sighting: Sighting, truth: Pose, model: ViewModel) -> list[float]:
     """Status, confidence, errors of rotation and translation, normalised error squared."""
     status = float(_STATUSES.index(sighting.status))
     confidence = math.nan if sighting.confidence is None else sighting.confidence
-    if sighting.pose is None or sighting.covariance is None:
+    error = pose_error(sighting, truth, model)
+    if error is None:
         return [status, confidence, math.nan, math.nan, math.nan]
-    pose = nearest_alike(sighting.pose, truth, model.symmetries)
-    turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
-    error = np.concatenate([turn, truth.translation_m - pose.translation_m])
-    centre = truth.apply(model.centre_m)
-    off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
-    nees = float(error @ np.linalg.solve(sighting.covariance, error))
-    return [status, confidence, float(np.linalg.norm(turn)), off, nees]
+    return [status, confidence, error.rotation_rad, error.translation, error.nees]
 
 
 def _lines(answers: dict[str, Answers], frames: int) -> list[str]:
