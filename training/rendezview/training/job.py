@@ -27,7 +27,8 @@ from rendezview.geodesic import Geodesic
 from rendezview.pose import Array
 from rendezview.target import Symmetry
 from rendezview.training.calibrate import calibrated, prior_errors, recognition_errors
-from rendezview.training.contours import contour_points, faces_beside
+from rendezview.training.contours import contour_points
+from rendezview.training.crossings import faces_beside
 from rendezview.training.learn import Decisions, Samples, TreeSet, decide, learn_trees
 from rendezview.training.lit_views import SunMaps, lit_views, sun_maps
 from rendezview.training.mesh import Mesh
