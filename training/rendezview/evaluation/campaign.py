@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from rendezview.pose import Array, Pose
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.symmetry import nearest_alike
 from rendezview.training.mesh import Mesh
-from rendezview.training.stages import Arrays, Progress, Shards
+from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.workers import Workers
 
 FRAMES_PER_SHARD = 16
@@ -142,10 +143,7 @@ def campaign(
     if path.is_dir() or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the answers")
     shards = Shards(path.with_name(path.name + ".partial"), _inputs(model, mesh, camera, options))
-    parts = [
-        (range(k, min(k + FRAMES_PER_SHARD, options.frames)),)
-        for k in range(0, options.frames, FRAMES_PER_SHARD)
-    ]
+    parts = [(p,) for p in shares(options.frames, FRAMES_PER_SHARD)]
     shared = (model, mesh, camera, options)
     done = shards.run("frames", _look_at, shared, parts, workers, progress)
     table = {name: np.concatenate([a[name] for a in done], axis=1) for name in done[0]}
@@ -162,7 +160,7 @@ def campaign(
 def _look_at(
     model: ViewModel, mesh: Mesh, camera: Camera, options: CampaignOptions, frames: range
 ) -> Arrays:
-    recognizer = Recognizer(model, camera)
+    recognizer = _recognizer(model, camera)
     records = []
     for k in frames:
         rng = np.random.default_rng([options.seed, k])
@@ -178,6 +176,22 @@ def _look_at(
     names = ("status", "confidence", "rotation_rad", "translation", "nees")
     arrays: Arrays = dict(zip(names, table, strict=True))
     return arrays | {"status": table[0].astype(np.uint8)}
+
+
+class _Kept(threading.local):
+    """The last recognizer of a worker: making one takes as long as a frame."""
+
+    recognizer: Recognizer | None = None
+
+
+_kept = _Kept()
+
+
+def _recognizer(model: ViewModel, camera: Camera) -> Recognizer:
+    last = _kept.recognizer
+    if last is None or last.model is not model or last.camera != camera:
+        last = _kept.recognizer = Recognizer(model, camera)
+    return last
 
 
 def _frame(
