@@ -102,8 +102,9 @@ typedef {types["bin"]} rdv_bin; /* in steps */
 typedef {types["child"]} rdv_child;
 typedef {types["index"]} rdv_index;
 
-/* Go to child[0] where the reading is at most the threshold. A child is 0, a leaf that means off;
- * up to RDV_LONGEST_STEP, a branch so many entries ahead; above, a leaf of this tree that means on. */
+/* Go to child[0] where the reading is at most the threshold. A child is 0, a leaf that means
+ * off; up to RDV_LONGEST_STEP, a branch so many entries ahead; above, a leaf of this tree that
+ * means on. */
 typedef struct
 {{
     rdv_bin bin;
