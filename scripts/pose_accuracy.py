@@ -20,27 +20,15 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 
 from rendezview.appearance import Recognizer, Sighting, ViewModel
-from rendezview.pose import Array, Pose
+from rendezview.evaluation.campaign import pose_error, second_earlier
+from rendezview.pose import Pose
 from rendezview.sequences import open_sequence
-from rendezview.symmetry import angle_between, nearest_alike
+from rendezview.symmetry import angle_between
 from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0
-
-
-def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
-    """A prior: at most 5° off, the view centre 3 % of range off along and 1 % across."""
-    axis = rng.normal(size=3)
-    turn = axis / np.linalg.norm(axis) * np.deg2rad(rng.uniform(0.0, 5.0))
-    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
-    centre = truth.apply(centre_m)
-    range_m = float(np.linalg.norm(centre))
-    centre = centre * (1.0 + rng.uniform(-0.03, 0.03))
-    centre[:2] += rng.uniform(-0.01, 0.01, 2) * range_m
-    return Pose(rotation, centre - rotation @ centre_m)
 
 
 def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any]:
@@ -58,18 +46,12 @@ def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any
             "features": found.features.tolist(),
             "best_deg": float(np.rad2deg(angle_between(best.pose, truth, model.symmetries))),
         }
-    if sighting.pose is not None and sighting.covariance is not None:
-        pose = nearest_alike(sighting.pose, truth, model.symmetries)
-        turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
-        shift = truth.translation_m - pose.translation_m
-        error = np.concatenate([turn, shift])
-        centre = truth.apply(model.centre_m)
+    error = pose_error(sighting, truth, model)
+    if error is not None:
         record |= {
-            "rotation_deg": float(np.rad2deg(np.linalg.norm(turn))),
-            "translation": float(
-                np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre)
-            ),
-            "nees": float(error @ np.linalg.solve(sighting.covariance, error)),
+            "rotation_deg": float(np.rad2deg(error.rotation_rad)),
+            "translation": error.translation,
+            "nees": error.nees,
         }
     return record
 

@@ -20,9 +20,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from pose_accuracy import WRONG_DEG, compared, second_earlier
+from pose_accuracy import WRONG_DEG, compared
 from rendezview.appearance import Recognizer, ViewModel
 from rendezview.camera import Camera
+from rendezview.evaluation.campaign import second_earlier
 from rendezview.pose import Array, Pose
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.bundled import find_target

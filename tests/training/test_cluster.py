@@ -236,6 +236,28 @@ def test_data_that_died_with_the_last_worker_is_sent_again(tmp_path):
     assert (tmp_path / "once").exists()
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc only")
+def test_what_one_shard_frees_serves_the_next_where_dask_would_give_it_back(tmp_path):
+    faults = """
+import resource
+import numpy
+from rendezview.training.workers import compute
+def faults():
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+def task():
+    return [float(numpy.ones(500_000)[0]) for _ in range(20)][0]
+compute(task, 0, (), ())
+before = faults()
+compute(task, 0, (), ())
+print(faults() - before)
+"""
+    environment = dict(os.environ, MALLOC_TRIM_THRESHOLD_="65536")  # as Dask's nannies set it
+    told = subprocess.run(
+        [sys.executable, "-c", faults], env=environment, check=True, capture_output=True, text=True
+    )
+    assert int(told.stdout) < 2000  # of 20,000 pages
+
+
 def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(
     tmp_path, bumpy_mesh, reference
 ):

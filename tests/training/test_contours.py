@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from rendezview.appearance.contours import NO_POINT, OUTLINE, POINT_UNIT, RUN_UNIT
-from rendezview.training.contours import contour_points, faces_beside
+from rendezview.training.contours import contour_points
+from rendezview.training.crossings import faces_beside
 from rendezview.training.lit_views import lit_views, sun_maps
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry

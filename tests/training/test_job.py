@@ -24,7 +24,7 @@ SMALL = TrainingOptions(
     bins=60,
     smooth_bins=3,
     resolution_px=64,
-    perturbed_views=280,  # two shards
+    perturbed_views=280,  # five shards
     held_out_views=20,
     contour_points=20,
     contour_radii=(1.0,),
@@ -102,11 +102,11 @@ def test_a_killed_job_goes_on_where_it_stopped_and_gives_the_same_bytes(
         jobs=1,
         progress=lambda stage, done, of: first.setdefault(stage, (done, of)),
     )
-    assert first["lattice"] == (0, 1)
-    assert first["perspective"] == (1, 1)
-    assert first["views"] == (0, 2)
+    assert first["lattice"] == (0, 3)
+    assert first["perspective"] == (3, 3)
+    assert first["views"] == (3, 5)
     assert first["held-out"] == (1, 1)
-    assert first["trees"] == (1, 3)
+    assert first["trees"] == (1, 11)
     assert path.read_bytes() == reference
     assert [p.name for p in path.parent.iterdir()] == ["bumpy.rvm"]
 

@@ -63,8 +63,10 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
     options = options or MatchOptions()
     packed, sphere = pack_forest(model), model.geodesic
     wide_index = len(packed.bins) > MOST_16_BIT or len(packed.on_leaves) > MOST_16_BIT
+    step = int(np.gcd.reduce(packed.bins)) or 1
     types = {
-        "child": "uint8_t" if packed.children.max() <= 255 else "uint16_t",
+        "bin": _shortest(packed.bins.max() // step),
+        "child": _shortest(packed.children.max()),
         "index": "uint32_t" if wide_index else "uint16_t",
     }
     reach_rad = (options.margin_edges + 2.0) * sphere.mean_edge_rad
@@ -76,6 +78,7 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
         "RDV_SMOOTH_BINS": f"{model.smooth_bins}u",
         "RDV_NODES": f"{nodes}u",
         "RDV_BRANCHES": f"{len(packed.bins)}u",
+        "RDV_BIN_STEP": f"{step}u /* trees ask every so many bins */",
         "RDV_ON_LEAVES": f"{max(1, len(packed.on_leaves))}u",
         "RDV_TRUSTS": f"{max(1, len(packed.trusts))}u",
         "RDV_LONGEST_STEP": f"{packed.longest_step}u",
@@ -95,19 +98,21 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
 
 {defines}
 
+typedef {types["bin"]} rdv_bin; /* in steps */
 typedef {types["child"]} rdv_child;
 typedef {types["index"]} rdv_index;
 
-/* Go to child[0] where reading <= threshold. A child is 0, a leaf that means off; up to
- * RDV_LONGEST_STEP, a branch so many entries ahead; above, a leaf of this tree that means on. */
+/* Go to child[0] where the reading is at most the threshold. A child is 0, a leaf that means
+ * off; up to RDV_LONGEST_STEP, a branch so many entries ahead; above, a leaf of this tree that
+ * means on. */
 typedef struct
 {{
-    uint16_t bin;
-    uint16_t threshold;
+    rdv_bin bin;
     rdv_child child[2];
 }} rdv_branch;
 
 extern const rdv_branch rdv_branches[RDV_BRANCHES];
+extern const uint16_t rdv_thresholds[RDV_BRANCHES];
 extern const rdv_index rdv_roots[RDV_NODES];
 extern const rdv_index rdv_first_on[RDV_NODES];    /* place of a tree's first on leaf ... */
 extern const uint16_t rdv_on_leaves[RDV_ON_LEAVES]; /* ... in this: index of its trust */
@@ -118,11 +123,12 @@ extern const rdv_f64 rdv_spokes[RDV_BINS][2];      /* cosine and sine of each bi
 
 #endif
 """
-    triples = zip(packed.bins, packed.thresholds, packed.children, strict=True)
-    branches = [f"{{{b}u, {t}u, {{{c[0]}u, {c[1]}u}}}}" for b, t, c in triples]
+    pairs = zip(packed.bins // step, packed.children, strict=True)
+    branches = [f"{{{b}u, {{{c[0]}u, {c[1]}u}}}}" for b, c in pairs]
     rotations = model.views.centred_from_target[:nodes, :2].reshape(nodes, 6)
     tables = [
         ("rdv_branch rdv_branches[RDV_BRANCHES]", branches),
+        ("uint16_t rdv_thresholds[RDV_BRANCHES]", [f"{t}u" for t in packed.thresholds]),
         ("rdv_index rdv_roots[RDV_NODES]", [f"{k}u" for k in packed.roots]),
         ("rdv_index rdv_first_on[RDV_NODES]", [f"{k}u" for k in packed.first_on]),
         ("uint16_t rdv_on_leaves[RDV_ON_LEAVES]", [f"{k}u" for k in packed.on_leaves] or ["0u"]),
@@ -139,15 +145,20 @@ extern const rdv_f64 rdv_spokes[RDV_BINS][2];      /* cosine and sine of each bi
 
 
 def _table_bytes(model: ViewModel, packed: PackedForest, types: dict[str, str]) -> int:
-    child = 1 if types["child"] == "uint8_t" else 2
+    part, child = (1 if types[name] == "uint8_t" else 2 for name in ("bin", "child"))
+    aligned = max(part, child)  # the bin, so that the children start at a multiple of theirs
     index = 2 if types["index"] == "uint16_t" else 4
     nodes = len(packed.roots)
     return (
-        (4 + 2 * child) * len(packed.bins)
+        (2 + aligned + 2 * child) * len(packed.bins)
         + 2 * index * nodes
         + 2 * max(1, len(packed.on_leaves))
         + 8 * (max(1, len(packed.trusts)) + 9 * nodes + 2 * model.bins)
     )
+
+
+def _shortest(largest: int) -> str:
+    return "uint8_t" if largest <= 255 else "uint16_t"
 
 
 def _describe(

@@ -27,7 +27,7 @@ import numpy as np
 from rendezview.appearance import ViewModel
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import write_error
+from rendezview.files import check_place, write_error
 from rendezview.interchange.runs import Moment, pose_of
 from rendezview.pose import Pose
 from rendezview.service.geometry import geometry
@@ -58,8 +58,7 @@ def write_rerun(path: Path, run: Iterable[Moment], model: ViewModel | None = Non
         raise RendezviewError(
             f"a Rerun recording needs {error.name}: pip install 'rendezview[rerun]'"
         ) from None
-    if path.is_dir() or not path.parent.is_dir():
-        raise RendezviewError(f"{path}: give a file name in an existing folder")
+    check_place(path, "the recording")
     temporary = path.with_name(f".{path.name[:40]}.{secrets.token_hex(6)}.rrd")
     try:
         stream = rr.RecordingStream("rendezview")

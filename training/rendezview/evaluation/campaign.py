@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import math
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from rendezview.pose import Array, Pose
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.symmetry import nearest_alike
 from rendezview.training.mesh import Mesh
-from rendezview.training.stages import Arrays, Progress, Shards
+from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.workers import Workers
 
 FRAMES_PER_SHARD = 16
@@ -81,6 +82,40 @@ class Answers:
         return np.asarray(self.rotation_rad < WRONG_RAD)  # false where there is none
 
 
+@dataclass(frozen=True, slots=True)
+class PoseError:
+    """A pose beside the truth."""
+
+    rotation_rad: float  # to the nearest pose that looks alike
+    translation: float  # of the view centre, share of its distance
+    nees: float  # error squared, by the covariance: 6 on average if that is right
+
+
+def pose_error(sighting: Sighting, truth: Pose, model: ViewModel) -> PoseError | None:
+    """How far off a sighting is; ``None`` where it has no pose."""
+    if sighting.pose is None or sighting.covariance is None:
+        return None
+    pose = nearest_alike(sighting.pose, truth, model.symmetries)
+    turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
+    error = np.concatenate([turn, truth.translation_m - pose.translation_m])
+    centre = truth.apply(model.centre_m)
+    off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
+    nees = float(error @ np.linalg.solve(sighting.covariance, error))
+    return PoseError(float(np.linalg.norm(turn)), off, nees)
+
+
+def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
+    """A prior: at most 5° off, the view centre 3 % of range off along and 1 % across."""
+    axis = rng.normal(size=3)
+    turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
+    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
+    centre = truth.apply(centre_m)
+    range_m = float(np.linalg.norm(centre))
+    centre = centre * (1.0 + rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE))
+    centre[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * range_m
+    return Pose(rotation, centre - rotation @ centre_m)
+
+
 def campaign(
     model: ViewModel,
     mesh: Mesh,
@@ -107,10 +142,7 @@ def campaign(
     options = options or CampaignOptions()
     check_place(path, "the answers")
     shards = Shards(path.with_name(path.name + ".partial"), _inputs(model, mesh, camera, options))
-    parts = [
-        (range(k, min(k + FRAMES_PER_SHARD, options.frames)),)
-        for k in range(0, options.frames, FRAMES_PER_SHARD)
-    ]
+    parts = [(p,) for p in shares(options.frames, FRAMES_PER_SHARD)]
     shared = (model, mesh, camera, options)
     done = shards.run("frames", _look_at, shared, parts, workers, progress)
     table = {name: np.concatenate([a[name] for a in done], axis=1) for name in done[0]}
@@ -127,22 +159,38 @@ def campaign(
 def _look_at(
     model: ViewModel, mesh: Mesh, camera: Camera, options: CampaignOptions, frames: range
 ) -> Arrays:
-    recognizer = Recognizer(model, camera)
+    recognizer = _recognizer(model, camera)
     records = []
     for k in frames:
         rng = np.random.default_rng([options.seed, k])
         truth, image = _frame(model, mesh, camera, options, rng)
-        prior = _second_earlier(truth, model.centre_m, rng)
+        prior = second_earlier(truth, model.centre_m, rng)
         records.append(
             [
-                _compared(recognizer.recognize(image), truth, model),
-                _compared(recognizer.recognize(image, prior, 1.2 * _PRIOR_RAD), truth, model),
+                _answer(recognizer.recognize(image), truth, model),
+                _answer(recognizer.recognize(image, prior, 1.2 * _PRIOR_RAD), truth, model),
             ]
         )
     table = np.array(records).transpose(2, 1, 0)  # value, look, frame
     names = ("status", "confidence", "rotation_rad", "translation", "nees")
     arrays: Arrays = dict(zip(names, table, strict=True))
     return arrays | {"status": table[0].astype(np.uint8)}
+
+
+class _Kept(threading.local):
+    """The last recognizer of a worker: making one takes as long as a frame."""
+
+    recognizer: Recognizer | None = None
+
+
+_kept = _Kept()
+
+
+def _recognizer(model: ViewModel, camera: Camera) -> Recognizer:
+    last = _kept.recognizer
+    if last is None or last.model is not model or last.camera != camera:
+        last = _kept.recognizer = Recognizer(model, camera)
+    return last
 
 
 def _frame(
@@ -171,30 +219,14 @@ def _frame(
     return pose, render_frame(mesh, camera, pose, sun, scene, rng)
 
 
-def _second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
-    axis = rng.normal(size=3)
-    turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
-    rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
-    centre = truth.apply(centre_m)
-    range_m = float(np.linalg.norm(centre))
-    centre = centre * (1.0 + rng.uniform(-_PRIOR_RANGE, _PRIOR_RANGE))
-    centre[:2] += rng.uniform(-_PRIOR_BEARING, _PRIOR_BEARING, 2) * range_m
-    return Pose(rotation, centre - rotation @ centre_m)
-
-
-def _compared(sighting: Sighting, truth: Pose, model: ViewModel) -> list[float]:
+def _answer(sighting: Sighting, truth: Pose, model: ViewModel) -> list[float]:
     """Status, confidence, errors of rotation and translation, normalised error squared."""
     status = float(_STATUSES.index(sighting.status))
     confidence = math.nan if sighting.confidence is None else sighting.confidence
-    if sighting.pose is None or sighting.covariance is None:
+    error = pose_error(sighting, truth, model)
+    if error is None:
         return [status, confidence, math.nan, math.nan, math.nan]
-    pose = nearest_alike(sighting.pose, truth, model.symmetries)
-    turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
-    error = np.concatenate([turn, truth.translation_m - pose.translation_m])
-    centre = truth.apply(model.centre_m)
-    off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
-    nees = float(error @ np.linalg.solve(sighting.covariance, error))
-    return [status, confidence, float(np.linalg.norm(turn)), off, nees]
+    return [status, confidence, error.rotation_rad, error.translation, error.nees]
 
 
 def _lines(answers: dict[str, Answers], frames: int) -> list[str]:

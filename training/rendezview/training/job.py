@@ -27,13 +27,14 @@ from rendezview.geodesic import Geodesic
 from rendezview.pose import Array
 from rendezview.target import Symmetry
 from rendezview.training.calibrate import calibrated, prior_errors, recognition_errors
-from rendezview.training.contours import contour_points, faces_beside
+from rendezview.training.contours import contour_points
+from rendezview.training.crossings import faces_beside
 from rendezview.training.learn import Decisions, Samples, TreeSet, decide, learn_trees
 from rendezview.training.lit_views import SunMaps, lit_views, sun_maps
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry, view_geometry
 from rendezview.training.renderers import SilhouetteRenderer, make_renderer
-from rendezview.training.stages import Arrays, Progress, Shards
+from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
 from rendezview.training.views import (
     ViewSet,
@@ -203,14 +204,14 @@ class _Drawn:
         near = self._views(
             "lattice",
             clean_views,
-            [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)],
+            [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
         )
         if self.options.perturbed_views == 0:  # the paper's weak perspective
             return near, np.zeros(len(near))
         far = self._views(
             "perspective",
             far_views,
-            [(directions[p],) for p in _parts(len(directions), _VIEWS_PER_SHARD)],
+            [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
         )
         return near, lattice_slopes(near, far, self.geometry)
 
@@ -218,7 +219,7 @@ class _Drawn:
         """Random views; ``None`` where none are asked for."""
         if count == 0:
             return None
-        parts = [(stream, range(p.start, p.stop)) for p in _parts(count, _VIEWS_PER_SHARD)]
+        parts = [(stream, p) for p in shares(count, _VIEWS_PER_SHARD)]
         return self._views(stage, perturbed_views, parts)
 
     def contours(self) -> Contours | None:
@@ -230,9 +231,9 @@ class _Drawn:
         shells_m = np.array(radii) * self.geometry.sphere_radius_m
         shared = (self.mesh, self.beside, self.geometry, self.options)
         parts = [
-            (directions[p], range_m)
+            (directions[p.start : p.stop], range_m)
             for range_m in shells_m
-            for p in _parts(len(directions), _SLOW_VIEWS_PER_SHARD)
+            for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
         ]
         shards = self._run("contours", _contour_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
@@ -251,7 +252,10 @@ class _Drawn:
         directions = Geodesic.of_order(self.options.order + 1).nodes
         maps = sun_maps(self.mesh, self.geometry)
         shared = (self.mesh, maps, self.geometry)
-        parts = [(directions[p], p.start) for p in _parts(len(directions), _SLOW_VIEWS_PER_SHARD)]
+        parts = [
+            (directions[p.start : p.stop], p.start)
+            for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
+        ]
         shards = self._run("lit", _lit_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         return LitViews(suns=maps.suns, **views)
@@ -259,14 +263,14 @@ class _Drawn:
     def trees(self, samples: Samples) -> TreeSet:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
-        parts = [(range(nodes)[p],) for p in _parts(nodes, _NODES_PER_SHARD)]
+        parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
         shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
         return TreeSet.joined([_tree_set(a) for a in shards])
 
     def calibration(self, model: ViewModel, held_out: ViewSet) -> Array:
         """Errors of recognition on the held-out views."""
         priors = prior_errors(len(held_out), self.options.seed)
-        parts = [(p,) for p in _parts(len(held_out), _VIEWS_PER_SHARD)]
+        parts = [(slice(p.start, p.stop),) for p in shares(len(held_out), _VIEWS_PER_SHARD)]
         shards = self._run("calibration", _error_arrays, (model, held_out, priors), parts)
         return np.concatenate([a["errors"] for a in shards])
 
@@ -279,10 +283,6 @@ class _Drawn:
         self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
     ) -> list[Arrays]:
         return self.shards.run(stage, task, shared, parts, self.workers, self.progress)
-
-
-def _parts(count: int, size: int) -> list[slice]:
-    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
 
 
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:

@@ -22,6 +22,20 @@ Arrays = dict[str, npt.NDArray[Any]]
 Progress = Callable[[str, int, int], None]  # stage, done, of
 
 
+def shares(count: int, size: int) -> list[range]:
+    """0 … count − 1 in shards of at most ``size``, down to a quarter of it towards the end.
+
+    So workers that come to the end of a stage wait little for the last one.
+    """
+    parts, start = [], 0
+    while start < count:
+        left = count - start
+        some = min(size, left, max(left // 8, size // 4, 1))
+        parts.append(range(start, start + some))
+        start += some
+    return parts
+
+
 class Shards:
     """A folder of finished shards beside the model to be, valid for one set of inputs."""
 

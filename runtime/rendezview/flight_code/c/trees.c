@@ -71,10 +71,11 @@ static void ask(const rdv_f32 readings[RDV_BINS], const uint16_t *trees, const r
             const uint16_t place = waiting[i];
             rdv_walk *const walk = &walks[place];
             const rdv_branch *const branch = &rdv_branches[walk->entry];
-            const rdv_f32 *const at = &twice[(uint32_t)walk->start + branch->bin];
+            const uint32_t bin = (uint32_t)walk->start + ((uint32_t)branch->bin * RDV_BIN_STEP);
+            const rdv_f32 *const at = &twice[bin];
             const rdv_f32 rest = 1.0f - walk->part;
             const rdv_f32 reading = ((rest * at[0]) + (walk->part * at[1])) + TO_WHOLE;
-            const rdv_f32 threshold = (rdv_f32)branch->threshold + TO_WHOLE;
+            const rdv_f32 threshold = (rdv_f32)rdv_thresholds[walk->entry] + TO_WHOLE;
             const uint16_t child = branch->child[(reading <= threshold) ? 0u : 1u];
 
             walk->entry = (rdv_index)(walk->entry + child);
