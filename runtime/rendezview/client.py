@@ -101,10 +101,7 @@ class Client:
             request["camera"] = {n: getattr(camera, n) for n in names}
             request["camera"]["distortion"] = list(camera.distortion)
         if prior is not None:
-            request["prior"] = {
-                "quat_wxyz": prior.quat_wxyz.tolist(),
-                "translation_m": prior.translation_m.tolist(),
-            }
+            request["prior"] = prior.as_dict()
         if sun_camera is not None:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
         if fusion is not None:

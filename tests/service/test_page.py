@@ -289,7 +289,7 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     word_is(page, "FOUND")
     assert page.is_hidden("#fused")
     truth = tour[0][1]
-    pose = {"quat_wxyz": truth.quat_wxyz.tolist(), "translation_m": truth.translation_m.tolist()}
+    pose = truth.as_dict()
     told = {
         "pose": pose,
         "covariance": (1e-4 * np.eye(6)).tolist(),

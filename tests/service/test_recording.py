@@ -21,14 +21,14 @@ from rendezview.service.log_file import mend, scan
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
 from rendezview.service.replay import model_of, read_log, repeat
-from rendezview.service.tracking import Follower, camera_message, pose_dict
+from rendezview.service.tracking import Follower, camera_message
 from rendezview.service.worker import session_notes
 
 
 @pytest.fixture
 def request_of(camera, tour):
     return SessionRequest.model_validate(
-        {"camera": camera_message(camera).model_dump(), "prior": pose_dict(tour[0][1])}
+        {"camera": camera_message(camera).model_dump(), "prior": tour[0][1].as_dict()}
     )
 
 

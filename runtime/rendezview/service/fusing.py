@@ -271,10 +271,7 @@ class SessionFilter:
             reason = f"begun anew, {self._note}; {reason}"
         pose, rates, covariance = None, None, None
         if estimate is not None and estimate.pose is not None:
-            pose = {
-                "quat_wxyz": estimate.pose.quat_wxyz.tolist(),
-                "translation_m": estimate.pose.translation_m.tolist(),
-            }
+            pose = estimate.pose.as_dict()
         if estimate is not None and estimate.rates is not None:
             both = estimate.rates.tolist()
             rates = {"angular_rad_s": both[:3], "linear_m_s": both[3:]}
