@@ -18,7 +18,7 @@ import cv2
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.sequences import open_sequence
-from rendezview.sequences.images import quiet_opencv
+from rendezview.sequences.decoding import quiet_opencv
 from rendezview.service.replay import LoggedFrame, read_log
 from rendezview.service.sessions import Answer, Session, Waiting
 
