@@ -321,6 +321,17 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     sensors = page.inner_text("#sensors")
     assert "mirrors" in sensors
     assert "heard · taken · NIS" in sensors
+    picture = os.environ.get("RENDEZVIEW_TEST_PICTURES")
+    if picture:
+        page.screenshot(path=f"{picture}/fused.png")
+    # Looking back too: those that belong to the picture.
+    page.keyboard.press(" ")
+    until(page, "!document.getElementById('scrub').disabled")
+    until(page, "document.getElementById('frame-note').textContent.includes('frame')")
+    until(page, f"({pink})([{side[0]}, {side[1]}])")
+    if picture:
+        page.screenshot(path=f"{picture}/fused_back.png")
+    page.keyboard.press("End")
     page.keyboard.press("p")
     until(page, "!document.getElementById('layer-spots').checked")
     # Ellipses: drawn where the ring's record has them.
@@ -337,9 +348,6 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
       return data[0] > data[1] + 60;
     }"""
     assert page.evaluate(script, [told["ellipses"], tip])
-    picture = os.environ.get("RENDEZVIEW_TEST_PICTURES")
-    if picture:
-        page.screenshot(path=f"{picture}/fused.png")
 
 
 def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page) -> None:

@@ -26,7 +26,7 @@ from rendezview.service.answers import (
     service_of,
     session_of,
 )
-from rendezview.service.fusion_messages import Measured
+from rendezview.service.fusion_messages import Marks, Measured
 from rendezview.service.message_parts import NAME_PATTERN, PoseMessage
 from rendezview.service.messages import (
     Contour,
@@ -206,6 +206,16 @@ async def get_image(request: Request, name: str, frame: int) -> Response:
         raise HTTPException(404, f"no picture is kept of frame {frame} or before it")
     headers = {"X-Frame": str(kept[0]), "Cache-Control": "private, max-age=600"}
     return Response(kept[1], 200, headers, "image/jpeg")
+
+
+@router.get("/{name}/marks/{frame}", responses={200: {"model": list[Marks]}})
+async def get_marks(request: Request, name: str, frame: int) -> Response:
+    """What other sensors saw in the picture that is kept of a frame."""
+    needs(request, Right.READ)
+    kept = session_of(request, name).past.marks(frame)
+    if kept is None:
+        raise HTTPException(404, f"no picture is kept of frame {frame} or before it")
+    return Response(kept, 200, None, JSON)
 
 
 @router.get("/{name}/contour/{frame}")

@@ -273,13 +273,13 @@ class Session:
         if self.last is None:
             return
         now_s = time.monotonic()
+        marks = self._others.marks(now_s)
         if picture and self.past.wants_image(now_s):
-            self.past.add_image(now_s, header["frame"], picture)
+            self.past.add_image(now_s, header["frame"], picture, marks)
         sensors = json.dumps([s.model_dump() for s in self.sensors()]).encode()
         recording = self.recording.model_dump_json().encode()
         contour = json.dumps(header["contour"]).encode()
         outlines = json.dumps(header["silhouette_px"]).encode()
-        marks = self._others.marks(now_s)
         # Who came meanwhile sees the next one: nothing was asked for in its name.
         for watcher in self._due & self.watchers:
             shown = picture if watcher.width else b""
