@@ -139,7 +139,11 @@ class Client:
         return job
 
     def request(
-        self, method: str, path: str, body: bytes | None = None, kind: str = "application/json"
+        self,
+        method: str,
+        path: str,
+        body: bytes | memoryview | None = None,
+        kind: str = "application/json",
     ) -> Any:
         """One request; what JSON it answers.
 
@@ -151,7 +155,11 @@ class Client:
         return json.loads(content) if content else None
 
     def fetch(
-        self, method: str, path: str, body: bytes | None = None, kind: str = "application/json"
+        self,
+        method: str,
+        path: str,
+        body: bytes | memoryview | None = None,
+        kind: str = "application/json",
     ) -> bytes:
         """One request; the bytes of its answer. Errors as `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
@@ -172,7 +180,7 @@ class Client:
         return content
 
     def _send(
-        self, method: str, path: str, body: bytes | None, headers: dict[str, str]
+        self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
     ) -> HTTPResponse:
         now_s = time.monotonic()
         if now_s - self._used_s > _IDLE_S:
@@ -291,7 +299,8 @@ class StreamClient:
     def send(self, frame: Frame, time_s: float | None = None) -> None:
         """Send a frame; it is dropped if a newer one comes before it is looked at."""
         content, _ = _content(frame)
-        self._socket.send(struct.pack("<d", float("nan") if time_s is None else time_s) + content)
+        head = struct.pack("<d", float("nan") if time_s is None else time_s)
+        self._socket.send(b"".join((head, content)))
 
     def measure(self, sensor: str, record: Mapping[str, Any]) -> None:
         """Send a line of another sensor's log; its answer has the type ``measured``."""
@@ -341,7 +350,7 @@ class StreamClient:
         self.close()
 
 
-def _content(frame: Frame) -> tuple[bytes, str]:
+def _content(frame: Frame) -> tuple[bytes | memoryview, str]:
     """The bytes to send, and their type."""
     if isinstance(frame, bytes):
         kind = "image/png" if frame[:4] == b"\x89PNG" else "image/jpeg"
@@ -351,4 +360,4 @@ def _content(frame: Frame) -> tuple[bytes, str]:
         raise RendezviewError(
             f"a frame must be (height, width) grey levels of 8 bit, not {image.shape} {image.dtype}"
         )
-    return image.tobytes(), "application/octet-stream"
+    return np.ascontiguousarray(image).reshape(-1).data, "application/octet-stream"

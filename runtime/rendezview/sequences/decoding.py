@@ -39,12 +39,14 @@ def decode_grey(content: Bytes) -> GreyImage | None:
     None: damaged, cut short, animated, or no picture. Of a PNG the checksums are looked at first,
     for OpenCV's decoder can hang over one that is damaged.
     """
-    view = memoryview(content)
-    if not view or (bytes(view[: len(PNG)]) == PNG and not _png_is_whole(view)):
+    if len(content) == 0:
+        return None
+    data = np.frombuffer(content, dtype=np.uint8)
+    if data[: len(PNG)].tobytes() == PNG and not _png_is_whole(data.data):
         return None
     try:
         with quiet_opencv():
-            image = cv2.imdecode(np.frombuffer(view, dtype=np.uint8), _AS_STORED)
+            image = cv2.imdecode(data, _AS_STORED)
     except cv2.error:
         return None
     return None if image is None else np.asarray(image, dtype=np.uint8)

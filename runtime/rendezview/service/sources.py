@@ -129,7 +129,7 @@ class Feeder:
 
         now_s = time.time()
         time_s = now_s if frame.time_s is None else frame.time_s
-        waiting = Waiting(frame.content, time_s, now_s, time.monotonic(), answer)
+        waiting = Waiting((frame.content,), time_s, now_s, time.monotonic(), answer)
         self._loop.call_soon_threadsafe(self._session.replace, waiting)
         if not self._source.live:
             while not self._stop.is_set():
