@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import socket
+import ssl
 import struct
 import time
 from collections.abc import Iterator, Mapping
@@ -59,18 +60,32 @@ def fused_pose_of_state(state: State) -> Pose | None:
 class Client:
     """One connection to a service; not to be shared between threads."""
 
-    def __init__(self, url: str, token: str | None = None, timeout_s: float = 30.0) -> None:
+    def __init__(
+        self,
+        url: str,
+        token: str | None = None,
+        timeout_s: float = 30.0,
+        certificate: Path | str | None = None,
+    ) -> None:
         """The connection is made at the first request.
 
+        Args:
+            certificate: PEM file of whom to trust, where the system does not know the service's
+                own (``https``).
+
         Raises:
-            RendezviewError: the address is none.
+            RendezviewError: the address is none, or the certificate cannot be read.
         """
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise RendezviewError(f"{url}: give the service as http://host:port")
         self._url = parts
-        kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
-        self._connection: HTTPConnection = kind(parts.hostname, parts.port, timeout=timeout_s)
+        self._tls = _tls(certificate) if parts.scheme == "https" else None
+        self._connection: HTTPConnection = (
+            HTTPConnection(parts.hostname, parts.port, timeout=timeout_s)
+            if self._tls is None
+            else HTTPSConnection(parts.hostname, parts.port, timeout=timeout_s, context=self._tls)
+        )
         self._used_s = 0.0
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
 
@@ -203,6 +218,11 @@ class Client:
         """What every request says."""
         return dict(self._headers)
 
+    @property
+    def tls(self) -> ssl.SSLContext | None:
+        """Whom the connection trusts; None where it is plain."""
+        return self._tls
+
     def close(self) -> None:
         """Close the connection; the sessions stay open."""
         self._connection.close()
@@ -253,7 +273,8 @@ class SessionClient:
 
     def stream(self) -> StreamClient:
         """A WebSocket for frames and states: the way where frames come fast."""
-        return StreamClient(self.client.stream_url(self.name, "stream"), self.client.headers)
+        url = self.client.stream_url(self.name, "stream")
+        return StreamClient(url, self.client.headers, self.client.tls)
 
     def state(self) -> State:
         """The last state."""
@@ -283,7 +304,9 @@ class SessionClient:
 class StreamClient:
     """Frames in, states out, each when it can be."""
 
-    def __init__(self, url: str, headers: dict[str, str]) -> None:
+    def __init__(
+        self, url: str, headers: dict[str, str], tls: ssl.SSLContext | None = None
+    ) -> None:
         try:
             from websockets.sync.client import connect
         except ModuleNotFoundError:
@@ -291,7 +314,9 @@ class StreamClient:
                 "streams need websockets, which is not installed: pip install 'rendezview[service]'"
             ) from None
         try:
-            opening = connect(url, additional_headers=headers, compression=None, max_size=None)
+            opening = connect(
+                url, additional_headers=headers, compression=None, max_size=None, ssl=tls
+            )
             self._socket = opening.__enter__()  # left by `close`
         except Exception as error:
             raise RendezviewError(f"{url}: the stream does not open ({error})") from None
@@ -348,6 +373,13 @@ class StreamClient:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _tls(certificate: Path | str | None) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=certificate)
+    except OSError as error:  # of ssl too
+        raise RendezviewError(f"{certificate}: no certificate (PEM) to be read: {error}") from None
 
 
 def _content(frame: Frame) -> tuple[bytes | memoryview, str]:
