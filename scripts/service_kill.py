@@ -20,6 +20,7 @@ import sys
 import tempfile
 import threading
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -35,8 +36,13 @@ from rendezview.service.replay import read_log
 def serve(model: Path, folder: Path, models: Path) -> tuple[subprocess.Popen[str], str]:
     command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
     flags = ["--port", "0", "--workers", "1", "--record", str(folder), "--models", str(models)]
+    # The model is in a log before its first pose; written 200 times it only takes time.
     process = subprocess.Popen(
-        [*command, str(model), *flags], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [*command, str(model), *flags],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"RENDEZVIEW_SERVE_RECORD_MODEL": "false"},
     )
     assert process.stderr is not None
     for line in process.stderr:
@@ -83,11 +89,17 @@ def main() -> None:
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
     acknowledged_in_all = lost = unreadable = cut_files = cut_bytes = 0
-    with tempfile.TemporaryDirectory() as work:
-        for done in range(1, arguments.kills + 1):
-            folder = Path(work) / "logs"
+    with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(1) as starter:
+
+        def start(number: int) -> Future[tuple[subprocess.Popen[str], str]]:
+            folder = Path(work) / f"logs-{number}"
             folder.mkdir()
-            process, url = serve(arguments.model, folder, Path(work) / "models")
+            return starter.submit(serve, arguments.model, folder, Path(work) / f"models-{number}")
+
+        upcoming = start(1)
+        for done in range(1, arguments.kills + 1):
+            folder = Path(work) / f"logs-{done}"
+            process, url = upcoming.result()
             acknowledged: dict[str, list[dict]] = {}
             threads = [
                 threading.Thread(target=send, args=(url, arguments.scene, name, acknowledged))
@@ -101,6 +113,8 @@ def main() -> None:
             time.sleep(float(rng.uniform(0.0, 1.0)))
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+            if done < arguments.kills:
+                upcoming = start(done + 1)  # while the logs of this one are read
             for thread in threads:
                 thread.join()
             for name, told in acknowledged.items():
@@ -129,6 +143,7 @@ def main() -> None:
                     as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in told
                 )
             shutil.rmtree(folder)
+            shutil.rmtree(Path(work) / f"models-{done}", ignore_errors=True)
             told_so_far = f"{done} of {arguments.kills}: {acknowledged_in_all} poses, {lost} lost"
             print(f"\r{told_so_far}", end="", file=sys.stderr, flush=True)
     print(

@@ -61,6 +61,40 @@ def test_quaternion_is_unit_scalar_first_not_negative_and_gives_the_pose_back(po
     assert_same(Pose.from_quat_wxyz(quat, pose.translation_m), pose)
 
 
+@settings(deadline=None)
+@given(
+    poses,
+    st.sampled_from([np.eye(3), *(np.diag(d) for d in ((1, -1, -1), (-1, 1, -1), (-1, -1, 1)))]),
+)
+def test_quaternion_is_scipys_of_any_rotation_half_turns_included(pose, half_turn):
+    for rotation in (
+        half_turn,
+        half_turn @ pose.rotation,
+        pose.rotation @ half_turn @ pose.rotation.T,
+    ):
+        theirs = Rotation.from_matrix(rotation).as_quat()[[3, 0, 1, 2]]
+        ours = Pose(rotation, np.zeros(3)).quat_wxyz
+        if abs(theirs[0]) < 1e-12:  # then the sign is rounding's
+            assert min(np.abs(ours - theirs).max(), np.abs(ours + theirs).max()) < 1e-12
+        else:
+            np.testing.assert_allclose(ours, theirs * np.sign(theirs[0]), atol=1e-12)
+
+
+def test_quaternion_of_a_rotation_rounded_in_a_file_is_that_of_the_nearest_rotation():
+    pose = Pose.from_quat_wxyz([0.3, -0.5, 0.1, 0.8], np.zeros(3))
+    rounded = Pose(np.round(pose.rotation, 7), np.zeros(3))
+    nearest = Pose(nearest_rotation(rounded.rotation), np.zeros(3))
+    np.testing.assert_allclose(rounded.quat_wxyz, nearest.quat_wxyz, atol=1e-15)
+    assert np.linalg.norm(rounded.quat_wxyz) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_a_pose_as_a_dict_reads_back():
+    pose = Pose.from_quat_wxyz([0.3, -0.5, 0.1, 0.8], [1.0, 2.0, 3.0])
+    told = pose.as_dict()
+    assert told["translation_m"] == [1.0, 2.0, 3.0]
+    assert_same(Pose.from_quat_wxyz(**told), pose, 1e-15)
+
+
 def test_scalar_comes_first_and_turns_are_active():
     half = np.sqrt(0.5)
     pose = Pose.from_quat_wxyz([half, 0.0, 0.0, half], [0.0, 0.0, 0.0])  # 90° about z

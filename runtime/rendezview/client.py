@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import socket
+import ssl
 import struct
 import time
 from collections.abc import Iterator, Mapping
@@ -59,18 +60,32 @@ def fused_pose_of_state(state: State) -> Pose | None:
 class Client:
     """One connection to a service; not to be shared between threads."""
 
-    def __init__(self, url: str, token: str | None = None, timeout_s: float = 30.0) -> None:
+    def __init__(
+        self,
+        url: str,
+        token: str | None = None,
+        timeout_s: float = 30.0,
+        certificate: Path | str | None = None,
+    ) -> None:
         """The connection is made at the first request.
 
+        Args:
+            certificate: PEM file of whom to trust, where the system does not know the service's
+                own (``https``).
+
         Raises:
-            RendezviewError: the address is none.
+            RendezviewError: the address is none, or the certificate cannot be read.
         """
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise RendezviewError(f"{url}: give the service as http://host:port")
         self._url = parts
-        kind = HTTPSConnection if parts.scheme == "https" else HTTPConnection
-        self._connection: HTTPConnection = kind(parts.hostname, parts.port, timeout=timeout_s)
+        self._tls = _tls(certificate) if parts.scheme == "https" else None
+        self._connection: HTTPConnection = (
+            HTTPConnection(parts.hostname, parts.port, timeout=timeout_s)
+            if self._tls is None
+            else HTTPSConnection(parts.hostname, parts.port, timeout=timeout_s, context=self._tls)
+        )
         self._used_s = 0.0
         self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
 
@@ -101,10 +116,7 @@ class Client:
             request["camera"] = {n: getattr(camera, n) for n in names}
             request["camera"]["distortion"] = list(camera.distortion)
         if prior is not None:
-            request["prior"] = {
-                "quat_wxyz": prior.quat_wxyz.tolist(),
-                "translation_m": prior.translation_m.tolist(),
-            }
+            request["prior"] = prior.as_dict()
         if sun_camera is not None:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
         if fusion is not None:
@@ -142,7 +154,11 @@ class Client:
         return job
 
     def request(
-        self, method: str, path: str, body: bytes | None = None, kind: str = "application/json"
+        self,
+        method: str,
+        path: str,
+        body: bytes | memoryview | None = None,
+        kind: str = "application/json",
     ) -> Any:
         """One request; what JSON it answers.
 
@@ -154,7 +170,11 @@ class Client:
         return json.loads(content) if content else None
 
     def fetch(
-        self, method: str, path: str, body: bytes | None = None, kind: str = "application/json"
+        self,
+        method: str,
+        path: str,
+        body: bytes | memoryview | None = None,
+        kind: str = "application/json",
     ) -> bytes:
         """One request; the bytes of its answer. Errors as `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
@@ -175,7 +195,7 @@ class Client:
         return content
 
     def _send(
-        self, method: str, path: str, body: bytes | None, headers: dict[str, str]
+        self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
     ) -> HTTPResponse:
         now_s = time.monotonic()
         if now_s - self._used_s > _IDLE_S:
@@ -197,6 +217,11 @@ class Client:
     def headers(self) -> dict[str, str]:
         """What every request says."""
         return dict(self._headers)
+
+    @property
+    def tls(self) -> ssl.SSLContext | None:
+        """Whom the connection trusts; None where it is plain."""
+        return self._tls
 
     def close(self) -> None:
         """Close the connection; the sessions stay open."""
@@ -248,7 +273,8 @@ class SessionClient:
 
     def stream(self) -> StreamClient:
         """A WebSocket for frames and states: the way where frames come fast."""
-        return StreamClient(self.client.stream_url(self.name, "stream"), self.client.headers)
+        url = self.client.stream_url(self.name, "stream")
+        return StreamClient(url, self.client.headers, self.client.tls)
 
     def state(self) -> State:
         """The last state."""
@@ -278,7 +304,9 @@ class SessionClient:
 class StreamClient:
     """Frames in, states out, each when it can be."""
 
-    def __init__(self, url: str, headers: dict[str, str]) -> None:
+    def __init__(
+        self, url: str, headers: dict[str, str], tls: ssl.SSLContext | None = None
+    ) -> None:
         try:
             from websockets.sync.client import connect
         except ModuleNotFoundError:
@@ -286,7 +314,9 @@ class StreamClient:
                 "streams need websockets, which is not installed: pip install 'rendezview[service]'"
             ) from None
         try:
-            opening = connect(url, additional_headers=headers, compression=None, max_size=None)
+            opening = connect(
+                url, additional_headers=headers, compression=None, max_size=None, ssl=tls
+            )
             self._socket = opening.__enter__()  # left by `close`
         except Exception as error:
             raise RendezviewError(f"{url}: the stream does not open ({error})") from None
@@ -294,7 +324,8 @@ class StreamClient:
     def send(self, frame: Frame, time_s: float | None = None) -> None:
         """Send a frame; it is dropped if a newer one comes before it is looked at."""
         content, _ = _content(frame)
-        self._socket.send(struct.pack("<d", float("nan") if time_s is None else time_s) + content)
+        head = struct.pack("<d", float("nan") if time_s is None else time_s)
+        self._socket.send(b"".join((head, content)))
 
     def measure(self, sensor: str, record: Mapping[str, Any]) -> None:
         """Send a line of another sensor's log; its answer has the type ``measured``."""
@@ -344,7 +375,14 @@ class StreamClient:
         self.close()
 
 
-def _content(frame: Frame) -> tuple[bytes, str]:
+def _tls(certificate: Path | str | None) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=certificate)
+    except OSError as error:  # of ssl too
+        raise RendezviewError(f"{certificate}: no certificate (PEM) to be read: {error}") from None
+
+
+def _content(frame: Frame) -> tuple[bytes | memoryview, str]:
     """The bytes to send, and their type."""
     if isinstance(frame, bytes):
         kind = "image/png" if frame[:4] == b"\x89PNG" else "image/jpeg"
@@ -354,4 +392,4 @@ def _content(frame: Frame) -> tuple[bytes, str]:
         raise RendezviewError(
             f"a frame must be (height, width) grey levels of 8 bit, not {image.shape} {image.dtype}"
         )
-    return image.tobytes(), "application/octet-stream"
+    return np.ascontiguousarray(image).reshape(-1).data, "application/octet-stream"

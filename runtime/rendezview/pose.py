@@ -39,7 +39,7 @@ class Pose:
             )
         if not _all_finite(rotation, translation_m):
             raise ValueError("a pose must be finite")
-        if not _is_rotation(rotation):
+        if not _is_rotation(rotation, 1e-6):
             raise ValueError(f"rotation is not orthonormal with determinant +1: {rotation}")
         rotation.setflags(write=False)
         translation_m.setflags(write=False)
@@ -62,9 +62,23 @@ class Pose:
 
     @property
     def quat_wxyz(self) -> Array:
-        """(4,) unit quaternion of the rotation, scalar first, w ≥ 0."""
-        quat = Rotation.from_matrix(self.rotation).as_quat()[[3, 0, 1, 2]]
-        return np.asarray(-quat if quat[0] < 0 else quat)
+        """(4,) unit quaternion of the rotation, scalar first, w ≥ 0.
+
+        Shepperd, J. Guidance and Control 1(3), 1978: from the largest of the four components.
+        """
+        rotation = self.rotation
+        if not _is_rotation(rotation, 1e-12):
+            rotation = nearest_rotation(rotation)
+        quat = np.empty(4)
+        _quaternion(rotation, quat)
+        return quat
+
+    def as_dict(self) -> dict[str, list[float]]:
+        """As JSON has it: ``quat_wxyz`` and ``translation_m``."""
+        return {
+            "quat_wxyz": self.quat_wxyz.tolist(),
+            "translation_m": self.translation_m.tolist(),
+        }
 
     def __matmul__(self, other: Pose) -> Pose:
         """Chain: ``a_from_b @ b_from_c`` is ``a_from_c``."""
@@ -113,17 +127,36 @@ def _all_finite(rotation: Array, translation_m: Array) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _is_rotation(r: Array) -> bool:
-    """Whether (3, 3) is orthonormal to 1e-6 and right-handed."""
+def _is_rotation(r: Array, tolerance: float) -> bool:
+    """Whether (3, 3) is orthonormal to a tolerance and right-handed."""
     for i in range(3):
         for j in range(i + 1):
             dot = r[i, 0] * r[j, 0] + r[i, 1] * r[j, 1] + r[i, 2] * r[j, 2]
-            if not abs(dot - (1.0 if i == j else 0.0)) <= 1e-6:
+            if not abs(dot - (1.0 if i == j else 0.0)) <= tolerance:
                 return False
     x = r[1, 1] * r[2, 2] - r[1, 2] * r[2, 1]
     y = r[1, 2] * r[2, 0] - r[1, 0] * r[2, 2]
     z = r[1, 0] * r[2, 1] - r[1, 1] * r[2, 0]
     return bool(r[0, 0] * x + r[0, 1] * y + r[0, 2] * z >= 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _quaternion(r: Array, quat: Array) -> None:
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    a = 0  # the largest of the diagonal
+    for k in range(1, 3):
+        if r[k, k] > r[a, a]:
+            a = k
+    b, c = (a + 1) % 3, (a + 2) % 3
+    if trace > r[a, a]:
+        quat[0] = 1.0 + trace
+        quat[1], quat[2], quat[3] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    else:
+        quat[0] = r[c, b] - r[b, c]
+        quat[1 + a] = 1.0 + 2.0 * r[a, a] - trace
+        quat[1 + b], quat[1 + c] = r[b, a] + r[a, b], r[c, a] + r[a, c]
+    size = math.sqrt(quat[0] ** 2 + quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
+    quat /= -size if quat[0] < 0.0 else size
 
 
 def rotation_angle(rotation: npt.ArrayLike) -> float:

@@ -242,8 +242,7 @@ def json_line(record: Mapping[str, Any]) -> str:
 def _plain(value: Any) -> Any:
     """The value as what `json` can write."""
     if isinstance(value, Pose):
-        parts = {"quat_wxyz": value.quat_wxyz, "translation_m": value.translation_m}
-        return {name: part.tolist() for name, part in parts.items()}
+        return value.as_dict()
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, float):

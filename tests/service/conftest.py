@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -34,6 +36,16 @@ class Served:
 
     def client(self, token: str | None = None) -> Client:
         return Client(self.url, token)
+
+    @contextlib.contextmanager
+    def full_disk(self) -> Iterator[None]:
+        """No file of its workers may grow, which fails as a full disk does."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        for pid in map(int, children.read_text().split()):
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+        yield
+        for pid in map(int, children.read_text().split()):
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
 
     def kill(self) -> None:
         """-9, workers included: as when the power of a process is gone."""

@@ -20,10 +20,11 @@ from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, PoseMeasurement
 from rendezview.fusion.logs import LogContext, kind_of, read_record
-from rendezview.service.fusing import SessionFilter, split_records
-from rendezview.service.fusion_messages import FusionRequest, LoggedMeasurement, Measured
+from rendezview.service.fusing import SessionFilter
+from rendezview.service.fusion_messages import FusionRequest, LoggedMeasurement, Marks, Measured
 from rendezview.service.messages import State, WatchState
 from rendezview.service.replay import model_of, read_log, repeat
+from rendezview.service.sensor_lines import split_records
 from rendezview.target import DockingRing
 
 RING = DockingRing(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.6, 0.8]), 0.5)
@@ -273,6 +274,26 @@ def test_watchers_see_what_other_sensors_saw(session, sensors, tour):
     assert by_name["ring"].ellipses[0].centre_px == [200.0, 180.5]
     assert by_name["ring"].chosen == 0
     assert by_name["mirrors"].spots_px == [[100.0, 120.5]]
+
+
+def test_what_other_sensors_saw_is_kept_with_the_pictures(session, sensors, tour):
+    time_s, truth, image = tour[0]
+    session.track(image, time_s)  # the first picture: kept, before anything was seen in it
+    session.measure("ring", sensors.ring(time_s, truth))
+    path = f"/v1/sessions/{session.name}"
+    until_s = time.monotonic() + 10.0
+    kept, k = [0], 0
+    while len(kept) < 2 and time.monotonic() < until_s:  # four a second are
+        k += 1
+        session.track(tour[k % len(tour)][2], time_s + 0.05 * k)
+        kept = session.client.request("GET", f"{path}/history")["images"]
+        time.sleep(0.05)
+    assert session.client.request("GET", f"{path}/marks/{kept[0]}") == []
+    (seen,) = session.client.request("GET", f"{path}/marks/{kept[1]}")
+    assert Marks.model_validate(seen).ellipses[0].centre_px == [200.0, 180.5]
+    assert session.client.request("GET", f"{path}/marks/{kept[1] + 3}") == [seen]
+    with pytest.raises(ServiceError, match="frame -1"):
+        session.client.request("GET", f"{path}/marks/-1")
 
 
 def test_a_run_of_several_sensors_is_logged_and_repeated_bit_for_bit(

@@ -18,7 +18,9 @@ import trimesh
 from rendezview.client import ServiceError
 from rendezview.errors import RendezviewError
 from rendezview.sequences import BopSceneWriter
+from rendezview.service.log_file import mend
 from rendezview.service.messages import JobInfo, ModelInfo
+from rendezview.service.replay import read_log
 from rendezview.service.service import Service
 from rendezview.service.settings import Settings
 
@@ -181,6 +183,53 @@ def test_the_service_outlives_a_worker(start_service, camera, tour, tmp_path):
     served.stop()
     logs = sorted(tmp_path.glob("*.mcap"))
     assert len(logs) == 2
+
+
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_to_the_whole_group_ends_it_in_order(start_service, camera, tour, tmp_path, sent):
+    """As a terminal and some supervisors send it: to the workers too, which must not hear it."""
+    served = start_service("--record", str(tmp_path))
+    with served.client() as client:
+        session = client.open(camera, prior=tour[0][1])
+        states = [session.track(image, time_s) for time_s, _, image in tour[:3]]
+    os.killpg(served.process.pid, sent)
+    assert served.process.wait(60) == 0
+    (path,) = tmp_path.glob("*.mcap")
+    assert mend(path) is None  # it is whole already
+    kept = [frame.state for frame in read_log(path).frames()]
+    assert kept == states
+
+
+def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, client, camera, tour):
+    session = client.open(camera, prior=tour[0][1], name="full")
+    frames = iter(tour)
+
+    def track():
+        time_s, _, image = next(frames)
+        return session.track(image, time_s)
+
+    assert track()["recorded"]
+    with service.full_disk():
+        states = [track() for _ in range(3)]
+        assert [state["recorded"] for state in states] == [False] * 3
+        assert {state["status"] for state in states} == {"ok"}
+        recording = session.info()["recording"]
+        assert (recording["state"], recording["lost"]) == ("failed", 3)
+        assert "cannot be written" in recording["reason"]
+        metrics = client.fetch("GET", "/metrics").decode()
+        assert 'rendezview_log_failed{session="full"} 1.0' in metrics
+        assert 'rendezview_log_lost_states{session="full"} 3.0' in metrics
+        assert client.request("GET", "/healthz")["recording_failures"] >= 1
+    until_s = time.monotonic() + 20.0
+    while not track()["recorded"]:  # a new file is tried every few seconds
+        assert time.monotonic() < until_s
+        time.sleep(0.7)
+    info = session.info()["recording"]
+    assert info["state"] == "on"
+    assert info["name"].endswith("-2.mcap")
+    failed = [json.loads(line) for line in service.lines if '"recording"' in line]
+    assert [line["state"] for line in failed if line.get("session") == "full"] == ["failed", "on"]
+    session.close()
 
 
 @pytest.mark.parametrize(

@@ -289,7 +289,7 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     word_is(page, "FOUND")
     assert page.is_hidden("#fused")
     truth = tour[0][1]
-    pose = {"quat_wxyz": truth.quat_wxyz.tolist(), "translation_m": truth.translation_m.tolist()}
+    pose = truth.as_dict()
     told = {
         "pose": pose,
         "covariance": (1e-4 * np.eye(6)).tolist(),
@@ -321,6 +321,17 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     sensors = page.inner_text("#sensors")
     assert "mirrors" in sensors
     assert "heard · taken · NIS" in sensors
+    picture = os.environ.get("RENDEZVIEW_TEST_PICTURES")
+    if picture:
+        page.screenshot(path=f"{picture}/fused.png")
+    # Looking back too: those that belong to the picture.
+    page.keyboard.press(" ")
+    until(page, "!document.getElementById('scrub').disabled")
+    until(page, "document.getElementById('frame-note').textContent.includes('frame')")
+    until(page, f"({pink})([{side[0]}, {side[1]}])")
+    if picture:
+        page.screenshot(path=f"{picture}/fused_back.png")
+    page.keyboard.press("End")
     page.keyboard.press("p")
     until(page, "!document.getElementById('layer-spots').checked")
     # Ellipses: drawn where the ring's record has them.
@@ -337,9 +348,18 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
       return data[0] > data[1] + 60;
     }"""
     assert page.evaluate(script, [told["ellipses"], tip])
-    picture = os.environ.get("RENDEZVIEW_TEST_PICTURES")
-    if picture:
-        page.screenshot(path=f"{picture}/fused.png")
+
+
+def test_a_full_disk_is_plain_to_see(service, feed, open_page) -> None:
+    feed("disk")
+    page = open_page(f"{service.url}#disk")
+    until(page, "document.getElementById('recording').textContent.includes('● recording')")
+    with service.full_disk():
+        until(page, "document.getElementById('recording').textContent.includes('failed')")
+        assert "cannot be written" in page.inner_text("#recording")
+        assert "bad" in page.get_attribute("#recording", "class")
+        word_is(page, "FOUND")  # it is tracked all the same
+    until(page, "document.getElementById('recording').textContent.includes('● recording')")
 
 
 def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page) -> None:

@@ -12,23 +12,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Chunk, MessageIndex
 from mcap_protobuf.decoder import DecoderFactory
 
 from rendezview.errors import RendezviewError
 from rendezview.interchange.runs import moments
 from rendezview.sequences import open_sequence
-from rendezview.service.log_file import mend, scan
+from rendezview.service.log_file import mend, records, scan
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
 from rendezview.service.replay import model_of, read_log, repeat
-from rendezview.service.tracking import Follower, camera_message, pose_dict
+from rendezview.service.tracking import Follower, camera_message
 from rendezview.service.worker import session_notes
 
 
 @pytest.fixture
 def request_of(camera, tour):
     return SessionRequest.model_validate(
-        {"camera": camera_message(camera).model_dump(), "prior": pose_dict(tour[0][1])}
+        {"camera": camera_message(camera).model_dump(), "prior": tour[0][1].as_dict()}
     )
 
 
@@ -88,13 +89,22 @@ def test_a_log_is_read_by_another_reader(recorded, camera, tour):
     assert list(calibration.K) == camera.matrix.ravel().tolist()
 
 
+def _chunk_places(path: Path) -> list[list[int]]:
+    """Of each chunk its start, its end, and the end of its indexes."""
+    places: list[list[int]] = []
+    for record, offset, length in records(path):
+        if isinstance(record, Chunk):
+            places.append([offset, offset + length, 0])
+        elif isinstance(record, MessageIndex):
+            places[-1][2] = offset + length
+    return places
+
+
 def test_a_log_cut_anywhere_keeps_every_whole_frame(recorded, tmp_path):
-    path, writer, _ = recorded
+    path, _, _ = recorded
     whole = path.read_bytes()  # not closed: as a kill leaves it
-    ends = []
-    for chunk in writer._scan.chunks:
-        ends.append(chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length)
-    first = writer._scan.chunks[0].chunk_start_offset
+    ends = [end for *_, end in _chunk_places(path)]
+    first = _chunk_places(path)[0][0]
     rng = np.random.default_rng(2)
     cut_at = [*ends[:2], ends[0] - 1, ends[1] + 1, *rng.integers(first, len(whole), 12), len(whole)]
     for cut in map(int, cut_at):
@@ -110,8 +120,8 @@ def test_damage_in_the_middle_keeps_what_is_before_it(recorded):
     path, writer, states = recorded
     writer.close()
     content = bytearray(path.read_bytes())
-    chunk = writer._scan.chunks[4]
-    place = chunk.chunk_start_offset + chunk.chunk_length // 2
+    start, end, _ = _chunk_places(path)[4]
+    place = (start + end) // 2
     content[place : place + 8] = bytes(8 * [content[place] ^ 0x55])
     path.write_bytes(content)
     mend(path)

@@ -6,7 +6,9 @@ import asyncio
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
+import trustme
 
 from rendezview.client import Client, ServiceError
 from rendezview.errors import RendezviewError
@@ -166,3 +168,41 @@ def test_a_service_with_tokens_lets_each_do_his_part(start_service, tokens_path,
     served.stop()
     assert served.process.returncode == 0
     assert not any("eve-may" in line or "bob-may" in line for line in served.lines)
+
+
+def test_a_service_with_a_certificate_is_trusted_by_who_knows_it(
+    start_service, tokens_path, camera, tmp_path
+):
+    authority = trustme.CA()
+    issued = authority.issue_cert("127.0.0.1")
+    known, chain, key = (tmp_path / name for name in ("known.pem", "chain.pem", "key.pem"))
+    authority.cert_pem.write_to_path(str(known))
+    chain.write_bytes(b"".join(blob.bytes() for blob in issued.cert_chain_pems))
+    issued.private_key_pem.write_to_path(str(key))
+    served = start_service(
+        "--tls-certificate", str(chain), "--tls-key", str(key), "--tokens", str(tokens_path)
+    )
+    assert served.url.startswith("https://127.0.0.1")
+    with Client(served.url) as stranger, pytest.raises(RendezviewError, match="CERTIFICATE"):
+        stranger.sessions()
+    with Client(served.url, "bob-may-send-his-frames", certificate=known) as bob:
+        session = bob.open(camera)
+        black = np.zeros((camera.height, camera.width), np.uint8)
+        assert session.track(black, 0.0)["status"] == "empty"
+        with session.stream() as stream:
+            stream.send(black, 1.0)
+            assert stream.receive(20.0)["frame"] == 1
+        session.close()
+    plain = served.url.replace("https", "http")
+    with Client(plain) as client, pytest.raises(RendezviewError, match="not reached"):
+        client.sessions()
+    served.stop()
+    assert served.process.returncode == 0
+
+
+def test_what_is_no_certificate_is_refused(tmp_path):
+    wrong = tmp_path / "wrong.pem"
+    wrong.write_text("no certificate")
+    for path in (wrong, tmp_path / "nothing.pem"):
+        with pytest.raises(RendezviewError, match=r"\.pem: no certificate"):
+            Client("https://127.0.0.1:8360", certificate=path)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
+import time
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from tests.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
@@ -35,3 +40,70 @@ def test_a_recording_is_a_source(tmp_path: Path, write, name: str) -> None:
         assert isinstance(frame, SourceFrame)
         assert frame.time_s == pytest.approx(START_S + 0.5 * k)
         assert frame.content == images[k].tobytes()
+
+
+class _NetworkCamera(BaseHTTPRequestHandler):
+    """Grey levels that rise by 10 from frame to frame, as MJPEG; it breaks off after 30."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        for k in range(30):
+            image = np.full((48, 64), 20 + 10 * (k % 20), np.uint8)
+            jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+            try:
+                self.wfile.write(head.encode() + jpeg + b"\r\n")
+            except ConnectionError:  # who looked has gone
+                return
+            time.sleep(0.01)
+
+    def log_message(self, *_: object) -> None:
+        """Quietly."""
+
+
+@pytest.fixture
+def network_camera() -> Iterator[str]:
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _NetworkCamera)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://eve:secret@127.0.0.1:{server.server_port}/stream"
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, monkeypatch) -> None:
+    monkeypatch.setattr("rendezview.service.sources._RECONNECT_S", 0.05)
+    with pytest.raises(RendezviewError, match="--camera"):
+        open_source(network_camera, None)
+    source = open_source(network_camera, CAMERA)
+    assert source.live
+    assert "secret" not in source.name
+    stop = threading.Event()
+    seen: list[float] = []
+    breaks: list[str] = []
+    for got in itertools.islice(source.frames(stop), 70):
+        if isinstance(got, RendezviewError):
+            breaks.append(str(got))
+            continue
+        assert got.time_s is None  # that of its arrival
+        grey = np.frombuffer(got.content, np.uint8)
+        assert grey.size == 48 * 64
+        seen.append(float(grey.mean()))
+        if len(breaks) == 2:
+            break
+    stop.set()
+    assert len(breaks) == 2
+    assert all("broke off" in told and "secret" not in told for told in breaks)
+    assert len(seen) >= 40  # the first of a connection may be lost in opening it
+    steps = np.diff(seen)
+    assert np.median(steps) == pytest.approx(10.0, abs=1.0)
+
+
+def test_a_network_stream_that_is_not_there_is_tried_again(monkeypatch) -> None:
+    monkeypatch.setattr("rendezview.service.sources._RECONNECT_S", 0.05)
+    source = open_source("http://127.0.0.1:9/nothing", CAMERA)
+    first, second = itertools.islice(source.frames(threading.Event()), 2)
+    assert isinstance(first, RendezviewError)
+    assert "cannot be opened" in str(first)
+    assert isinstance(second, RendezviewError)

@@ -122,7 +122,7 @@ def test_who_comes_while_a_frame_is_looked_at_sees_the_next_one(camera):
     state = b'{"frame": 0}'
     header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0}
     more = {"frame": 0, "contour": {"points_px": [], "kinds": []}, "silhouette_px": None}
-    waiting = Waiting(b"", 0.0, 0.0, time.monotonic(), lambda answer: None)
+    waiting = Waiting((b"",), 0.0, 0.0, time.monotonic(), lambda answer: None)
     session.watchers.add(before)
     assert session.header_of(waiting)["extras"]["contour"]
     session.watchers.add(after)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,26 +12,13 @@ import numpy.typing as npt
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.files import atomic_write, read_bytes
+from rendezview.sequences.decoding import decode_grey
 from rendezview.sequences.frame import GreyImage
 
 IMAGE_SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
 )
 CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml")
-
-# Turned by its EXIF tag, a picture would no longer be the one the camera was calibrated for.
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
-
-
-@contextlib.contextmanager
-def quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV's own complaints off the screen: our error says what is wrong."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(level)
 
 
 def read_grey(path: Path) -> GreyImage:
@@ -43,17 +28,13 @@ def read_grey(path: Path) -> GreyImage:
         RendezviewError: missing, unreadable, not an image, or cut short.
     """
     content = read_bytes(path, "an image")
-    try:
-        with quiet_opencv():
-            image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), _AS_STORED)
-    except cv2.error:
-        image = None
+    image = decode_grey(content)
     if image is None:
         raise RendezviewError(
             f"{path}: not an image that can be read (damaged, cut short or of another "
             f"kind): replace the file"
         )
-    return np.asarray(image, dtype=np.uint8)
+    return image
 
 
 def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:

@@ -15,8 +15,8 @@ import numpy.typing as npt
 from rendezview.camera import Camera
 from rendezview.camera_files import intrinsics_of
 from rendezview.errors import RendezviewError
+from rendezview.sequences.decoding import decode_grey
 from rendezview.sequences.frame import GreyImage
-from rendezview.sequences.images import quiet_opencv
 
 # Channels, and how they become grey; None: they are.
 _EIGHT_BIT: dict[str, tuple[int, int | None]] = {
@@ -103,9 +103,14 @@ def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
     Raises:
         RendezviewError: cut short, damaged, or of an encoding that is not read.
     """
-    content = np.frombuffer(picture.data, dtype=np.uint8)
     if isinstance(picture, PackedPicture):
-        return _unpacked(content, where)
+        image = decode_grey(picture.data)
+        if image is None:
+            raise RendezviewError(
+                f"{where}: not a PNG, JPEG or WebP picture that can be read (damaged or cut short)"
+            )
+        return image
+    content = np.frombuffer(picture.data, dtype=np.uint8)
     if picture.encoding not in _EIGHT_BIT:
         raise RendezviewError(
             f"{where}: encoding {picture.encoding!r} is not read (how many of its bits count is "
@@ -131,16 +136,3 @@ def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
         raise RendezviewError(
             f"{where}: {width} × {height} pixels cannot be {picture.encoding}: {error.err}"
         ) from error
-
-
-def _unpacked(content: npt.NDArray[np.uint8], where: str) -> GreyImage:
-    try:
-        with quiet_opencv():
-            image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise RendezviewError(
-            f"{where}: not a PNG, JPEG or WebP picture that can be read (damaged or cut short)"
-        )
-    return np.asarray(image, dtype=np.uint8)

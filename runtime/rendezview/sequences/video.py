@@ -12,8 +12,9 @@ import numpy as np
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.sequences.decoding import quiet_opencv
 from rendezview.sequences.frame import Frame, GreyImage, Sequence
-from rendezview.sequences.images import quiet_opencv, required_camera
+from rendezview.sequences.images import required_camera
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".wmv", ".ogv"}

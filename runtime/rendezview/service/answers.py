@@ -58,7 +58,12 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
 
 
 async def body_of(request: Request, most: int) -> bytes:
-    """The body of a request, refused as soon as it is too long.
+    """The body of a request, refused as soon as it is too long. Errors as `pieces_of`."""
+    return b"".join(await pieces_of(request, most))
+
+
+async def pieces_of(request: Request, most: int) -> list[bytes]:
+    """The same as it comes, not joined: a frame is copied once, to the worker.
 
     Raises:
         HTTPException: 413.
@@ -73,10 +78,10 @@ async def body_of(request: Request, most: int) -> bytes:
         if length > most:
             raise refusal
         parts.append(part)
-    return parts[0] if len(parts) == 1 else b"".join(parts)
+    return parts
 
 
-async def look(session: Session, content: bytes, time_s: float | None) -> Answer:
+async def look(session: Session, pieces: list[bytes], time_s: float | None) -> Answer:
     """A frame through the session's tracker.
 
     Raises:
@@ -91,7 +96,7 @@ async def look(session: Session, content: bytes, time_s: float | None) -> Answer
             future.set_result(result)
 
     at_s = now_s if time_s is None else time_s
-    session.queue(Waiting(content, at_s, now_s, time.monotonic(), answer))
+    session.queue(Waiting(pieces, at_s, now_s, time.monotonic(), answer))
     return await future
 
 
@@ -108,7 +113,7 @@ async def measure(session: Session, sensor: str, content: bytes) -> Answer:
             future.set_result(result)
 
     now_s = time.time()
-    session.measure(Waiting(content, now_s, now_s, time.monotonic(), answer, sensor))
+    session.measure(Waiting((content,), now_s, now_s, time.monotonic(), answer, sensor))
     return await future
 
 
@@ -145,34 +150,35 @@ def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Res
     return Response(text, status, extra, JSON)
 
 
+def fault_of(error: Exception) -> Response | None:
+    """An error as a `Fault`; None for one that is the service's own."""
+    match error:
+        case HTTPException():
+            return fault(error.status_code, str(error.detail), dict(error.headers or {}))
+        case RequestValidationError():
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"])
+            return fault(422, f"{where}: {first['msg']}")
+        case RendezviewError():
+            return fault(422, str(error))
+        case Full():
+            return fault(429, "too many wait, or too many sessions there are: come back later")
+        case NotReady():
+            return fault(503, "no process that tracks is up: come back in a moment")
+        case ClientDisconnect():
+            return fault(400, "the request broke off")
+    return None
+
+
 def say_faults(app: FastAPI) -> None:
     """Every error as a `Fault`."""
 
-    async def http(_: Request, error: Exception) -> Response:
-        assert isinstance(error, HTTPException)
-        return fault(error.status_code, str(error.detail), dict(error.headers or {}))
+    async def said(_: Request, error: Exception) -> Response:
+        answer = fault_of(error)
+        assert answer is not None
+        return answer
 
-    async def invalid(_: Request, error: Exception) -> Response:
-        assert isinstance(error, RequestValidationError)
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        return fault(422, f"{where}: {first['msg']}")
-
-    async def users(_: Request, error: Exception) -> Response:
-        return fault(422, str(error))
-
-    async def full(_: Request, error: Exception) -> Response:
-        return fault(429, "too many wait, or too many sessions there are: come back later")
-
-    async def not_ready(_: Request, error: Exception) -> Response:
-        return fault(503, "no process that tracks is up: come back in a moment")
-
-    async def gone(_: Request, error: Exception) -> Response:
-        return fault(400, "the request broke off")
-
-    app.add_exception_handler(HTTPException, http)
-    app.add_exception_handler(RequestValidationError, invalid)
-    app.add_exception_handler(RendezviewError, users)
-    app.add_exception_handler(Full, full)
-    app.add_exception_handler(NotReady, not_ready)
-    app.add_exception_handler(ClientDisconnect, gone)
+    for kind in (
+        HTTPException, RequestValidationError, RendezviewError, Full, NotReady, ClientDisconnect
+    ):  # fmt: skip
+        app.add_exception_handler(kind, said)

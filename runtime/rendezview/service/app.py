@@ -9,17 +9,15 @@ from pathlib import Path
 
 from fastapi import FastAPI, Request
 from starlette.responses import Response
-from starlette.routing import Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
 
 from rendezview.service import model_routes, session_routes, streams
 from rendezview.service.answers import JSON, needs, say_faults, service_of
+from rendezview.service.frame_lane import FrameLane
 from rendezview.service.messages import Health
-from rendezview.service.metrics import Metrics
 from rendezview.service.security import Guard, Right, Token
 from rendezview.service.service import Service
-from rendezview.service.settings import Settings
 
 PAGE = Path(__file__).parent / "page"
 
@@ -58,8 +56,6 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
     )
     app.state.service = service
     say_faults(app)
-    frames = session_routes.post_frame_directly
-    app.router.routes.append(Route("/v1/sessions/{name}/frames", frames, methods=["POST"]))
     app.include_router(session_routes.router)
     app.include_router(model_routes.router)
     app.include_router(streams.router)
@@ -84,11 +80,7 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
 
     if PAGE.is_dir():
         app.mount("/", _Page(directory=PAGE, html=True), name="page")
-    return _guarded(app, service.settings, tokens, service.metrics)
-
-
-def _guarded(app: ASGIApp, settings: Settings, tokens: list[Token], metrics: Metrics) -> ASGIApp:
-    return Guard(app, settings, tokens, metrics)
+    return Guard(FrameLane(app), service.settings, tokens, service.metrics)
 
 
 __all__ = ["JSON", "PAGE", "make_app"]

@@ -6,16 +6,14 @@ import struct
 import zlib
 from enum import StrEnum
 
-import cv2
 import numpy as np
 
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.sequences.decoding import PNG, decode_grey
 from rendezview.sequences.frame import GreyImage
 
-_PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 _BARE_MARKERS = (0x01, *range(0xD0, 0xDA))  # of JPEG, without a length
 _SIZE_MARKERS = tuple(m for m in range(0xC0, 0xD0) if m not in (0xC4, 0xC8, 0xCC))
 
@@ -33,7 +31,7 @@ class FrameKind(StrEnum):
 def kind_of(content: Bytes) -> FrameKind:
     """PNG and JPEG are told by their first bytes; anything else is raw grey levels."""
     start = bytes(content[:8])
-    if start == _PNG:
+    if start == PNG:
         return FrameKind.PNG
     return FrameKind.JPEG if start[:3] == _JPEG else FrameKind.RAW
 
@@ -59,29 +57,28 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
         # again, and might round differently.
         own = bytearray(content) if isinstance(content, bytes) else content
         return np.frombuffer(own, dtype=np.uint8).reshape(camera.height, camera.width)
+    damaged = f"the {kind.upper()} frame is cut short or damaged: send it again"
     size = png_size(content) if kind is FrameKind.PNG else jpeg_size(content)
-    whole = _png_is_whole(content) if kind is FrameKind.PNG else _jpeg_ends(content)
-    if size is None or not whole:
-        raise RendezviewError(f"the {kind.upper()} frame is cut short or damaged: send it again")
+    if size is None or (kind is FrameKind.JPEG and not _jpeg_ends(content)):
+        raise RendezviewError(damaged)
     if size != (camera.width, camera.height):
         raise RendezviewError(
             f"the frame is {size[0]} × {size[1]} pixels but the camera {camera.width} × "
             f"{camera.height}: send frames of the session's camera"
         )
-    try:
-        image = cv2.imdecode(np.frombuffer(content, dtype=np.uint8), _AS_STORED)
-    except cv2.error:
-        image = None
+    image = decode_grey(content)
     if image is None or image.shape != (camera.height, camera.width):
-        raise RendezviewError(f"the {kind.upper()} frame is damaged: send it again")
-    return np.asarray(image, dtype=np.uint8)
+        raise RendezviewError(damaged)
+    return image
 
 
 def png_size(content: Bytes) -> tuple[int, int] | None:
     """Width and height that a PNG file's header says; None if it says none."""
     if len(content) < 33 or bytes(content[12:16]) != b"IHDR":
         return None
-    width, height = struct.unpack(">II", content[16:24])
+    width, height, checksum = struct.unpack(">II5xI", content[16:33])
+    if zlib.crc32(content[12:29]) != checksum:
+        return None
     return width, height
 
 
@@ -108,27 +105,6 @@ def jpeg_size(content: Bytes) -> tuple[int, int] | None:
             return None
         place += 2 + length
     return None
-
-
-def _png_is_whole(content: Bytes) -> bool:
-    """Every chunk with its right checksum up to the last, and a single picture.
-
-    OpenCV's decoder can hang over damaged or animated files.
-    """
-    view = memoryview(content)
-    place = len(_PNG)
-    while place + 12 <= len(view):
-        length, kind = struct.unpack(">I4s", view[place : place + 8])
-        end = place + 12 + length
-        if end > len(view) or kind in (b"acTL", b"fcTL", b"fdAT"):
-            return False
-        (checksum,) = struct.unpack(">I", view[end - 4 : end])
-        if zlib.crc32(view[place + 4 : end - 4]) != checksum:
-            return False
-        if kind == b"IEND":
-            return bool(end == len(view))
-        place = end
-    return False
 
 
 def _jpeg_ends(content: Bytes) -> bool:

@@ -10,43 +10,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
-from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.files import describe
-from rendezview.fusion import (
-    Fusion,
-    FusionOptions,
-    Measurement,
-    PoseMeasurement,
-    RangeMeasurement,
-    Surface,
-    Verdict,
-)
+from rendezview.fusion import Fusion, FusionOptions, Measurement, PoseMeasurement, Verdict
 from rendezview.fusion.fusion import Estimate
-from rendezview.fusion.logs import LogContext, kind_of, read_record
+from rendezview.fusion.logs import kind_of
 from rendezview.pose import Pose
-from rendezview.service.fusion_messages import (
-    MOST_MARKS,
-    MOST_REMEMBERED,
-    FusionRequest,
-    Marks,
-    SurfaceMessage,
+from rendezview.service.fusion_messages import MOST_REMEMBERED, FusionRequest
+from rendezview.service.message_parts import MOST_TIME_S
+from rendezview.service.sensor_lines import (
+    Json,
+    Line,
+    check_size,
+    context_of,
+    read_line,
+    split_records,
 )
-from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
-from rendezview.target import DockingRing
 
 CAMERA = "camera"  # the name of the session's own
 CLOCK_APART_S = 60.0  # times farther from the session's own are of another clock
-_LEAST, _MOST = 1e-20, 1e12  # variances a filter can work with
-_MOST_M = 1e9
-
-Json = dict[str, Any]
 
 
 @dataclass(slots=True)
@@ -59,16 +44,6 @@ class Heard:
     heard: int = 0
     accepted: int = 0
     reason: str | None = None  # why its last measurement was not accepted
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """One line of a sensor, checked."""
-
-    kind: str
-    record: Json
-    measurement: Measurement | None
-    marks: Json | None
 
 
 class SessionFilter:
@@ -88,7 +63,7 @@ class SessionFilter:
             forgotten: there was one before, whose process has ended: it begins at once.
         """
         asked = request or FusionRequest()
-        self._context = _context(asked)
+        self._context = context_of(asked)
         options = asked.options or FusionOptions()
         most = min(options.history_most, MOST_REMEMBERED)
         self._options = replace(options, history_most=most)
@@ -153,12 +128,10 @@ class SessionFilter:
                     f"{where}: is of a {kind} log, those before were of a {before} log: give "
                     "each sensor a name of its own"
                 )
-            with np.errstate(all="ignore"):  # what is beyond all measure is refused below
-                measurement = read_record(record, kind, sensor, self._context, where)
-            if measurement is not None:
-                self._check_clock(measurement, frame_s, waited_s, where)
-                _check_size(measurement, where)
-            lines.append(Line(kind, record, measurement, self._marks(sensor, record, where)))
+            line = read_line(record, kind, sensor, self._context, where)
+            if line.measurement is not None:
+                self._check_clock(line.measurement, frame_s, waited_s, where)
+            lines.append(line)
         return lines
 
     def take(self, sensor: str, line: Line) -> tuple[Json | None, Json | None]:
@@ -189,7 +162,7 @@ class SessionFilter:
         heard.lines += 1
         try:
             measurement = PoseMeasurement(time_s, CAMERA, pose, np.asarray(covariance))
-            _check_size(measurement, CAMERA)
+            check_size(measurement, CAMERA)
         except (ValueError, RendezviewError) as error:
             heard.silent += 1
             heard.reason = str(error)
@@ -271,10 +244,7 @@ class SessionFilter:
             reason = f"begun anew, {self._note}; {reason}"
         pose, rates, covariance = None, None, None
         if estimate is not None and estimate.pose is not None:
-            pose = {
-                "quat_wxyz": estimate.pose.quat_wxyz.tolist(),
-                "translation_m": estimate.pose.translation_m.tolist(),
-            }
+            pose = estimate.pose.as_dict()
         if estimate is not None and estimate.rates is not None:
             both = estimate.rates.tolist()
             rates = {"angular_rad_s": both[:3], "linear_m_s": both[3:]}
@@ -306,108 +276,9 @@ class SessionFilter:
                 "sensors of a session need one clock"
             )
 
-    def _marks(self, sensor: str, record: Json, where: str) -> Json | None:
-        """What there is to draw: a sensor that is mounted elsewhere has other pixels."""
-        edges, spots = record.get("ellipses"), record.get("spots")
-        if sensor in self._context.mounts or not (edges or spots):
-            return None
-        try:
-            marks = {
-                "sensor": sensor,
-                "time_s": float(record["time_s"]),
-                "ellipses": [
-                    {name: edge[name] for name in ("centre_px", "semi_axes_px", "angle_rad")}
-                    for edge in (edges or [])[:MOST_MARKS]
-                ],
-                "chosen": record.get("ellipse"),
-                "spots_px": [[spot["x_px"], spot["y_px"]] for spot in (spots or [])[:MOST_MARKS]],
-            }
-            return Marks.model_validate(marks).model_dump()
-        except ValidationError as error:
-            raise RendezviewError(f"{where}: {describe(error)}") from None
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
-            said = f"no key {error}" if isinstance(error, KeyError) else str(error)[:200]
-            raise RendezviewError(
-                f"{where}: its ellipses or spots cannot be read ({said}): correct or leave them out"
-            ) from None
-
-
-def split_records(text: bytes) -> list[Json]:
-    """The objects of a message: one, or one a line.
-
-    Raises:
-        RendezviewError: bad JSON, no object, or nothing at all.
-    """
-    try:
-        whole = text.decode()
-    except UnicodeDecodeError as error:
-        raise RendezviewError(f"no UTF-8 ({error.reason}): send JSON") from None
-    parts = [line for line in whole.split("\n") if line.strip()]
-    if not parts:
-        raise RendezviewError("the message is empty: send a line of a sensor's log")
-    if parts[0].strip() == "{" or not parts[0].rstrip().endswith("}"):
-        parts = [whole]  # one object over several lines
-    records = []
-    for number, part in enumerate(parts, start=1):
-        try:
-            record = from_json(part, allow_inf_nan=False)
-        except ValueError as error:
-            told = f"line {number}: not valid JSON ({error}): correct or remove it"
-            raise RendezviewError(told) from None
-        if not isinstance(record, dict):
-            raise RendezviewError(f"line {number}: not a JSON object: send a sensor's log lines")
-        records.append(record)
-    return records
-
-
-def _check_size(measurement: Measurement, where: str) -> None:
-    """Numbers with which a filter can work.
-
-    Raises:
-        RendezviewError: a place beyond 10⁹ m, or a variance beyond what a sensor can have.
-    """
-    if isinstance(measurement, PoseMeasurement):
-        places = [measurement.pose.translation_m]
-        variances = np.diagonal(measurement.covariance)
-    elif isinstance(measurement, RangeMeasurement):
-        places = [np.array([measurement.range_m]), measurement.origin_m]
-        variances = np.square([min(measurement.sigma_m, _MOST)])
-    else:
-        places = [c.centre_m for c in measurement.candidates]
-        variances = np.concatenate([np.diagonal(c.covariance)[:3] for c in measurement.candidates])
-    if any(np.abs(place).max() > _MOST_M for place in places):
-        raise RendezviewError(f"{where}: places beyond {_MOST_M:g} m are of no use here")
-    if not (variances.min() >= _LEAST and variances.max() <= _MOST):
-        raise RendezviewError(
-            f"{where}: variances must be {_LEAST:g} … {_MOST:g}, in rad² and m², not "
-            f"{variances.min():.3g} … {variances.max():.3g}"
-        )
-
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _context(asked: FusionRequest) -> LogContext:
-    ring = None
-    if asked.ring is not None:
-        axis = np.array(asked.ring.axis)
-        ring = DockingRing(
-            np.array(asked.ring.centre_m), axis / np.linalg.norm(axis), asked.ring.radius_m
-        )
-    surfaces = tuple(map(_surface, asked.surfaces))
-    return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
-
-
-def _surface(told: SurfaceMessage) -> Surface:
-    outer_m = math.inf if told.outer_m is None else told.outer_m
-    return Surface(
-        np.array(told.point_m), np.array(told.normal), told.relief_m, told.inner_m, outer_m
-    )
-
-
-def _pose(told: PoseMessage) -> Pose:
-    return Pose.from_quat_wxyz(told.quat_wxyz, told.translation_m)
 
 
 def warm_up() -> None:
@@ -433,11 +304,8 @@ def warm_up() -> None:
     for k in range(3):
         for sensor, record in words:
             timed = record | {"time_s": float(k)}
-            measurement = read_record(
-                timed, kind_of(timed, sensor), sensor, filter_._context, sensor
-            )
-            filter_.take(sensor, Line(kind_of(timed, sensor), timed, measurement, None))
+            kind = kind_of(timed, sensor)
+            filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
         filter_.look(k + 0.5, start, 1e-4 * np.eye(6))
-    far = read_record({"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}, "range", "range",
-                      filter_._context, "range")  # fmt: skip
-    filter_.take("range", Line("range", {}, far, None))
+    far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
+    filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

@@ -5,6 +5,10 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass, field
+from typing import TypeVar
+
+_MOST_MARKS_BYTES = 32_768  # more would outweigh their picture
+Kept = TypeVar("Kept")
 
 
 @dataclass(slots=True)
@@ -15,7 +19,7 @@ class Past:
     rate_hz: float
     image_hz: float
     _states: deque[tuple[float, int, bytes]] = field(default_factory=deque)
-    _images: deque[tuple[float, int, bytes]] = field(default_factory=deque)
+    _images: deque[tuple[float, int, tuple[bytes, bytes]]] = field(default_factory=deque)
     _image_at_s: float = -1e300
 
     def add(self, now_s: float, frame: int, state: bytes) -> None:
@@ -29,10 +33,11 @@ class Past:
         """Whether a picture of now is to be kept."""
         return self.image_hz > 0.0 and now_s - self._image_at_s >= 0.9 / self.image_hz
 
-    def add_image(self, now_s: float, frame: int, jpeg: bytes) -> None:
-        """A picture."""
+    def add_image(self, now_s: float, frame: int, jpeg: bytes, marks: bytes = b"[]") -> None:
+        """A picture, and what other sensors see in it: a JSON list of `Marks`."""
         self._image_at_s = now_s
-        self._images.append((now_s, frame, jpeg))
+        kept = marks if len(marks) <= _MOST_MARKS_BYTES else b"[]"
+        self._images.append((now_s, frame, (jpeg, kept)))
         _trim(self._images, now_s - self.keep_s)
 
     def states(self, after_s: float, since_frame: int, most: int) -> list[tuple[int, bytes]]:
@@ -50,8 +55,17 @@ class Past:
 
     def image(self, frame: int) -> tuple[int, bytes] | None:
         """The picture of a frame, or of the last one kept before it."""
+        kept = self._image_entry(frame)
+        return None if kept is None else (kept[1], kept[2][0])
+
+    def marks(self, frame: int) -> bytes | None:
+        """What other sensors saw in that picture."""
+        kept = self._image_entry(frame)
+        return None if kept is None else kept[2][1]
+
+    def _image_entry(self, frame: int) -> tuple[float, int, tuple[bytes, bytes]] | None:
         place = bisect_right(self._images, frame, key=lambda entry: entry[1])
-        return self._images[place - 1][1:] if place else None
+        return self._images[place - 1] if place else None
 
     @property
     def image_frames(self) -> list[int]:
@@ -59,6 +73,6 @@ class Past:
         return [frame for _, frame, _ in self._images]
 
 
-def _trim(entries: deque[tuple[float, int, bytes]], oldest_s: float) -> None:
+def _trim(entries: deque[tuple[float, int, Kept]], oldest_s: float) -> None:
     while entries and entries[0][0] < oldest_s:
         entries.popleft()

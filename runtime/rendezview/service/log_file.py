@@ -12,7 +12,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,26 @@ _MOST_RECORD = 4_000_000_000  # longer ones are no records but damage
 
 
 @dataclass(slots=True, eq=False)
+class ChunkIndexes:
+    """As they will stand in the file: a long log has one for every frame, 130 bytes each."""
+
+    written: bytearray = field(default_factory=bytearray)
+    count: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+
+    def add(self, index: ChunkIndex) -> None:
+        """Another chunk."""
+        self.written += _written([index])
+        first = self.count == 0
+        self.start_ns = (
+            index.message_start_time if first else min(self.start_ns, index.message_start_time)
+        )
+        self.end_ns = max(self.end_ns, index.message_end_time)
+        self.count += 1
+
+
+@dataclass(slots=True, eq=False)
 class Scan:
     """What is whole in a log."""
 
@@ -63,7 +83,7 @@ class Scan:
     finished: bool = False  # it has its index and its ending
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: ChunkIndexes = field(default_factory=ChunkIndexes)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)  # messages of each channel
@@ -168,7 +188,7 @@ def scan(path: StrPath, most: int | None = None) -> Scan:
             chunk.message_index_length += length
             missing.discard(record.channel_id)
             if not missing:
-                found.chunks.append(chunk)
+                found.chunks.add(chunk)
                 found.counts += inside
                 found.end, chunk = offset + length, None
             continue
@@ -206,32 +226,26 @@ def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
 
 def ending(found: Scan) -> bytes:
     """What stands behind the data of a finished log, written at ``found.end``."""
-    builder = RecordBuilder()
-    DataEnd(0).write(builder)
-    start = found.end + builder.count
-    head = taken(builder)
-    groups: list[tuple[Opcode, list[Any]]] = [
-        (Opcode.SCHEMA, list(found.schemas.values())),
-        (Opcode.CHANNEL, list(found.channels.values())),
-        (Opcode.STATISTICS, [_statistics(found)]),
-        (Opcode.CHUNK_INDEX, found.chunks),
-        (Opcode.ATTACHMENT_INDEX, found.attachments),
-        (Opcode.METADATA_INDEX, found.metadata),
+    head = _written([DataEnd(0)])
+    start = found.end + len(head)
+    groups: list[tuple[Opcode, bytes | bytearray]] = [
+        (Opcode.SCHEMA, _written(found.schemas.values())),
+        (Opcode.CHANNEL, _written(found.channels.values())),
+        (Opcode.STATISTICS, _written([_statistics(found)])),
+        (Opcode.CHUNK_INDEX, found.chunks.written),
+        (Opcode.ATTACHMENT_INDEX, _written(found.attachments)),
+        (Opcode.METADATA_INDEX, _written(found.metadata)),
     ]
-    offsets = []
+    summary, offsets = bytearray(), []
     for opcode, group in groups:
-        before = builder.count
-        for record in group:
-            record.write(builder)
-        if builder.count > before:
-            offsets.append(SummaryOffset(opcode, start + before, builder.count - before))
-    offsets_start = start + builder.count
-    for offset in offsets:
-        offset.write(builder)
-    summary = taken(builder)
+        if group:
+            offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
+        summary += group
+    offsets_start = start + len(summary)
+    summary += _written(offsets)
     footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
-    Footer(start, offsets_start, zlib.crc32(footer, zlib.crc32(summary))).write(builder)
-    return head + summary + taken(builder) + MAGIC
+    checksum = zlib.crc32(footer, zlib.crc32(summary))
+    return head + summary + _written([Footer(start, offsets_start, checksum)]) + MAGIC
 
 
 def mend(path: StrPath) -> int | None:
@@ -261,15 +275,22 @@ def taken(builder: RecordBuilder) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
+def _written(records: Iterable[Any]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return taken(builder)
+
+
 def _statistics(found: Scan) -> Statistics:
     return Statistics(
         attachment_count=len(found.attachments),
         channel_count=len(found.channels),
         channel_message_counts=dict(found.counts),
-        chunk_count=len(found.chunks),
+        chunk_count=found.chunks.count,
         message_count=sum(found.counts.values()),
-        message_start_time=min((c.message_start_time for c in found.chunks), default=0),
-        message_end_time=max((c.message_end_time for c in found.chunks), default=0),
+        message_start_time=found.chunks.start_ns,
+        message_end_time=found.chunks.end_ns,
         metadata_count=len(found.metadata),
         schema_count=len(found.schemas),
     )

@@ -136,7 +136,10 @@ class Worker(asyncio.Protocol):
             if session.has_waiting:
                 self._turns.append(session)
             self._current = session, waiting
-            self._memory[: len(waiting.content)] = waiting.content
+            place = 0
+            for piece in waiting.pieces:
+                self._memory[place : place + len(piece)] = piece
+                place += len(piece)
             self._transport.write(pack(session.header_of(waiting)))
             loop = asyncio.get_running_loop()
             # Late lines are put where they belong, and what came after is said again for each.

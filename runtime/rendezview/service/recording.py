@@ -204,7 +204,7 @@ class LogWriter:
         _write_all(self._file, blob, self._scan.end)
         self._sync()
         self._scan.end += len(blob)
-        self._scan.chunks.append(index)
+        self._scan.chunks.add(index)
         self._scan.counts.update(channel for channel, *_ in parts)
         self._messages += len(parts)
 

@@ -22,11 +22,12 @@ from rendezview.service.answers import (
     look,
     measure,
     needs,
+    pieces_of,
     sensor_name,
     service_of,
     session_of,
 )
-from rendezview.service.fusion_messages import Measured
+from rendezview.service.fusion_messages import Marks, Measured
 from rendezview.service.message_parts import NAME_PATTERN, PoseMessage
 from rendezview.service.messages import (
     Contour,
@@ -103,27 +104,17 @@ async def close_session(request: Request, name: str) -> None:
     responses={200: {"model": State}, 410: FAULTS[404]},
 )
 async def post_frame(request: Request, name: str, time_s: float | None = None) -> Response:
-    """Look at a frame: PNG, JPEG, or width × height grey bytes."""
+    """Look at a frame: PNG, JPEG, or width × height grey bytes. Called by `FrameLane`."""
     needs(request, Right.TRACK)
     session = session_of(request, name)
     at_s = frame_time(time_s)
-    content = await body_of(request, service_of(request).settings.frame_bytes)
-    if not content:
+    pieces = await pieces_of(request, service_of(request).settings.frame_bytes)
+    if not any(pieces):
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
-    answer = await look(session, content, at_s)
+    answer = await look(session, pieces, at_s)
     if answer.status != 200:
         return fault(answer.status, answer.error)
     return Response(answer.body, 200, None, JSON)
-
-
-async def post_frame_directly(request: Request) -> Response:
-    """The same, without what makes the page of the API: this is asked for every frame."""
-    text = request.query_params.get("time_s")
-    try:
-        time_s = None if text is None else float(text)
-    except ValueError:
-        raise HTTPException(422, f"time_s: {text!r:.40} is no number") from None
-    return await post_frame(request, request.path_params["name"], time_s)
 
 
 @router.post(
@@ -206,6 +197,16 @@ async def get_image(request: Request, name: str, frame: int) -> Response:
         raise HTTPException(404, f"no picture is kept of frame {frame} or before it")
     headers = {"X-Frame": str(kept[0]), "Cache-Control": "private, max-age=600"}
     return Response(kept[1], 200, headers, "image/jpeg")
+
+
+@router.get("/{name}/marks/{frame}", responses={200: {"model": list[Marks]}})
+async def get_marks(request: Request, name: str, frame: int) -> Response:
+    """What other sensors saw in the picture that is kept of a frame."""
+    needs(request, Right.READ)
+    kept = session_of(request, name).past.marks(frame)
+    if kept is None:
+        raise HTTPException(404, f"no picture is kept of frame {frame} or before it")
+    return Response(kept, 200, None, JSON)
 
 
 @router.get("/{name}/contour/{frame}")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pydantic_core import to_json
+
+from rendezview.service.frames import Bytes
 from rendezview.service.fusing import CAMERA
 from rendezview.service.history import Past
 from rendezview.service.messages import (
@@ -45,13 +47,18 @@ class Answer:
 class Waiting:
     """A frame that is to be looked at, or lines of another sensor."""
 
-    content: bytes
+    pieces: Sequence[Bytes]  # its bytes, as they came
     time_s: float
     received_unix_s: float
     received_s: float  # monotonic
     answer: Callable[[Answer], None]
     sensor: str | None = None  # whose lines these are; None: a frame
     waited_s: float = 0.0  # since something came into the session before
+
+    @property
+    def length(self) -> int:
+        """Bytes in all."""
+        return sum(map(len, self.pieces))
 
 
 @dataclass(slots=True, eq=False)
@@ -187,7 +194,7 @@ class Session:
         """What the worker is told of a frame, or of a sensor's lines."""
         about: Header = {
             "session": self.id,
-            "length": len(waiting.content),
+            "length": waiting.length,
             "received_unix_s": waiting.received_unix_s,
             "first_frame": self._frame_base,
         }
@@ -221,7 +228,8 @@ class Session:
 
     def most_lines_of(self, waiting: Waiting) -> int:
         """How many lines a sensor's message can hold."""
-        return min(1 + waiting.content.count(b"\n"), self.settings.measurement_lines)
+        breaks = sum(bytes(piece).count(b"\n") for piece in waiting.pieces)
+        return min(1 + breaks, self.settings.measurement_lines)
 
     def _count(self, frames: bool) -> int:
         return sum((waiting.sensor is None) is frames for waiting in self._queue)
@@ -273,13 +281,11 @@ class Session:
         if self.last is None:
             return
         now_s = time.monotonic()
-        if picture and self.past.wants_image(now_s):
-            self.past.add_image(now_s, header["frame"], picture)
-        sensors = json.dumps([s.model_dump() for s in self.sensors()]).encode()
-        recording = self.recording.model_dump_json().encode()
-        contour = json.dumps(header["contour"]).encode()
-        outlines = json.dumps(header["silhouette_px"]).encode()
         marks = self._others.marks(now_s)
+        if picture and self.past.wants_image(now_s):
+            self.past.add_image(now_s, header["frame"], picture, marks)
+        sensors, recording = to_json(self.sensors()), to_json(self.recording)
+        contour, outlines = to_json(header["contour"]), to_json(header["silhouette_px"])
         # Who came meanwhile sees the next one: nothing was asked for in its name.
         for watcher in self._due & self.watchers:
             shown = picture if watcher.width else b""

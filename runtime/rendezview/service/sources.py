@@ -18,7 +18,7 @@ import cv2
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.sequences import open_sequence
-from rendezview.sequences.images import quiet_opencv
+from rendezview.sequences.decoding import quiet_opencv
 from rendezview.service.replay import LoggedFrame, read_log
 from rendezview.service.sessions import Answer, Session, Waiting
 
@@ -129,7 +129,7 @@ class Feeder:
 
         now_s = time.time()
         time_s = now_s if frame.time_s is None else frame.time_s
-        waiting = Waiting(frame.content, time_s, now_s, time.monotonic(), answer)
+        waiting = Waiting((frame.content,), time_s, now_s, time.monotonic(), answer)
         self._loop.call_soon_threadsafe(self._session.replace, waiting)
         if not self._source.live:
             while not self._stop.is_set():

@@ -102,8 +102,8 @@ def _take(session: Session, content: bytes, answer: Answering) -> None:
     if not abs(time_s) <= MOST_TIME_S:
         answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
         return
-    picture = content[_TIME.size :]
-    session.replace(Waiting(picture, time_s, now_s, time.monotonic(), answer))
+    picture = memoryview(content)[_TIME.size :]  # as it is: it is copied once, to the worker
+    session.replace(Waiting((picture,), time_s, now_s, time.monotonic(), answer))
 
 
 def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
@@ -128,7 +128,7 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         return
     now_s = time.time()
     try:
-        session.measure(Waiting(content, now_s, now_s, time.monotonic(), answer, sensor))
+        session.measure(Waiting((content,), now_s, now_s, time.monotonic(), answer, sensor))
     except Full:
         answer(Answer(429, b"", "too many lines wait, or come a second: come back later"))
 

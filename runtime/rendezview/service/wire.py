@@ -5,7 +5,6 @@ The bytes of frames do not go this way but through memory that both have.
 
 from __future__ import annotations
 
-import json
 import mmap
 import os
 import socket
@@ -13,13 +12,15 @@ import struct
 import tempfile
 from typing import Any
 
+from pydantic_core import from_json, to_json
+
 _HEAD = struct.Struct("<II")  # lengths of the JSON and of the bytes
 Header = dict[str, Any]
 
 
 def pack(header: Header, content: bytes = b"") -> bytes:
     """One message."""
-    text = json.dumps(header, separators=(",", ":")).encode()
+    text = to_json(header)
     return _HEAD.pack(len(text), len(content)) + text + content
 
 
@@ -39,7 +40,7 @@ class Unpacker:
             if len(self._buffer) < end:
                 break
             view = memoryview(self._buffer)
-            header = json.loads(bytes(view[_HEAD.size : _HEAD.size + text]))
+            header = from_json(view[_HEAD.size : _HEAD.size + text].tobytes())
             found.append((header, bytes(view[_HEAD.size + text : end])))
             view.release()
             del self._buffer[:end]
@@ -55,7 +56,7 @@ def receive(connection: socket.socket) -> tuple[Header, bytes] | None:
     body = _exactly(connection, text + content)
     if body is None:
         return None
-    return json.loads(body[:text]), bytes(body[text:])
+    return from_json(body[:text]), body[text:]
 
 
 def _exactly(connection: socket.socket, count: int) -> bytes | None:

@@ -278,8 +278,10 @@ def _recording(writer: LogWriter | None) -> Header | None:
 
 def main() -> None:
     """Started with the descriptors of the connection and of the memory, and its size."""
-    # The service alone hears Ctrl-C; it tells us when to end.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Signals to the whole group are the service's: it tells us when to end. Should it be gone,
+    # so is the connection.
+    for sent in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sent, signal.SIG_IGN)
     cv2.setNumThreads(1)  # one core a worker
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     # Decoders write to the standard error as they like; the log of the service is JSON lines.

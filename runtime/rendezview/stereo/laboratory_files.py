@@ -70,11 +70,7 @@ def save_record(record: LaboratoryRecord, path: StrPath) -> None:
         "plate_sigma_m": record.plate_sigma_m,
         "views": [
             {
-                "rig_from_plate": view.rig_from_plate
-                and {
-                    "quat_wxyz": view.rig_from_plate.quat_wxyz.tolist(),
-                    "translation_m": view.rig_from_plate.translation_m.tolist(),
-                },
+                "rig_from_plate": view.rig_from_plate and view.rig_from_plate.as_dict(),
                 "currents": [None if seen is None else _plain(seen) for seen in view.currents],
                 "frames": view.frames,
             }

@@ -112,10 +112,7 @@ def save_rig(rig: Rig, path: StrPath) -> None:
                     "noise": diode.noise,
                     "half_width_m": diode.half_width_m,
                 },
-                "camera_from_rig": {
-                    "quat_wxyz": camera.camera_from_rig.quat_wxyz.tolist(),
-                    "translation_m": camera.camera_from_rig.translation_m.tolist(),
-                },
+                "camera_from_rig": camera.camera_from_rig.as_dict(),
                 "floor": camera.floor,
                 "sigma": camera.sigma,
                 "rms": camera.rms,

@@ -1,6 +1,8 @@
 // The page: what comes in, when it is drawn, and what the operator does.
 
-import { downloadLog, fitsSocket, json, setToken, token, watch } from "./api.js";
+import { askToken, onToken, wasDeclined } from "./access.js";
+import { downloadLog, json, token, watch } from "./api.js";
+import { listen } from "./keys.js";
 import { LiveView } from "./live.js";
 import { Past } from "./past.js";
 import { say, showFused, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
@@ -23,7 +25,6 @@ let last = null; // what came last: message, jpeg, at (ms)
 let shown = null; // what stands there: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the place among them
 let ended = null; // reason
-let declined = false; // to give a token: not asked again unless by the button
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // what the words were said of
 let fresh = false, slowAt = 0, plotAt = 0, plotCost = 0, moved = false;
@@ -198,7 +199,7 @@ async function poll() {
   } catch (error) {
     if (error.status === 401) {
       showVerdict(["offline", "NO ACCESS", "the service asks for a token: press Token"]);
-      if (!declined) askToken(token() ? "The token that was given is not right." : "The service asks for a token.");
+      if (!wasDeclined()) askToken(token() ? "The token that was given is not right." : "The service asks for a token.");
     } else {
       showLink("no connection", "bad");
       if (paused === null) showVerdict(["offline", "NO CONNECTION", error.message]);
@@ -316,10 +317,10 @@ async function fetchPicture() {
     const got = await of.picture(done).catch((error) => ({ failure: error.message }));
     if (paused === null || of !== past) break;
     const state = paused.states[paused.place];
-    if (got.failure) present({ state, contour: null, silhouette: null, bitmap: null, note: `no picture: ${got.failure}` });
+    if (got.failure) present({ state, contour: null, silhouette: null, marks: null, bitmap: null, note: `no picture: ${got.failure}` });
     else {
       const away = got.frame === state.frame ? "" : ` · picture: ${got.frame}`;
-      present({ state, contour: got.contour, silhouette: null, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
+      present({ state, contour: got.contour, silhouette: null, marks: got.marks, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
     }
   }
   fetching = false;
@@ -333,30 +334,6 @@ function placeAway(seconds) {
 }
 
 // What the operator does
-
-function askToken(why) {
-  const dialog = find("token-dialog");
-  say(find("token-why"), why);
-  if (!dialog.open) dialog.showModal();
-}
-
-function useToken() {
-  const given = find("token-value").value.trim();
-  if (!fitsSocket(given)) {
-    askToken("A browser cannot send this token to a WebSocket: it may hold letters, digits and -._~ but no spaces.");
-    return;
-  }
-  setToken(given);
-  declined = false;
-  find("token-value").value = "";
-  find("token-dialog").onclose = () => {
-    find("token-dialog").onclose = refuse;
-    poll();
-  };
-  find("token-dialog").close();
-}
-
-const refuse = () => (declined = true);
 
 function download() {
   if (find("download").disabled) return;
@@ -388,17 +365,8 @@ const KEYS = {
   "?": () => find("help-dialog").showModal(),
 };
 
-document.addEventListener("keydown", (event) => {
-  const { target, key } = event;
-  if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-  if (target.matches("select, input[type=password]")) return;
-  if (key === " " && target.matches("button, input[type=checkbox]")) return; // they have it themselves
-  const act = KEYS[key.length === 1 ? key.toLowerCase() : key];
-  if (!act) return;
-  event.preventDefault();
-  act(event);
-});
-
+listen(KEYS);
+onToken(poll);
 find("pause").onclick = KEYS[" "];
 find("scrub").oninput = (event) => paused && seek(Number(event.target.value));
 find("span").onchange = () => {
@@ -409,13 +377,6 @@ find("span").onchange = () => {
 };
 find("sessions").onchange = (event) => choose(event.target.value);
 find("download").onclick = download;
-find("token").onclick = () => askToken("A token of the service; kept until this tab is closed.");
-find("token-use").onclick = useToken;
-find("token-cancel").onclick = () => find("token-dialog").close();
-find("token-dialog").onclose = refuse;
-find("token-value").onkeydown = (event) => {
-  if (event.key === "Enter") useToken();
-};
 find("help").onclick = KEYS["?"];
 find("help-close").onclick = () => find("help-dialog").close();
 for (const layer of ["contour", "nodes", "silhouette", "ellipses", "spots"]) {

@@ -33,14 +33,12 @@ export class Past {
     this.states = [...byFrame.values()].sort((a, b) => a.frame - b.frame);
   }
 
-  /** Picture of a frame, or of the last one kept before it, and the contour that belongs to it. */
+  /** Picture of a frame, or of the last one kept before it, and what belongs to it. */
   async picture(frame) {
     const response = await request(`${sessionPath(this.session)}/images/${frame}`);
     const shown = Number(response.headers.get("X-Frame"));
-    const [blob, contour] = await Promise.all([
-      response.blob(),
-      json(`${sessionPath(this.session)}/contour/${shown}`).catch(() => null),
-    ]);
-    return { frame: shown, bitmap: await createImageBitmap(blob), contour };
+    const of = (what) => json(`${sessionPath(this.session)}/${what}/${shown}`).catch(() => null);
+    const [blob, contour, marks] = await Promise.all([response.blob(), of("contour"), of("marks")]);
+    return { frame: shown, bitmap: await createImageBitmap(blob), contour, marks };
   }
 }

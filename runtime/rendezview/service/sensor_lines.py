@@ -1,0 +1,149 @@
+"""Lines of other sensors as they come in, checked: what the filter of a session can take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+from pydantic_core import from_json
+
+from rendezview.errors import RendezviewError
+from rendezview.files import describe
+from rendezview.fusion import Measurement, PoseMeasurement, RangeMeasurement, Surface
+from rendezview.fusion.logs import LogContext, read_record
+from rendezview.pose import Pose
+from rendezview.service.fusion_messages import MOST_MARKS, FusionRequest, Marks, SurfaceMessage
+from rendezview.service.message_parts import PoseMessage
+from rendezview.target import DockingRing
+
+_LEAST, _MOST = 1e-20, 1e12  # variances a filter can work with
+_MOST_M = 1e9
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """One line of a sensor, checked."""
+
+    kind: str
+    record: Json
+    measurement: Measurement | None
+    marks: Json | None
+
+
+def split_records(text: bytes) -> list[Json]:
+    """The objects of a message: one, or one a line.
+
+    Raises:
+        RendezviewError: bad JSON, no object, or nothing at all.
+    """
+    try:
+        whole = text.decode()
+    except UnicodeDecodeError as error:
+        raise RendezviewError(f"no UTF-8 ({error.reason}): send JSON") from None
+    parts = [line for line in whole.split("\n") if line.strip()]
+    if not parts:
+        raise RendezviewError("the message is empty: send a line of a sensor's log")
+    if parts[0].strip() == "{" or not parts[0].rstrip().endswith("}"):
+        parts = [whole]  # one object over several lines
+    records = []
+    for number, part in enumerate(parts, start=1):
+        try:
+            record = from_json(part, allow_inf_nan=False)
+        except ValueError as error:
+            told = f"line {number}: not valid JSON ({error}): correct or remove it"
+            raise RendezviewError(told) from None
+        if not isinstance(record, dict):
+            raise RendezviewError(f"line {number}: not a JSON object: send a sensor's log lines")
+        records.append(record)
+    return records
+
+
+def read_line(record: Json, kind: str, sensor: str, context: LogContext, where: str) -> Line:
+    """A line of a sensor, all of it.
+
+    Raises:
+        RendezviewError: it cannot be read, or its numbers are beyond all measure.
+    """
+    with np.errstate(all="ignore"):  # what is beyond all measure is refused below
+        measurement = read_record(record, kind, sensor, context, where)
+    if measurement is not None:
+        check_size(measurement, where)
+    return Line(kind, record, measurement, _marks(sensor, record, context, where))
+
+
+def check_size(measurement: Measurement, where: str) -> None:
+    """Numbers with which a filter can work.
+
+    Raises:
+        RendezviewError: a place beyond 10⁹ m, or a variance beyond what a sensor can have.
+    """
+    if isinstance(measurement, PoseMeasurement):
+        places = [measurement.pose.translation_m]
+        variances = np.diagonal(measurement.covariance)
+    elif isinstance(measurement, RangeMeasurement):
+        places = [np.array([measurement.range_m]), measurement.origin_m]
+        variances = np.square([min(measurement.sigma_m, _MOST)])
+    else:
+        places = [c.centre_m for c in measurement.candidates]
+        variances = np.concatenate([np.diagonal(c.covariance)[:3] for c in measurement.candidates])
+    if any(np.abs(place).max() > _MOST_M for place in places):
+        raise RendezviewError(f"{where}: places beyond {_MOST_M:g} m are of no use here")
+    if not (variances.min() >= _LEAST and variances.max() <= _MOST):
+        raise RendezviewError(
+            f"{where}: variances must be {_LEAST:g} … {_MOST:g}, in rad² and m², not "
+            f"{variances.min():.3g} … {variances.max():.3g}"
+        )
+
+
+def _marks(sensor: str, record: Json, context: LogContext, where: str) -> Json | None:
+    """What there is to draw: a sensor that is mounted elsewhere has other pixels."""
+    edges, spots = record.get("ellipses"), record.get("spots")
+    if sensor in context.mounts or not (edges or spots):
+        return None
+    try:
+        marks = {
+            "sensor": sensor,
+            "time_s": float(record["time_s"]),
+            "ellipses": [
+                {name: edge[name] for name in ("centre_px", "semi_axes_px", "angle_rad")}
+                for edge in (edges or [])[:MOST_MARKS]
+            ],
+            "chosen": record.get("ellipse"),
+            "spots_px": [[spot["x_px"], spot["y_px"]] for spot in (spots or [])[:MOST_MARKS]],
+        }
+        return Marks.model_validate(marks).model_dump()
+    except ValidationError as error:
+        raise RendezviewError(f"{where}: {describe(error)}") from None
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        said = f"no key {error}" if isinstance(error, KeyError) else str(error)[:200]
+        raise RendezviewError(
+            f"{where}: its ellipses or spots cannot be read ({said}): correct or leave them out"
+        ) from None
+
+
+def context_of(asked: FusionRequest) -> LogContext:
+    """What is known of the sensors, as their logs are read with it."""
+    ring = None
+    if asked.ring is not None:
+        axis = np.array(asked.ring.axis)
+        ring = DockingRing(
+            np.array(asked.ring.centre_m), axis / np.linalg.norm(axis), asked.ring.radius_m
+        )
+    surfaces = tuple(map(_surface, asked.surfaces))
+    return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
+
+
+def _surface(told: SurfaceMessage) -> Surface:
+    outer_m = math.inf if told.outer_m is None else told.outer_m
+    return Surface(
+        np.array(told.point_m), np.array(told.normal), told.relief_m, told.inner_m, outer_m
+    )
+
+
+def _pose(told: PoseMessage) -> Pose:
+    return Pose.from_quat_wxyz(told.quat_wxyz, told.translation_m)
