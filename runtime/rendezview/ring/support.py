@@ -21,6 +21,8 @@ Array = npt.NDArray[np.float64]
 REACH = 3  # px to either side of the step fit
 TAPS = 2 * REACH + 1
 LEAST_GAP = 2.2  # px between two edges that can still be told apart
+# Where the whole profile is no step, its near side may be: px from the edge, first and last.
+WINDOWS = ((-REACH, REACH), (-REACH, 1), (-1, REACH), (-2, 1), (-1, 2))
 # Columns of samples
 ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
 COLUMNS = 11
@@ -37,21 +39,22 @@ def bend(x, y, lens):  # type: ignore[no-untyped-def]
     return lens[0] * u + lens[2], lens[1] * v + lens[3]
 
 
-def step_filters(blur_px: float) -> Array:
-    """(3, TAPS) that give b, c and c δ of ``b + c Φ((d - δ)/σ)`` by least squares at δ = 0."""
-    d = np.arange(-REACH, REACH + 1) / blur_px
-    basis = np.column_stack(
-        [np.ones(TAPS), ndtr(d), -np.exp(-0.5 * d * d) / (np.sqrt(2.0 * np.pi) * blur_px)]
-    )
-    return np.ascontiguousarray(np.linalg.pinv(basis))
-
-
 def step_basis(blur_px: float) -> Array:
-    """(3, TAPS) the step model's basis, to know what the fit leaves."""
+    """(3, TAPS) columns of the model ``b + c Φ((d - δ)/σ)`` in b, c and c δ, at δ = 0."""
     d = np.arange(-REACH, REACH + 1) / blur_px
     return np.vstack(
         [np.ones(TAPS), ndtr(d), -np.exp(-0.5 * d * d) / (np.sqrt(2.0 * np.pi) * blur_px)]
     )
+
+
+def step_filters(blur_px: float) -> Array:
+    """(len(WINDOWS), 3, TAPS) that give b, c and c δ by least squares on each of `WINDOWS`."""
+    basis = step_basis(blur_px)
+    filters = np.zeros((len(WINDOWS), 3, TAPS))
+    for window, (first, last) in zip(filters, WINDOWS, strict=True):
+        taps = slice(first + REACH, last + REACH + 1)
+        window[:, taps] = np.linalg.pinv(basis[:, taps].T)
+    return filters
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -228,6 +231,24 @@ def _crowded(profile, inner, outer, blur_px, solved):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def _step(profile, window):  # type: ignore[no-untyped-def]
+    """Level, contrast and contrast × place of a profile by a window of `step_filters`."""
+    level, contrast, shifted = 0.0, 0.0, 0.0
+    for k in range(TAPS):
+        level += window[0, k] * profile[k]
+        contrast += window[1, k] * profile[k]
+        shifted += window[2, k] * profile[k]
+    return level, contrast, shifted
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _allowed(freedom, noise, contrast, place):  # type: ignore[no-untyped-def]
+    """Squares that a step may leave: noise, blur not quite as told, and its bend where it is far."""
+    bend_grey = abs(contrast) * (0.02 + 0.2 * place * place)
+    return 1.5 * freedom * (noise * noise + 0.1) + bend_grey * bend_grey
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def step_support(  # type: ignore[no-untyped-def]
     image, lens, shape, spacing_px, sense, noise, filters, basis, blur_px, others, samples,
 ):  # fmt: skip
@@ -249,7 +270,7 @@ def step_support(  # type: ignore[no-untyped-def]
     solved = np.zeros(5)
     spread = 0.0
     for k in range(TAPS):
-        spread += filters[2, k] * filters[2, k]
+        spread += filters[0, 2, k] * filters[0, 2, k]
     angle = 0.0
     count = 0
     long = 0.5 * (shape[2] + shape[4]) + np.sqrt(
@@ -301,11 +322,7 @@ def step_support(  # type: ignore[no-untyped-def]
             upper = image[line, column] * (1.0 - fa) + image[line, column + 1] * fa
             lower = image[line + 1, column] * (1.0 - fa) + image[line + 1, column + 1] * fa
             profile[k] = upper + fb * (lower - upper)
-        level, contrast, shifted = 0.0, 0.0, 0.0
-        for k in range(TAPS):
-            level += filters[0, k] * profile[k]
-            contrast += filters[1, k] * profile[k]
-            shifted += filters[2, k] * profile[k]
+        level, contrast, shifted = _step(profile, filters[0])
         taken, room = spread, _NO
         if outer < REACH + 2.0 * blur_px or -inner < REACH + 2.0 * blur_px:
             taken = _crowded(profile, inner, outer, blur_px, solved)
@@ -317,8 +334,6 @@ def step_support(  # type: ignore[no-untyped-def]
         if contrast * sense < 0.0 or abs(contrast) < 2.5 * noise + 2.0:
             continue
         place = shifted / contrast
-        if abs(place) > min(1.6, room):
-            continue
         left = 0.0
         for k in range(TAPS):
             e = profile[k] - level - contrast * basis[1, k] - shifted * basis[2, k]
@@ -326,7 +341,24 @@ def step_support(  # type: ignore[no-untyped-def]
                 e -= solved[3] * normal_cdf((k - REACH - outer) / blur_px)
                 e -= solved[4] * normal_cdf((k - REACH - inner) / blur_px)
             left += e * e
-        # What is left beyond noise is another edge, a shade or a curve of the step's own.
+        # What is left beyond noise is another edge, a shade or a curve of the step's own. An edge
+        # that is not known of leaves the near side as it is: the widest window that fits counts.
+        if left > _allowed(TAPS - 3, noise, contrast, place):
+            for w in range(1, filters.shape[0]):
+                first, last = WINDOWS[w][0] + REACH, WINDOWS[w][1] + REACH
+                l2, c2, s2 = _step(profile, filters[w])
+                if c2 * contrast <= 0.0 or abs(s2) > 1.6 * abs(c2):
+                    continue
+                rest = 0.0
+                for k in range(first, last + 1):
+                    rest += (profile[k] - l2 - c2 * basis[1, k] - s2 * basis[2, k]) ** 2
+                if rest <= _allowed(last - first - 2, noise, c2, s2 / c2):
+                    contrast, place, left, taken = c2, s2 / c2, rest, 0.0
+                    for k in range(first, last + 1):
+                        taken += filters[w, 2, k] ** 2
+                    break
+        if abs(place) > min(1.6, room):
+            continue
         allowed = (TAPS - 3) * noise * noise + (0.08 * contrast) ** 2
         if left > 6.0 * allowed + 4.0:
             continue
