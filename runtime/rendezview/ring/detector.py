@@ -56,6 +56,7 @@ class RingOptions:
     least_share: float = 0.5  # of the longest piece's neighbourhood; see `_verify`
     blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
     sample_px: float = 1.5  # between samples of the final fit
+    floor_px: float = 0.03  # σ that an ellipse's numbers have besides: what the edges' model lacks
     most: int = 12  # ellipses kept
 
 
@@ -151,7 +152,7 @@ class RingDetector:
         o = self.options
         fitted, covariances, facts = _fit_steps(
             grey, self._lens, shapes, o.sample_px, noise, self._filters, self._basis, o.blur_px,
-            o.least_arc_rad,
+            o.least_arc_rad, o.floor_px,
         )  # fmt: skip
         if len(fitted) == 0:
             return ()
@@ -310,7 +311,7 @@ def _twins(a, b, near):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fit_steps(  # type: ignore[no-untyped-def]
-    image, lens, shapes, spacing, noise, filters, basis, blur, least_arc
+    image, lens, shapes, spacing, noise, filters, basis, blur, least_arc, floor
 ):
     """Blurred-step fits: shapes (M, 5), covariances (M, 5, 5), (M, 3) arc, contrast, rms."""
     total = shapes.shape[0]
@@ -385,6 +386,8 @@ def _fit_steps(  # type: ignore[no-untyped-def]
         spread = max(spread, waviness_factor(samples, n))
         fitted[count] = update
         covariances[count] = np.linalg.inv(normal) * spread
+        for j in range(5):
+            covariances[count, j, j] += floor * floor
         facts[count, 0], facts[count, 1] = arc, contrast / weight
         facts[count, 2] = np.sqrt(square / used)
         current[k] = update
