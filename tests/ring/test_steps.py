@@ -39,7 +39,7 @@ def test_a_lone_edge_is_where_it_is():
     assert count > 350
 
 
-@pytest.mark.parametrize("gap_px", [3.0, 3.5, 4.0])
+@pytest.mark.parametrize("gap_px", [3.0, 3.5])
 def test_an_edge_beside_it_that_nobody_knows_of_does_not_draw_it_away(gap_px):
     mean_px, count = places(gap_px, 50.0, 95.0)
     assert abs(mean_px) < 0.12
