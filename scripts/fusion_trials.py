@@ -193,7 +193,7 @@ OPTIONS = FusionOptions(
     motion=MotionOptions(angular=1.7e-4, linear=6e-4, along=5e-3, pointing=6e-5),
     pose=SensorOptions(inflation=1.5, lasting=0.9, lasting_s=60.0, lasting_range=0.25),
     ring=SensorOptions(
-        inflation=4.0, floor_rad=math.radians(1.7), floor_range=5e-4, lasting=0.8,
+        inflation=4.0, floor_rad=math.radians(0.5), floor_range=5e-4, lasting=0.8,
         lasting_s=60.0, lasting_range=0.35, gate=1e-3,
     ),
     range=SensorOptions(lasting_s=10.0, lasting_range=0.5),

@@ -101,6 +101,33 @@ def test_a_wrong_first_pose_is_left_at_once(world):
     assert away(fusion, world, 2.0) < 30.0
 
 
+def test_two_sensors_that_disagree_from_the_start_do_not_keep_it_starting(world):
+    fusion = Fusion(OPTIONS)
+    for k in range(10):
+        fusion.add(world.pose(0.5 * k, AWAY))
+        fusion.add(world.pose(0.5 * k, sensor="stereo"))
+    # Which of the two is right nobody can know: the first is followed, and the other named.
+    assert fusion.state_at(4.5).status is Status.TRACKING
+    assert fusion.starts == 1
+    assert fusion.trusts["stereo"].locked
+    for k in range(10, 20):  # a third one tells
+        fusion.add(world.pose(0.5 * k, AWAY))
+        fusion.add(world.pose(0.5 * k, sensor="stereo"))
+        fusion.add(world.ring(0.5 * k))
+    assert fusion.starts == 2
+    assert fusion.trusts["camera"].locked
+    assert away(fusion, world, 9.5) < 30.0
+
+
+def test_a_first_pose_of_a_sensor_that_then_is_silent_is_left_for_another(world):
+    fusion = Fusion(OPTIONS)
+    fusion.add(world.pose(0.0, 10.0 * AWAY))
+    for k in range(1, 8):
+        fusion.add(world.pose(0.5 * k, sensor="stereo"))
+    assert fusion.state_at(3.5).status is Status.TRACKING
+    assert away(fusion, world, 3.5) < 30.0
+
+
 @pytest.mark.parametrize(
     "sensors", [("camera", "laser"), ("camera", "ring"), ("camera", "ring", "laser")]
 )

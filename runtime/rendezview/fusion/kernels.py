@@ -199,10 +199,10 @@ def predicted(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def gain(
+def whitened(
     covariance: Array, design: Array, noise: Array, residual: Array
-) -> tuple[bool, float, float, Array, Array]:
-    """Squared distance of a residual, ln|S|, the correction and the covariance after it.
+) -> tuple[bool, float, float, Array, Array, Array]:
+    """A residual in units of its covariance S = H P Hᵀ + R = L Lᵀ.
 
     Args:
         covariance: (n, n) P.
@@ -211,41 +211,48 @@ def gain(
         residual: (m,) measured − expected.
 
     Returns:
-        Whether S = H P Hᵀ + R is positive; NIS; ln|S|; (n,) correction; (n, n) P after.
+        Whether S is positive; NIS; ln|S|; (n, m) P Hᵀ; (m, m) L; (m,) L⁻¹ residual.
     """
     m, n = design.shape
-    across = np.zeros((n, m))  # P Hᵀ
+    across = np.zeros((n, m))
     for k in range(m):
         for j in range(n):
             h = design[k, j]
             if h != 0.0:
                 for i in range(n):
                     across[i, k] += covariance[j, i] * h  # symmetric: along the row
-    lower = np.zeros((m, m))
-    logarithm = 0.0
+    spread = np.empty((m, m))
     for i in range(m):
         for j in range(i + 1):
             s = 0.5 * (noise[i, j] + noise[j, i])
             for k in range(n):
                 if design[i, k] != 0.0:
                     s += design[i, k] * across[k, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not s > 0.0:
-                    return False, np.inf, np.inf, np.zeros(n), covariance
-                lower[i, i] = np.sqrt(s)
-                logarithm += np.log(s)
-            else:
-                lower[i, j] = s / lower[j, j]
+            spread[i, j] = spread[j, i] = s
+    lower = square_root(spread)
     white = residual.copy()
+    nis, logarithm = 0.0, 0.0
     for i in range(m):
+        if not lower[i, i] > 0.0:
+            return False, np.inf, np.inf, across, lower, white
         for k in range(i):
             white[i] -= lower[i, k] * white[k]
         white[i] /= lower[i, i]
-    nis = 0.0
-    for i in range(m):
         nis += white[i] * white[i]
+        logarithm += 2.0 * np.log(lower[i, i])
+    return True, nis, logarithm, across, lower, white
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gain(
+    covariance: Array, design: Array, noise: Array, residual: Array
+) -> tuple[bool, float, float, Array, Array]:
+    """Whether S of `whitened` is positive; NIS; ln|S|; (n,) correction; (n, n) P after it."""
+    m, n = design.shape
+    fits, nis, logarithm, across, lower, white = whitened(covariance, design, noise, residual)
+    correction = np.zeros(n)
+    if not fits:
+        return False, nis, logarithm, correction, covariance
     # P Hᵀ L⁻ᵀ, so that P falls by its square and stays symmetric.
     for r in range(n):
         for i in range(m):
@@ -253,7 +260,6 @@ def gain(
             for k in range(i):
                 s -= lower[i, k] * across[r, k]
             across[r, i] = s / lower[i, i]
-    correction = np.zeros(n)
     after = np.empty((n, n))
     for i in range(n):
         for k in range(m):
@@ -265,6 +271,30 @@ def gain(
             after[i, j] = s
             after[j, i] = s
     return True, nis, logarithm, correction, after
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def with_lasting(
+    extras: Array, slope: Array, root: Array, start: int, measured: Array
+) -> tuple[Array, Array]:
+    """(m, n) slope by every state, and (m,) residual less the lasting error at ``start``.
+
+    Args:
+        extras: (n - 12,) all states but those of motion.
+        slope: (m, 14) by motion, ring radius and depth.
+        root: (m, b) by the lasting error.
+        measured: (m,) measured − expected, the lasting error left out.
+    """
+    m = len(measured)
+    design = np.zeros((m, 12 + len(extras)))
+    residual = measured.copy()
+    for i in range(m):
+        for j in range(slope.shape[1]):
+            design[i, j] = slope[i, j]
+        for j in range(root.shape[1]):
+            design[i, start + j] = root[i, j]
+            residual[i] -= root[i, j] * extras[start - 12 + j]
+    return design, residual
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -280,29 +310,15 @@ def corrected(
     white: Array,
     measured: Array,
 ) -> tuple[bool, float, float, Array, Array, Array, Array, Array, Array]:
-    """The state after a measurement whose lasting error stands at ``start``.
-
-    Args:
-        slope: (m, 14) by motion, ring radius and depth.
-        root: (m, b) by the lasting error.
-        white: (m, m) covariance of what is new.
-        measured: (m,) measured − expected, the lasting error left out.
+    """The state after a measurement: arguments of `with_lasting`, ``white`` (m, m) is what is new.
 
     Returns:
         Whether it can be used; NIS; ln|S|; (m,) residual less the lasting error; rotation,
         translation, rates, extras and covariance after it.
     """
-    m, n = len(measured), len(covariance)
-    design = np.zeros((m, n))
-    residual = measured.copy()
-    for i in range(m):
-        for j in range(slope.shape[1]):
-            design[i, j] = slope[i, j]
-        for j in range(root.shape[1]):
-            design[i, start + j] = root[i, j]
-            residual[i] -= root[i, j] * extras[start - 12 + j]
+    design, residual = with_lasting(extras, slope, root, start, measured)
     fits, nis, logarithm, step, after = gain(covariance, design, white, residual)
-    for i in range(n):
+    for i in range(len(step)):
         fits = fits and np.isfinite(step[i])
     return (
         fits, nis, logarithm, residual, turned(step[:3], rotation), translation + step[3:6],
@@ -321,40 +337,9 @@ def distance(
     measured: Array,
 ) -> tuple[bool, float, float]:
     """As `corrected`, but only whether it can be used, NIS and ln|S|."""
-    m, n = len(measured), len(covariance)
-    k, b = slope.shape[1], root.shape[1]
-    both = np.zeros((m, n))
-    spread = white.copy()
-    residual = measured.copy()
-    for i in range(m):
-        for j in range(b):
-            residual[i] -= root[i, j] * extras[start - 12 + j]
-    for i in range(m):  # H P
-        for j in range(n):
-            s = 0.0
-            for c in range(k):
-                s += slope[i, c] * covariance[c, j]
-            for c in range(b):
-                s += root[i, c] * covariance[start + c, j]
-            both[i, j] = s
-    for i in range(m):
-        for j in range(m):
-            for c in range(k):
-                spread[i, j] += both[i, c] * slope[j, c]
-            for c in range(b):
-                spread[i, j] += both[i, start + c] * root[j, c]
-    lower = square_root(spread)
-    nis, logarithm = 0.0, 0.0
-    for i in range(m):
-        if not lower[i, i] > 0.0:
-            return False, np.inf, np.inf
-        s = residual[i]
-        for c in range(i):
-            s -= lower[i, c] * residual[c]
-        residual[i] = s / lower[i, i]
-        nis += residual[i] ** 2
-        logarithm += 2.0 * np.log(lower[i, i])
-    return True, nis, logarithm
+    design, residual = with_lasting(extras, slope, root, start, measured)
+    fits, nis, logarithm, _, _, _ = whitened(covariance, design, white, residual)
+    return fits, nis, logarithm
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -91,6 +91,9 @@ class RingMeasurement:
     sensor: str
     candidates: tuple[RingCandidate, ...]  # one or two
     ring: DockingRing  # what it is of the target, target frame
+    centres_m: Array = field(init=False)  # (K, 3) of the candidates
+    axes: Array = field(init=False)  # (K, 3)
+    covariances: Array = field(init=False)  # (K, 6, 6)
 
     size = 5
     lasting_size = 10  # of the ring's edge, and of another that was taken for it
@@ -99,6 +102,10 @@ class RingMeasurement:
         _check_time(self.time_s, self.sensor)
         if not self.candidates:
             raise ValueError(f"{self.sensor}: a ring needs at least one candidate")
+        both = self.candidates[:2]
+        object.__setattr__(self, "centres_m", np.array([c.centre_m for c in both]))
+        object.__setattr__(self, "axes", np.array([c.axis for c in both]))
+        object.__setattr__(self, "covariances", np.array([c.covariance for c in both]))
 
     def in_camera(self, sensor_from_camera: Pose) -> RingMeasurement:
         """The same said in the camera frame."""

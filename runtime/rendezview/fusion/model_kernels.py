@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.fusion.kernels import rotation_vector, square_root
+from rendezview.fusion.kernels import distance, rotation_vector, square_root
 from rendezview.pose import Array
+
+_DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
+# Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same
+# edge is taken again and again, so that most of it lasts.
+_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_LASTING = 0.005, 0.1, 0.5, 0.9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -131,44 +136,96 @@ def ring_look(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def other_edge(
-    place: Array, bearing: float, relative: float, angle: float, lasting: float
-) -> tuple[Array, Array]:
+def other_edge(place: Array) -> tuple[Array, Array]:
     """(5, 5) white covariance and (5, 10) root of the lasting one, of an edge near the ring's.
 
-    Args:
-        place: (3,) where it would be if it were the ring's.
-        bearing, relative, angle: σ across the line of sight (rad), along it (over the range), and
-            of the axis (rad).
-        lasting: share of the variance that lasts.
+    ``place`` (3,) is where it would be if it were the ring's.
     """
     square = place[0] ** 2 + place[1] ** 2 + place[2] ** 2
     whole = np.zeros((5, 5))
     for i in range(3):
-        whole[i, i] = bearing**2 * square
+        whole[i, i] = _OTHER_BEARING**2 * square
         for j in range(3):
-            whole[i, j] += relative**2 * place[i] * place[j]
-    whole[3, 3] = whole[4, 4] = angle**2
+            whole[i, j] += _OTHER_RANGE**2 * place[i] * place[j]
+    whole[3, 3] = whole[4, 4] = _OTHER_RAD**2
     both = np.zeros((5, 10))
-    both[:, 5:] = square_root(lasting * whole)
-    return (1.0 - lasting) * whole, both
+    both[:, 5:] = square_root(_OTHER_LASTING * whole)
+    return (1.0 - _OTHER_LASTING) * whole, both
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_share(
-    share: float,
-    residual: Array,
-    white: Array,
-    root: Array,
-    mean: Array,
-    spread: Array,
-    lasting: Array,
-) -> None:
-    """Add one candidate's share to a mixture, in place; ``spread`` gets the second moment."""
-    m = len(residual)
-    for i in range(m):
-        mean[i] += share * residual[i]
-        for j in range(m):
-            spread[i, j] += share * (white[i, j] + residual[i] * residual[j])
-        for j in range(root.shape[1]):
-            lasting[i, j] += share * root[i, j]
+def ring_expected(
+    centres: Array,
+    axes: Array,
+    covariances: Array,
+    ring_centre: Array,
+    ring_axis: Array,
+    rotation: Array,
+    translation: Array,
+    extras: Array,
+    covariance: Array,
+    start: int,
+    inflation: float,
+    floor_rad: float,
+    floor_range: float,
+    lasting: float,
+    chance_of_other: float,
+) -> tuple[bool, bool, Array, Array, Array, Array]:
+    """Candidates (K, 3), (K, 3), (K, 6, 6) of a ring, and another edge, as one measurement.
+
+    It is their mean and spread by how likely each is. Where they are far apart one has all the
+    weight. Where they are not (a ring seen face-on), the spread says what the picture cannot: on
+    which side of the line of sight the axis lies.
+
+    Returns:
+        Whether the ring is before the camera; whether the likeliest is another edge; (5,)
+        residual, (5, 14) slope, (5, 5) white covariance, (5, 10) root of the lasting one.
+    """
+    # The radius that the sensor takes is too small by this factor: so is its centre's distance.
+    centre, axis, basis, slope = ring_model(
+        ring_centre, ring_axis, rotation, translation, 1.0 + extras[0], extras[1]
+    )
+    known = len(centres)
+    count = known + 1 if chance_of_other > 0.0 else known
+    residuals = np.zeros((count, 5))
+    whites, roots = np.zeros((count, 5, 5)), np.zeros((count, 5, 10))
+    logs = np.zeros(count)
+    for k in range(known):
+        residuals[k], whites[k], roots[k] = ring_look(
+            centres[k], axes[k], covariances[k], centre, axis, basis,
+            inflation, floor_rad, floor_range, lasting,
+        )  # fmt: skip
+        logs[k] = np.log((1.0 - chance_of_other) / known)
+    if count > known:
+        # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
+        residuals[known] = residuals[0]
+        whites[known], roots[known] = other_edge(centres[0])
+        logs[known] = np.log(chance_of_other)
+    best = 0
+    if count > 1:
+        for k in range(count):
+            _, nis, log_volume = distance(
+                extras, covariance, slope, roots[k], start, whites[k], residuals[k]
+            )
+            logs[k] -= 0.5 * (nis + log_volume)  # −∞ where it cannot be used
+        best = int(np.argmax(logs))
+    total = 0.0
+    residual = np.zeros(5)
+    white, root = np.zeros((5, 5)), np.zeros((5, 10))
+    for k in range(count):
+        if k == best or logs[k] > logs[best] - _DECIDED:
+            total += np.exp(logs[k] - logs[best]) if k != best else 1.0
+    for k in range(count):
+        if k != best and not logs[k] > logs[best] - _DECIDED:
+            continue
+        share = (np.exp(logs[k] - logs[best]) if k != best else 1.0) / total
+        for i in range(5):
+            residual[i] += share * residuals[k, i]
+            for j in range(5):
+                white[i, j] += share * (whites[k, i, j] + residuals[k, i] * residuals[k, j])
+            for j in range(10):
+                root[i, j] += share * roots[k, i, j]
+    for i in range(5):
+        for j in range(5):
+            white[i, j] -= residual[i] * residual[j]
+    return centre[2] > 0.0, best == known, residual, slope, white, root

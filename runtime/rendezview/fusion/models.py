@@ -5,8 +5,7 @@ Slopes are of the error state: R_true = exp([w]×) R, t_true = t + v (docs/conve
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -20,7 +19,7 @@ from rendezview.fusion.measurements import (
     RangeMeasurement,
     RingMeasurement,
 )
-from rendezview.fusion.model_kernels import other_edge, pose_model, ring_look, ring_model
+from rendezview.fusion.model_kernels import pose_model, ring_expected
 from rendezview.fusion.options import SensorOptions
 from rendezview.pose import Array
 
@@ -29,9 +28,6 @@ if TYPE_CHECKING:
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth
 _SURELY = 2.0  # σ of the place by which a spot must lie within its surface
-# Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same
-# edge is taken again and again, so that most of it lasts.
-_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_LASTING = 0.005, 0.1, 0.5, 0.9
 _GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
 
 
@@ -43,9 +39,7 @@ class Expected:
     slope: Array  # (m, 14) slope by motion, ring radius and depth
     white: Array  # (m, m) covariance of what is new each time
     lasting_root: Array  # (m, b) slope by the lasting error, which has unit variance
-    log_chance: float = 0.0  # of this candidate before it is compared
     loose: bool = False  # it says little: another edge than the ring's was taken
-    others: tuple[Expected, ...] = ()  # the other candidates
 
 
 @cache
@@ -60,13 +54,21 @@ def root_of_lasting(covariance: Array, sensor: SensorOptions) -> Array:
 
 
 def expected(
-    state: State, measurement: Measurement, sensor: SensorOptions, chance_of_other: float = 0.0
+    state: State,
+    measurement: Measurement,
+    sensor: SensorOptions,
+    chance_of_other: float = 0.0,
+    start: int = _COLUMNS,
 ) -> Expected | str:
-    """The measurement beside the state; words where the two cannot be compared."""
+    """The measurement beside the state; words where the two cannot be compared.
+
+    ``start`` is where the sensor's lasting error stands in the state: of several candidates it
+    says which is likely.
+    """
     if isinstance(measurement, PoseMeasurement):
         return _pose(state, measurement, sensor)
     if isinstance(measurement, RingMeasurement):
-        return _ring(state, measurement, sensor, chance_of_other)
+        return _ring(state, measurement, sensor, chance_of_other, start)
     return _range(state, measurement)
 
 
@@ -81,37 +83,23 @@ def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> 
 
 
 def _ring(
-    state: State, measurement: RingMeasurement, sensor: SensorOptions, chance_of_other: float
+    state: State,
+    measurement: RingMeasurement,
+    sensor: SensorOptions,
+    chance_of_other: float,
+    start: int,
 ) -> Expected | str:
-    ring = measurement.ring
-    # The radius that the sensor takes is too small by this factor: so is its centre's distance.
-    radius = 1.0 + float(state.extras[0])
-    if radius <= 0.1:
+    if state.extras[0] <= -0.9:
         return "the ring's radius is lost"
-    centre, axis, basis, slope = ring_model(
-        ring.centre_m, ring.axis, state.rotation, state.translation_m, radius,
-        float(state.extras[1]),
+    ring = measurement.ring
+    before, loose, residual, slope, white, root = ring_expected(
+        measurement.centres_m, measurement.axes, measurement.covariances, ring.centre_m, ring.axis,
+        state.rotation, state.translation_m, state.extras, state.covariance, start,
+        sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting, chance_of_other,
     )  # fmt: skip
-    if not centre[2] > 0.0:
+    if not before:
         return "the ring would be behind the camera"
-    looks = []
-    chance = math.log((1.0 - chance_of_other) / len(measurement.candidates[:2]))
-    for candidate in measurement.candidates[:2]:
-        residual, white, root = ring_look(
-            candidate.centre_m, candidate.axis, candidate.covariance, centre, axis, basis,
-            sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting,
-        )  # fmt: skip
-        looks.append(Expected(residual, slope, white, root, chance))
-    if chance_of_other > 0.0:
-        # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
-        white, root = other_edge(
-            measurement.candidates[0].centre_m, _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD,
-            _OTHER_LASTING,
-        )  # fmt: skip
-        looks.append(
-            Expected(looks[0].residual, slope, white, root, math.log(chance_of_other), True)
-        )
-    return replace(looks[0], others=tuple(looks[1:]))
+    return Expected(residual, slope, white, root, loose)
 
 
 def _range(state: State, measurement: RangeMeasurement) -> Expected | str:

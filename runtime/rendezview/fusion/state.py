@@ -15,22 +15,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.kernels import (
-    corrected,
-    distance,
-    predicted,
-    rotation_vector,
-)
+from rendezview.fusion.kernels import corrected, predicted, rotation_vector
 from rendezview.fusion.measurements import Measurement, PoseMeasurement
-from rendezview.fusion.model_kernels import add_share, pose_covariance
-from rendezview.fusion.models import Expected, expected, gate_of, root_of_lasting
+from rendezview.fusion.model_kernels import pose_covariance
+from rendezview.fusion.models import expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.pose import Array, Pose
 
 MOTION = 12  # attitude, place, angular rate, velocity
 RADIUS, DEPTH = 12, 13  # of the ring
 FIRST_BIAS = 14
-_DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,11 +191,9 @@ def innovation(
     heard = _with_slot(state, measurement, sensor)
     slot = heard.slot(measurement.sensor)
     assert slot is not None
-    seen = expected(heard, measurement, sensor, options.ring_other_edge)
+    seen = expected(heard, measurement, sensor, options.ring_other_edge, slot.start)
     if isinstance(seen, str):
         return Rejected(measurement.sensor, math.inf, measurement.size, seen)
-    if seen.others:
-        seen = _mixture(heard, seen, slot)
     fits, nis, log_volume, residual, rotation, place, rates, extras, covariance = corrected(
         heard.rotation, heard.translation_m, heard.rates, heard.extras, heard.covariance,
         seen.slope, seen.lasting_root, slot.start, seen.white, seen.residual,
@@ -261,33 +253,3 @@ def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) ->
 
 def _fading(slot: Slot) -> Array:
     return np.tile([1.0 / slot.lasting_s, 1.0 / slot.lasting_range], (slot.size, 1))
-
-
-def _mixture(state: State, seen: Expected, slot: Slot) -> Expected:
-    """Several candidates as one measurement: mean and spread by how likely each is.
-
-    Where they are far apart one has all the weight. Where they are not (a ring seen face-on),
-    the spread says what the picture cannot: on which side of the line of sight the axis lies.
-    """
-    looks = (seen, *seen.others)
-    logs = []
-    for one in looks:
-        fits, nis, log_volume = distance(
-            state.extras, state.covariance, one.slope, one.lasting_root, slot.start, one.white,
-            one.residual,
-        )  # fmt: skip
-        logs.append(one.log_chance - 0.5 * (nis + log_volume) if fits else -math.inf)
-    best = max(logs)
-    likely = looks[logs.index(best)]
-    near = [k for k in range(len(looks)) if logs[k] > best - _DECIDED]
-    if len(near) < 2:  # also where none can be used
-        return likely
-    weights = [math.exp(logs[k] - best) for k in near]
-    total = sum(weights)
-    mean, white = np.zeros_like(likely.residual), np.zeros_like(likely.white)
-    lasting = np.zeros_like(likely.lasting_root)
-    for weight, k in zip(weights, near, strict=True):
-        one = looks[k]
-        add_share(weight / total, one.residual, one.white, one.lasting_root, mean, white, lasting)
-    white -= mean[:, None] * mean
-    return Expected(mean, likely.slope, white, lasting, loose=likely.loose)

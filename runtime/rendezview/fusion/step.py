@@ -41,6 +41,7 @@ class Snapshot:
     trusts: Mapping[str, Trust] = field(default_factory=dict)
     recent: Mapping[str, Measurement] = field(default_factory=dict)  # the last of each sensor
     agreed: int = 0  # full measurements that bore the start out
+    begun_by: str = ""  # the sensor that began it
     last_accepted_s: float = -math.inf
     starts: int = 0
 
@@ -100,11 +101,19 @@ def step(
     trusts = {**before.trusts, name: trust}
     if reason is None:
         agreed = before.agreed + (1 if found.size > 1 and not found.loose else 0)
-        after = Snapshot(found.updated, trusts, recent, agreed, time_s, before.starts)
+        after = Snapshot(
+            found.updated, trusts, recent, agreed, before.begun_by, time_s, before.starts
+        )
         told = _LOOSE if found.loose else None
         return after, Verdict(name, time_s, True, told, found.nis, found.size)
     after = replace(before, state=state, trusts=trusts, recent=recent)
-    if before.agreed < options.start_with and isinstance(measurement, PoseMeasurement):
+    # A start that its own sensor takes back, or that another one contradicts for good before
+    # anything bears it out, is none.
+    if (
+        before.agreed < options.start_with
+        and isinstance(measurement, PoseMeasurement)
+        and (name == before.begun_by or trust.locked)
+    ):
         return _start(
             after, measurement, options, f"begun anew, the start was not borne out: {reason}"
         )
@@ -164,8 +173,8 @@ def _start(
         own, heard=heard, accepted=own.accepted + 1, last_s=now_s, last_accepted_s=now_s
     )
     after = Snapshot(
-        predict(state, max(now_s - state.time_s, 0.0), options), trusts, before.recent, 1, now_s,
-        before.starts + 1,
+        predict(state, max(now_s - state.time_s, 0.0), options), trusts, before.recent, 1,
+        pose.sensor, now_s, before.starts + 1,
     )  # fmt: skip
     return after, Verdict(pose.sensor, now_s, True, told, None, 6, began=True)
 

@@ -19,6 +19,8 @@ from rendezview.ring.status import Status
 Array = npt.NDArray[np.float64]
 
 _MOST_COMPANIONS = 5
+_LEAST_COMPANION = 0.8  # of the ring's radius, or its inverse: what is smaller or larger by more is
+# a nozzle's rim or a flange, in another plane
 _FORGET_FRAMES = 5  # frames without a pose after which the last one says nothing any more
 _RANGE_TOLERANCE = 0.15  # of the laser's range: it may meet another part of the target
 _PLACE_TOLERANCE = 0.35  # of the semi-axis: how far a ring may have moved since it was known
@@ -183,8 +185,9 @@ class RingSensor:
 def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
     """An edge's ellipse, then those that may be other edges of the same ring.
 
-    First its family; then, because short arcs place an ellipse badly, all of like size and place.
-    What does not belong there the joint fit leaves out.
+    First its family; then, because short arcs place an ellipse badly, all of like place. Only what
+    is nearly as large: near head-on a smaller circle of another plane fits as well, with a false
+    tilt. What else does not belong there the joint fit leaves out.
     """
     main = edges[first].ellipse
     near: list[tuple[bool, float, Ellipse]] = []
@@ -193,8 +196,10 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
             continue
         ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
         aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
+        if not _LEAST_COMPANION < ratio < 1.0 / _LEAST_COMPANION:
+            continue
         family = edge.family == edges[first].family
-        if family or (0.6 < ratio < 1.7 and aside < 0.3 * main.semi_axes_px[0]):
+        if family or aside < 0.3 * main.semi_axes_px[0]:
             near.append((not family, -edge.arc_rad, edge.ellipse))
     near.sort(key=lambda item: item[:2])
     return [main, *(ellipse for *_, ellipse in near[:_MOST_COMPANIONS])]
