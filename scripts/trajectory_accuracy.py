@@ -143,20 +143,23 @@ def main() -> None:
     for kind in KINDS:
         for seed in seeds:
             path = args.folder / f"{args.target}-{kind}-{seed}.npz"
+            if not path.exists():
+                continue
             with np.load(path) as file:
                 kept[kind, seed] = {name: file[name] for name in file.files}
     frame_errors: list[float] = []
     for kind, shape in SHAPES.items():
         for source in ("nodes", "refined", "refined, own attitude"):
             values = []
-            for seed in seeds:
+            there = [seed for seed in seeds if (kind, seed) in kept]
+            for seed in there:
                 data = kept[kind, seed]
                 segment = fit_segment(clouds(data)[source], shape)
                 if isinstance(segment, Nothing):
                     print(f"{kind} {source} seed {seed}: {segment.reason}")
                     continue
                 values.append(segment_errors(segment, data, kind, seed))
-            print(row(f"{kind}, {source}", values, len(seeds)))
+            print(row(f"{kind}, {source}", values, len(there)))
     for data in kept.values():
         places = clouds(data)["refined"].places_m + data["centre_m"]
         truth = data["truth_m"][data["pose_frame"]]
@@ -169,13 +172,14 @@ def main() -> None:
     for kind in ("spin", "tumble", "circular", "spiral"):
         for source in ("nodes", "refined"):
             values = []
-            for seed in seeds:
+            there = [seed for seed in seeds if (kind, seed) in kept]
+            for seed in there:
                 spin = spins(kept[kind, seed], kind)[source]
                 if isinstance(spin, Nothing):
                     print(f"{kind} {source} seed {seed}: {spin.reason}")
                     continue
                 values.append(spin_errors(spin, kept[kind, seed], kind, seed))
-            print(row(f"{kind}, {source}", values, len(seeds)))
+            print(row(f"{kind}, {source}", values, len(there)))
 
 
 if __name__ == "__main__":

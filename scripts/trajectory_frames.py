@@ -129,6 +129,7 @@ def sightings(
         )
     refined = [(k, s) for k, (s, _) in enumerate(seen) if s.pose is not None]
     nodes = [(k, s) for k, (_, s) in enumerate(seen) if len(s.points_m)]
+    outlines = [(k, s.signature) for k, (_, s) in enumerate(seen) if s.signature is not None]
     poses = [s.pose for _, s in refined if s.pose is not None]
     return {
         "centre_m": centre_m,
@@ -144,6 +145,13 @@ def sightings(
         "node_frame": np.concatenate([np.full(len(s.points_m), k) for k, s in nodes]),
         "node_m": np.concatenate([s.points_m for _, s in nodes]),
         "node_weight": np.concatenate([s.weights for _, s in nodes]),
+        "outline_frame": np.array([k for k, _ in outlines]),
+        "readings": np.array([s.readings for _, s in outlines], np.float32),
+        "area_sr": np.array([s.area_sr for _, s in outlines]),
+        "centred_from_camera": np.array([s.centred_from_camera for _, s in outlines]),
+        "tree_frame": np.array([k for k, (_, s) in enumerate(seen) if s.pose is not None]),
+        "tree_rotation": np.array([s.pose.rotation for _, s in seen if s.pose is not None]),
+        "tree_translation_m": np.array([s.pose.translation_m for _, s in seen if s.pose is not None]),
     }
 
 
