@@ -54,9 +54,7 @@ class Between:
         self._far = model.views.far_readings.astype(np.float32)
         self._kept: dict[int, _Local] = {}
 
-    def points(
-        self, match: Match, signature: Signature, pixel_rad: float
-    ) -> tuple[Array, Array]:
+    def points(self, match: Match, signature: Signature, pixel_rad: float) -> tuple[Array, Array]:
         """Where views around a match put the camera: (K, 3) m, target frame, and weights (K,).
 
         Args:

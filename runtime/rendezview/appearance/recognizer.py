@@ -285,9 +285,7 @@ class Recognizer:
             pixel_rad = 1.0 / float(np.sqrt(self.camera.fx * self.camera.fy))
             between = self.between.points(match, signature, pixel_rad)
         clock.lap("pose")
-        return replace(
-            seen, pose=pose, covariance=covariance, points_m=points_m, between=between
-        )
+        return replace(seen, pose=pose, covariance=covariance, points_m=points_m, between=between)
 
     def _expected_px(self, prior: Pose | None) -> Array | None:
         if prior is None:
