@@ -3,12 +3,12 @@
     python scripts/trajectory_frames.py SIGHTINGS MODEL TARGET circular spiral vbar spin tumble
     python scripts/trajectory_accuracy.py SIGHTINGS [--seeds 0 20]
 
-One segment of 100 frames each; seeds of which no file is there are left out, and counted; position errors are medians over the segment, and over the next one
-predicted, as parts of the range. "nodes": the trees alone. "between nodes": the signatures stored around them
-(``--model``). "refined": refined poses.
-"own attitude": the chaser knows its own in the path's axes (a star tracker), and the target's takes
-no part in the place. For circular
-and spiral the spin is that of the target in the frame of the line of sight; pointing jitter is
+One segment of 100 frames each; seeds of which no file is there are left out. Position errors are
+medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
+trees alone. "between nodes": the signatures stored around them (``--model``). "refined": refined
+poses. "own attitude": the chaser knows its own in the path's axes (a star tracker), and the
+target's takes no part in the place. For circular and
+spiral the spin is that of the target in the frame of the line of sight; pointing jitter is
 taken as known to the chaser (its own attitude). NEES is of the place in the middle, three for
 perfect statistics. Rows: median, 90 % and largest over the seeds.
 """

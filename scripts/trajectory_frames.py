@@ -2,10 +2,11 @@
 
     python scripts/trajectory_frames.py SIGHTINGS MODEL TARGET circular --seeds 0 20
 
-SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100 frames, 2 s apart: 1024 × 768, 53°
-across, the Sun behind the camera (``--sun-phase`` says otherwise), noise, blur and pointing jitter
-as ``rendezview simulate`` has them, attitude of the path random. Two trackers see each frame: one
-with refinement, one that has the trees alone. A file that is there already is left as it is.
+SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100 frames,
+2 s apart: 1024 × 768, 53° across, the Sun behind the camera (``--sun-phase`` says otherwise),
+noise, blur and pointing jitter as ``rendezview simulate`` has them, attitude of the path random.
+Two trackers see each frame: one with refinement, one that has the trees alone. A file that is
+there already is left as it is.
 
 circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to 5
 radii, with three hops of 3 % of the distance. spin, tumble: camera fixed at 3.5 radii, the target
