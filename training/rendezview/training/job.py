@@ -277,7 +277,7 @@ class _Drawn:
 
 
 def _stored(readings: Readings) -> npt.NDArray[np.uint16]:
-    return np.minimum(readings, 65535.0).astype(np.uint16)
+    return np.asarray(np.minimum(readings, 65535.0), dtype=np.uint16)
 
 
 def _parts(count: int, size: int) -> list[slice]:
