@@ -156,7 +156,7 @@ def problem(shape: Shape, seed: int) -> Problem:
 
 
 def followed(seed: int, spin: bool) -> list[float]:
-    """Milliseconds of processor of each frame in a follower whose window is full: 100 poses of a circle."""
+    """Processor milliseconds of each frame in a follower whose window of 100 poses is full."""
     rng = np.random.default_rng(seed)
     options = FollowerOptions(turn_rad=None, segment_s=SPAN_S, spin=spin)
     follower = Follower(np.zeros(3), Shape.CIRCULAR, options=options)
