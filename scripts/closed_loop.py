@@ -80,7 +80,7 @@ def eye(model: ViewModel, mesh: Mesh, refine: bool, rng: np.random.Generator) ->
         sun = sun_at_phase(pose.apply(model.centre_m), 0.0, azimuth)
         frame = render_frame(mesh, camera, pose, sun, SceneOptions(), rng, time_s)
         seen = tracker.update(time_s, frame)
-        return seen.pose, seen.covariance, seen.points_m, seen.weights
+        return seen.pose, seen.covariance, *seen.cloud
 
     return look
 

@@ -3,11 +3,12 @@
     python scripts/trajectory_frames.py SIGHTINGS MODEL TARGET circular spiral vbar spin tumble
     python scripts/trajectory_accuracy.py SIGHTINGS [--seeds 0 20]
 
-One segment of 100 frames each; position errors are medians over the segment, and over the next one
-predicted, as parts of the range. "nodes": the trees alone. "refined": refined poses.
-"own attitude": the chaser knows its own in the path's axes (a star tracker), and the target's takes
-no part in the place. For circular
-and spiral the spin is that of the target in the frame of the line of sight; pointing jitter is
+One segment of 100 frames each; seeds of which no file is there are left out. Position errors are
+medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
+trees alone. "between nodes": the signatures stored around them (``--model``). "refined": refined
+poses. "own attitude": the chaser knows its own in the path's axes (a star tracker), and the
+target's takes no part in the place. For circular and
+spiral the spin is that of the target in the frame of the line of sight; pointing jitter is
 taken as known to the chaser (its own attitude). NEES is of the place in the middle, three for
 perfect statistics. Rows: median, 90 % and largest over the seeds.
 """
@@ -19,6 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rendezview.appearance import ViewModel
+from rendezview.appearance.between import Between
+from rendezview.appearance.match import Match
+from rendezview.appearance.signature import Signature
 from rendezview.pose import Array, Pose
 from rendezview.trajectory import (
     Nothing,
@@ -32,12 +37,12 @@ from rendezview.trajectory import (
     fit_spin,
     fit_spin_of_directions,
 )
-from trajectory_frames import KINDS, SPAN_S, true_path
+from trajectory_frames import CAMERA, KINDS, SPAN_S, true_path
 
 SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR}
 
 
-def clouds(data: dict[str, Array]) -> dict[str, PointCloud]:
+def clouds(data: dict[str, Array], between: Between | None) -> dict[str, PointCloud]:
     """On nodes alone; refined poses, with the target's attitude as reference and with one's own."""
     centre, times = data["centre_m"], data["times_s"]
     nodes = PointCloud.of_nodes(
@@ -65,17 +70,42 @@ def clouds(data: dict[str, Array]) -> dict[str, PointCloud]:
         np.einsum("nij,nj->ni", known, places),
         known @ spreads @ np.swapaxes(known, 1, 2),
     )
-    return {"nodes": nodes, "refined": refined, "refined, own attitude": own}
+    found = {"nodes": nodes, "refined": refined, "refined, own attitude": own}
+    if between is not None:
+        found["between nodes"] = PointCloud.of_nodes(*between_nodes(data, between))
+    return found
 
 
-def spins(data: dict[str, Array], kind: str) -> dict[str, Spin | Nothing]:
+def between_nodes(data: dict[str, Array], between: Between) -> tuple[Array, Array, Array]:
+    """Times, points about the centre and weights, from stored signatures and on nodes alone."""
+    times, points, weights = [], [], []
+    for k, frame in enumerate(data["outline_frame"]):
+        on = data["node_frame"] == frame
+        seen = np.flatnonzero(data["tree_frame"] == frame)
+        if not on.any() or len(seen) == 0:
+            continue
+        away = data["node_m"][on] - data["centre_m"]
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        trust = data["node_weight"][on]
+        mean = trust @ away / np.linalg.norm(trust @ away)
+        turn = data["centred_from_camera"][k]
+        signature = Signature(data["readings"][k], float(data["area_sr"][k]), turn)
+        match = Match(np.flatnonzero(on), trust, mean, turn @ data["tree_rotation"][seen[0]])
+        found, share = between.points(match, signature, 1.0 / CAMERA.fx)
+        times.append(np.full(len(found), data["times_s"][frame]))
+        points.append(found - data["centre_m"])
+        weights.append(share)
+    return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
+
+
+def spins(data: dict[str, Array], kind: str, between: Between | None) -> dict[str, Spin | Nothing]:
     """From directions of on nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
     attitudes = back @ data["rotation"]
     spreads = back @ data["covariance"][:, :3, :3] @ np.swapaxes(back, 1, 2)
     tumbling = kind == "tumble"
-    return {
+    found = {
         "nodes": fit_spin_of_directions(
             times[data["node_frame"]],
             data["node_m"] - data["centre_m"],
@@ -84,6 +114,10 @@ def spins(data: dict[str, Array], kind: str) -> dict[str, Spin | Nothing]:
         ),
         "refined": fit_spin(times[frames], attitudes, spreads, tumbling=tumbling),
     }
+    if between is not None:
+        cloud = between_nodes(data, between)
+        found["between nodes"] = fit_spin_of_directions(*cloud, tumbling=tumbling)
+    return found
 
 
 def segment_errors(segment: Segment, data: dict[str, Array], kind: str, seed: int) -> Array:
@@ -135,7 +169,9 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--target", default="client")
     parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
+    parser.add_argument("--model", type=Path, help="also between its nodes (has far readings)")
     args = parser.parse_args()
+    between = None if args.model is None else Between(ViewModel.load(args.model))
     seeds = range(*args.seeds)
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")
@@ -143,22 +179,26 @@ def main() -> None:
     for kind in KINDS:
         for seed in seeds:
             path = args.folder / f"{args.target}-{kind}-{seed}.npz"
+            if not path.exists():
+                continue
             with np.load(path) as file:
                 kept[kind, seed] = {name: file[name] for name in file.files}
     frame_errors: list[float] = []
     for kind, shape in SHAPES.items():
-        for source in ("nodes", "refined", "refined, own attitude"):
+        there = [seed for seed in seeds if (kind, seed) in kept]
+        found = {seed: clouds(kept[kind, seed], between) for seed in there}
+        for source in found[there[0]] if there else ():
             values = []
-            for seed in seeds:
+            for seed in there:
                 data = kept[kind, seed]
-                segment = fit_segment(clouds(data)[source], shape)
+                segment = fit_segment(found[seed][source], shape)
                 if isinstance(segment, Nothing):
                     print(f"{kind} {source} seed {seed}: {segment.reason}")
                     continue
                 values.append(segment_errors(segment, data, kind, seed))
-            print(row(f"{kind}, {source}", values, len(seeds)))
+            print(row(f"{kind}, {source}", values, len(there)))
     for data in kept.values():
-        places = clouds(data)["refined"].places_m + data["centre_m"]
+        places = clouds(data, None)["refined"].places_m + data["centre_m"]
         truth = data["truth_m"][data["pose_frame"]]
         far = np.linalg.norm(truth - data["centre_m"], axis=1)
         frame_errors.append(100.0 * float(np.median(np.linalg.norm(places - truth, axis=1) / far)))
@@ -167,15 +207,17 @@ def main() -> None:
     print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
     print("|---|---|---|---|---|---|")
     for kind in ("spin", "tumble", "circular", "spiral"):
-        for source in ("nodes", "refined"):
+        there = [seed for seed in seeds if (kind, seed) in kept]
+        turns = {seed: spins(kept[kind, seed], kind, between) for seed in there}
+        for source in turns[there[0]] if there else ():
             values = []
-            for seed in seeds:
-                spin = spins(kept[kind, seed], kind)[source]
+            for seed in there:
+                spin = turns[seed][source]
                 if isinstance(spin, Nothing):
                     print(f"{kind} {source} seed {seed}: {spin.reason}")
                     continue
                 values.append(spin_errors(spin, kept[kind, seed], kind, seed))
-            print(row(f"{kind}, {source}", values, len(seeds)))
+            print(row(f"{kind}, {source}", values, len(there)))
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
     python scripts/trajectory_frames.py SIGHTINGS MODEL TARGET circular --seeds 0 20
 
-SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment of 100 frames, 2 s apart: 1024 × 768, 53°
-across, the Sun behind the camera (``--sun-phase`` says otherwise), noise, blur and pointing jitter
-as ``rendezview simulate`` has them, attitude of the path random. Two trackers see each frame: one
-with refinement, one that has the trees alone. A file that is there already is left as it is.
+SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100 frames,
+2 s apart: 1024 × 768, 53° across, the Sun behind the camera (``--sun-phase`` says otherwise),
+noise, blur and pointing jitter as ``rendezview simulate`` has them, attitude of the path random.
+Two trackers see each frame: one with refinement, one that has the trees alone. A file that is
+there already is left as it is.
 
 circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to 5
 radii, with three hops of 3 % of the distance. spin, tumble: camera fixed at 3.5 radii, the target
@@ -37,6 +38,7 @@ SPAN_S = FRAMES * STEP_S
 RATE_RAD_S = 1.0 / SPAN_S
 JITTER_RAD = np.deg2rad(0.3)
 INERTIA = (1.0, 1.6, 2.0)
+CAMERA = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
 
 
 def true_path(
@@ -99,7 +101,7 @@ def sightings(
     """One segment through the renderer and both trackers, as arrays."""
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, found.unit)
-    camera = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
+    camera = CAMERA
     centre_m = model.centre_m
     places, turns = true_path(kind, model.target_radius_m, centre_m, seed)
     times_s = STEP_S * np.arange(FRAMES)
@@ -129,6 +131,8 @@ def sightings(
         )
     refined = [(k, s) for k, (s, _) in enumerate(seen) if s.pose is not None]
     nodes = [(k, s) for k, (_, s) in enumerate(seen) if len(s.points_m)]
+    trees = [(k, s.pose) for k, (_, s) in enumerate(seen) if s.pose is not None]
+    outlines = [(k, s.signature) for k, (_, s) in enumerate(seen) if s.signature is not None]
     poses = [s.pose for _, s in refined if s.pose is not None]
     return {
         "centre_m": centre_m,
@@ -144,6 +148,12 @@ def sightings(
         "node_frame": np.concatenate([np.full(len(s.points_m), k) for k, s in nodes]),
         "node_m": np.concatenate([s.points_m for _, s in nodes]),
         "node_weight": np.concatenate([s.weights for _, s in nodes]),
+        "outline_frame": np.array([k for k, _ in outlines]),
+        "readings": np.array([s.readings for _, s in outlines], np.float32),
+        "area_sr": np.array([s.area_sr for _, s in outlines]),
+        "centred_from_camera": np.array([s.centred_from_camera for _, s in outlines]),
+        "tree_frame": np.array([k for k, _ in trees]),
+        "tree_rotation": np.array([pose.rotation for _, pose in trees]),
     }
 
 

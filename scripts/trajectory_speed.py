@@ -22,8 +22,16 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array
-from rendezview.trajectory import FitOptions, PointCloud, Segment, Shape, fit_segment
+from rendezview.pose import Array, Pose
+from rendezview.trajectory import (
+    FitOptions,
+    Follower,
+    FollowerOptions,
+    PointCloud,
+    Segment,
+    Shape,
+    fit_segment,
+)
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import code_of
 from rendezview.trajectory.simplex import RESIDUALS, cost, downhill_simplex, gauss_newton
@@ -147,6 +155,24 @@ def problem(shape: Shape, seed: int) -> Problem:
     return Problem(ways, whole, best, goal, sigmas)
 
 
+def followed(seed: int, spin: bool) -> list[float]:
+    """Processor milliseconds of each frame in a follower whose window of 100 poses is full."""
+    rng = np.random.default_rng(seed)
+    options = FollowerOptions(turn_rad=None, segment_s=SPAN_S, spin=spin)
+    follower = Follower(np.zeros(3), Shape.CIRCULAR, options=options)
+    covariance = np.diag([1e-6] * 3 + [(NOISE * RANGE_M) ** 2] * 3)
+    spent = []
+    for time_s in np.arange(0.0, 2.0 * SPAN_S, SPAN_S / POINTS):
+        turn = Rotation.from_rotvec([0.0, -time_s / SPAN_S, 0.0])
+        noise = Rotation.from_rotvec(1e-3 * rng.standard_normal(3))
+        pose = Pose((noise * turn).as_matrix(), np.array([0.0, 0.0, RANGE_M]))
+        begin = time.process_time()
+        report = follower.update(float(time_s), pose, covariance)
+        spent.append(1e3 * (time.process_time() - begin))
+    assert isinstance(report.segment, Segment)
+    return spent[POINTS:]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=30)
@@ -167,6 +193,12 @@ def main() -> None:
         ):
             spent, _, count = timed(partial(fit.whole, previous), args.repeats)
             print(f"| {shape} | {name} | {spent:.2f} | {count} | |")
+    for spin, words in ((False, "segment"), (True, "segment and spin")):
+        spent = followed(args.seed, spin)
+        print(
+            f"each frame in a follower, {words}: median {np.median(spent):.2f} ms, "
+            f"least {min(spent):.2f}"
+        )
 
 
 if __name__ == "__main__":

@@ -21,6 +21,8 @@ from rendezview.target import Symmetry
 
 _Part = TypeVar("_Part")
 
+FAR_RADII = 4.0  # of the far readings, in sphere radii: perspective has nearly gone
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Views:
@@ -31,6 +33,7 @@ class Views:
     area_m2: Array  # (V,) area_sr × range² at the sphere radius: A_ref of eq. 4
     area_slope: Array  # (V,) relative change of area_sr × range² with sphere radius / range
     offset_m: Array  # (V, 2) view centre off the centroid's line of sight, x right, y down
+    far_readings: npt.NDArray[np.uint16] | None = None  # (V, N) from ``FAR_RADII``; None: untold
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +95,9 @@ class ViewModel:
     def save(self, path: Path | str) -> None:
         """Write the model file, atomically and byte for byte reproducibly."""
         arrays: dict[str, npt.NDArray[Any]] = {
-            f"views.{f.name}": getattr(self.views, f.name) for f in fields(Views)
+            f"views.{f.name}": getattr(self.views, f.name)
+            for f in fields(Views)
+            if getattr(self.views, f.name) is not None
         }
         arrays |= {f"forest.{f.name}": getattr(self.forest, f.name) for f in fields(Forest)}
         arrays |= {name: getattr(self, name) for name in _ARRAYS}
@@ -135,7 +140,7 @@ class ViewModel:
                 sphere_radius_m=float(header["sphere_radius_m"]),
                 target_radius_m=float(header["target_radius_m"]),
                 smooth_bins=int(header["smooth_bins"]),
-                views=Views(**{f.name: arrays[f"views.{f.name}"] for f in fields(Views)}),
+                views=_views(arrays),
                 forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
                 held_out=HeldOut(**header["held_out"]),
                 contours=_part(arrays, "contours", Contours),
@@ -170,6 +175,9 @@ class ViewModel:
             "training_accuracy": (self.training_accuracy, (nodes,)),
             "held_out_accuracy": (self.held_out_accuracy, (nodes,)),
         }
+        if self.views.far_readings is not None:
+            far = self.views.far_readings
+            shapes["views.far_readings"] = (far, (count, self.bins))
         if self.contours is not None:
             self.contours.check(count)
         if self.lit is not None:
@@ -179,6 +187,13 @@ class ViewModel:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
         if self.forest.component.max(initial=-1) >= self.bins:
             raise ValueError("a tree looks at a bin that the signature has not")
+
+
+def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
+    found = _part(arrays, "views", Views)
+    if found is None:
+        raise KeyError("views")
+    return found
 
 
 def _part(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.appearance.between import Between
 from rendezview.appearance.bright_sky import find_bodies
 from rendezview.appearance.foreground import Foreground
 from rendezview.appearance.match import Matcher, MatchOptions
@@ -46,6 +47,7 @@ class Sighting:
     on_nodes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (K,) trust in each on node
     points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))  # camera seen by each on node
+    between: tuple[Array, Array] | None = None  # camera as seen by views (J, 3), weights (J,)
     silhouette: Silhouette | None = None
     signature: Signature | None = None
     found: Found | None = None  # the best refined pose and its rival, given or not
@@ -55,6 +57,17 @@ class Sighting:
     def confidence(self) -> float | None:
         """Probability that the refined pose is right, 0 … 1; None without refinement."""
         return None if self.found is None else self.found.confidence
+
+    @property
+    def cloud(self) -> tuple[Array, Array]:
+        """Points (K, 3) m of the camera, target frame, and the trust in each (K,).
+
+        Of the views between the nodes where the model can tell, else of the on nodes; none
+        where there is no pose.
+        """
+        if self.between is not None and len(self.points_m):
+            return self.between
+        return self.points_m, self.weights[: len(self.points_m)]
 
     @property
     def candidates(self) -> tuple[Pose, ...]:
@@ -99,6 +112,7 @@ class Recognizer:
         self.camera = camera
         self.silhouette_options = silhouette or SilhouetteOptions()
         self.matcher = Matcher(model, match)
+        self.between = None if model.views.far_readings is None else Between(model)
         self.trees = trees
         self._foreground = Foreground()
         self.least_confidence = least_confidence
@@ -268,8 +282,12 @@ class Recognizer:
             )
         pose, covariance = place(self.model, match, signature)
         points_m = node_points(self.model, match, signature)
+        between = None
+        if self.between is not None and sure is None:  # a refined pose says it better
+            pixel_rad = 1.0 / float(np.sqrt(self.camera.fx * self.camera.fy))
+            between = self.between.points(match, signature, pixel_rad)
         clock.lap("pose")
-        return replace(seen, pose=pose, covariance=covariance, points_m=points_m)
+        return replace(seen, pose=pose, covariance=covariance, points_m=points_m, between=between)
 
     def _expected_px(self, prior: Pose | None) -> Array | None:
         if prior is None:

@@ -107,13 +107,9 @@ class Guide:
                     f"the chaser's attitudes are of {first_s:g} to {last_s:g} s, the frame of "
                     f"{time_s:g} s: give attitudes of the whole sequence"
                 ) from None
+        points_m, weights = sighting.cloud
         report = self.follower.update(
-            time_s,
-            sighting.pose,
-            sighting.covariance,
-            sighting.points_m,
-            sighting.weights if len(sighting.points_m) else None,
-            attitude,
+            time_s, sighting.pose, sighting.covariance, points_m, weights, attitude
         )
         self.last = report
         if isinstance(report.segment, Segment):

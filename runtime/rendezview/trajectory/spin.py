@@ -26,7 +26,7 @@ _LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
 _STEPS = 25
 _STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_State``
 _MOST_RATIO = 30.0
-_COMMON = 0.8  # of a frame's σ, what all have in common and what goes with time, as for segments
+_COMMON = 1.1  # of a frame's σ, what all have in common and what goes with time, as for segments
 _WORTH = 25.0  # χ² that a tumble must save over constant spin to be told
 
 

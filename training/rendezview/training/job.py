@@ -20,6 +20,7 @@ import rendezview.training.views
 from rendezview.appearance.contours import Contours
 from rendezview.appearance.lit_views import LitViews
 from rendezview.appearance.model import HeldOut, ViewModel, Views
+from rendezview.appearance.signature import Readings
 from rendezview.appearance.tree import Forest
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
@@ -125,7 +126,7 @@ def _train(
     inputs: dict[str, Any],
 ) -> Trained:
     options, geometry = drawn.options, drawn.geometry
-    lattice, slopes = drawn.lattice()
+    lattice, slopes, far_readings = drawn.lattice()
     perturbed = drawn.perturbed("views", _STREAM_OF_TRAINING, options.perturbed_views)
     held_out = drawn.perturbed("held-out", _STREAM_OF_HELD_OUT, options.held_out_views)
     contours = drawn.contours()
@@ -153,10 +154,11 @@ def _train(
         smooth_bins=options.smooth_bins,
         views=Views(
             lattice.centred_from_target,
-            np.minimum(lattice.readings, 65535.0).astype(np.uint16),
+            _stored(lattice.readings),
             lattice.area_sr * lattice.range_m**2,
             slopes,
             lattice.offset_m,
+            None if far_readings is None else _stored(far_readings),
         ),
         forest=trees.forest,
         leaf_on=trees.leaf_on,
@@ -198,8 +200,8 @@ class _Drawn:
     workers: Workers
     progress: Progress | None
 
-    def lattice(self) -> tuple[ViewSet, Array]:
-        """The clean views at the sphere radius and the slope of their area with range."""
+    def lattice(self) -> tuple[ViewSet, Array, Readings | None]:
+        """The clean views at the sphere radius, slope of their area with range, far readings."""
         directions = Geodesic.of_order(self.options.order + 1).nodes
         near = self._views(
             "lattice",
@@ -207,13 +209,13 @@ class _Drawn:
             [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
         )
         if self.options.perturbed_views == 0:  # the paper's weak perspective
-            return near, np.zeros(len(near))
+            return near, np.zeros(len(near)), None
         far = self._views(
             "perspective",
             far_views,
             [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
         )
-        return near, lattice_slopes(near, far, self.geometry)
+        return near, lattice_slopes(near, far, self.geometry), far.readings
 
     def perturbed(self, stage: str, stream: int, count: int) -> ViewSet | None:
         """Random views; ``None`` where none are asked for."""
@@ -283,6 +285,10 @@ class _Drawn:
         self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
     ) -> list[Arrays]:
         return self.shards.run(stage, task, shared, parts, self.workers, self.progress)
+
+
+def _stored(readings: Readings) -> npt.NDArray[np.uint16]:
+    return np.asarray(np.minimum(readings, 65535.0), dtype=np.uint16)
 
 
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:

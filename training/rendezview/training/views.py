@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.appearance.model import FAR_RADII
 from rendezview.appearance.signature import Readings, Signature
 from rendezview.appearance.silhouette import (
     Missing,
@@ -21,7 +22,6 @@ from rendezview.pose import Array, Pose
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.renderers import Mask, SilhouetteRenderer, Window
 
-_FAR_RADII = 4.0  # second range at which the lattice is drawn, for the perspective of the area
 _SUPERSAMPLING = 2  # of perturbed views
 _MARGIN_PX = 6  # of sky around a perturbed view
 _SKY_GREY = 12.0
@@ -119,7 +119,7 @@ def far_views(
     directions: Array,
 ) -> ViewSet:
     """The clean views again from four sphere radii, where perspective has nearly gone."""
-    return clean_views(renderer, geometry, options, directions, _FAR_RADII)
+    return clean_views(renderer, geometry, options, directions, FAR_RADII)
 
 
 def perturbed_views(
