@@ -66,7 +66,7 @@ def test_direction_between_nodes_is_several_times_nearer_than_the_node(
 
 def test_far_readings_take_perspective_into_account(tiny_model: ViewModel, exact: ViewSet) -> None:
     views = tiny_model.views
-    blind = replace(tiny_model, views=replace(views, far_readings=views.readings))
+    blind = replace(tiny_model, views=views.with_far(views.readings))
     told, untold = (np.median(places(m, exact)[0][:, 1]) for m in (tiny_model, blind))
     assert told < 0.9 * untold
 
@@ -85,7 +85,7 @@ def test_a_fat_outline_is_farther_than_it_looks(tiny_model: ViewModel, exact: Vi
 def test_model_without_far_readings_gives_the_points_of_its_nodes(
     tiny_model: ViewModel, tmp_path: Path, bumpy_mesh: Mesh, camera: Camera, draw
 ) -> None:  # type: ignore[no-untyped-def]
-    old = replace(tiny_model, views=replace(tiny_model.views, far_readings=None))
+    old = replace(tiny_model, views=replace(tiny_model.views, far_change=None))
     old.save(tmp_path / "old.rvm")
     loaded = ViewModel.load(tmp_path / "old.rvm")
     with pytest.raises(ValueError, match="no far readings"):

@@ -45,13 +45,13 @@ class Between:
     """Places between the nodes of one model that has far readings."""
 
     def __init__(self, model: ViewModel) -> None:
-        if model.views.far_readings is None:
+        if model.views.far_change is None:
             raise ValueError("the model has no far readings")
         self._model = model
         self._lattice = model.lattice
         self._edge = model.geodesic.mean_edge_rad
         self._near = model.views.readings.astype(np.float32)
-        self._far = model.views.far_readings.astype(np.float32)
+        self._far = np.asarray(model.views.far_readings, dtype=np.float32)
         self._kept: dict[int, _Local] = {}
 
     def points(self, match: Match, signature: Signature, pixel_rad: float) -> tuple[Array, Array]:

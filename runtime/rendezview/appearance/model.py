@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,6 +22,7 @@ from rendezview.target import Symmetry
 _Part = TypeVar("_Part")
 
 FAR_RADII = 4.0  # of the far readings, in sphere radii: perspective has nearly gone
+FAR_UNIT = 5.0  # thousandths, of the change from near to far
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +34,24 @@ class Views:
     area_m2: Array  # (V,) area_sr × range² at the sphere radius: A_ref of eq. 4
     area_slope: Array  # (V,) relative change of area_sr × range² with sphere radius / range
     offset_m: Array  # (V, 2) view centre off the centroid's line of sight, x right, y down
-    far_readings: npt.NDArray[np.uint16] | None = None  # (V, N) from ``FAR_RADII``; None: untold
+    far_change: npt.NDArray[np.int8] | None = None  # see ``far_readings``; None: untold
+
+    @property
+    def far_readings(self) -> Array | None:
+        """(V, N) readings from ``FAR_RADII`` sphere radii, to a few thousandths; None if untold."""
+        if self.far_change is None:
+            return None
+        bins = self.readings.shape[1]
+        change = FAR_UNIT * np.repeat(self.far_change, 2, axis=1)[:, :bins].astype(np.float64)
+        return np.asarray(self.readings + change)
+
+    def with_far(self, far_readings: npt.NDArray[Any]) -> Views:
+        """These views with readings (V, N) from afar, kept as the change of two bins at a time."""
+        change = far_readings.astype(np.float64) - self.readings
+        odd = change.shape[1] % 2
+        change = np.pad(change, ((0, 0), (0, odd)), mode="edge")
+        pairs = change.reshape(len(change), -1, 2).mean(axis=2) / FAR_UNIT
+        return replace(self, far_change=np.clip(np.rint(pairs), -127, 127).astype(np.int8))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,9 +193,9 @@ class ViewModel:
             "training_accuracy": (self.training_accuracy, (nodes,)),
             "held_out_accuracy": (self.held_out_accuracy, (nodes,)),
         }
-        if self.views.far_readings is not None:
-            far = self.views.far_readings
-            shapes["views.far_readings"] = (far, (count, self.bins))
+        if self.views.far_change is not None:
+            far = self.views.far_change
+            shapes["views.far_change"] = (far, (count, (self.bins + 1) // 2))
         if self.contours is not None:
             self.contours.check(count)
         if self.lit is not None:

@@ -112,7 +112,7 @@ class Recognizer:
         self.camera = camera
         self.silhouette_options = silhouette or SilhouetteOptions()
         self.matcher = Matcher(model, match)
-        self.between = None if model.views.far_readings is None else Between(model)
+        self.between = None if model.views.far_change is None else Between(model)
         self.trees = trees
         self._foreground = Foreground()
         self.least_confidence = least_confidence

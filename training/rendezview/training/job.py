@@ -145,6 +145,13 @@ def _train(
             options.roll_error_rad,
             np.random.default_rng([options.seed, 5]),
         )
+    views = Views(
+        lattice.centred_from_target,
+        np.asarray(np.minimum(lattice.readings, 65535.0), dtype=np.uint16),
+        lattice.area_sr * lattice.range_m**2,
+        slopes,
+        lattice.offset_m,
+    )
     model = ViewModel(
         name=name,
         order=options.order,
@@ -152,14 +159,7 @@ def _train(
         target_radius_m=geometry.target_radius_m,
         centre_m=geometry.centre_m,
         smooth_bins=options.smooth_bins,
-        views=Views(
-            lattice.centred_from_target,
-            _stored(lattice.readings),
-            lattice.area_sr * lattice.range_m**2,
-            slopes,
-            lattice.offset_m,
-            None if far_readings is None else _stored(far_readings),
-        ),
+        views=views if far_readings is None else views.with_far(far_readings),
         forest=trees.forest,
         leaf_on=trees.leaf_on,
         leaf_off=trees.leaf_off,
@@ -285,10 +285,6 @@ class _Drawn:
         self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
     ) -> list[Arrays]:
         return self.shards.run(stage, task, shared, parts, self.workers, self.progress)
-
-
-def _stored(readings: Readings) -> npt.NDArray[np.uint16]:
-    return np.asarray(np.minimum(readings, 65535.0), dtype=np.uint16)
 
 
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:
