@@ -90,8 +90,8 @@ class Found:
 # what is out of the picture as not found.
 _LOGISTIC = np.array(
     [
-        [-5.99, 4.7, 6.51, -7.43, 0.0, 8.02, -2.31, 0.0, 2.54, 6.02],
-        [-0.4, 5.56, 1.01, -12.74, -10.61, 11.26, -3.23, -0.4, -0.32, 5.45],
+        [-5.7, 4.69, 6.53, -7.41, 0.0, 8.03, -2.28, 0.0, 2.6, 5.94],
+        [-0.49, 5.66, 0.77, -11.68, -10.37, 11.11, -2.99, -0.49, -0.24, 5.53],
     ]
 )
 
@@ -131,7 +131,12 @@ class PoseFinder:
             each = self.options.hypotheses_of_several
         found = [self.hypotheses.of(o.signature, each, sun_camera) for o in bodies]
         rotations, centres = (np.concatenate(part) for part in zip(*found, strict=True))
-        refined = self.refiner.best(image, sky, rotations, centres, self.options.refined)
+        starts = rotations.copy(), centres.copy()
+        keep = self.options.refined
+        refined = self.refiner.best(image, sky, rotations, centres, keep)
+        if not refined or refined[0].support < self._sure(sky):
+            refined += self.refiner.best(image, sky, *starts, keep, thorough=True)
+            refined.sort(key=lambda r: -r.support)
         refined = self._around(image, sky, refined)
         refined = self._flipped(image, sky, refined)
         return self._chosen(refined, sky, bodies)

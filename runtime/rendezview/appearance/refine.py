@@ -39,6 +39,11 @@ Picture = npt.NDArray[np.uint8]
 # Reach, spread, smooth, room: pixels; lines, stride, steps, and whether edges are fitted.
 _ROUGH = np.array([[20, 9, 4, 4, 1, 4, 2, 0]], float)
 _COARSE = np.array([[10, 4, 2, 2, 1, 2, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
+# The same with more points and steps, where that leads to no sure pose.
+_THOROUGH = (
+    np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float),
+    np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float),
+)
 _FINE = np.array(
     [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 3, 0], [4, 0.5, 1, 0, 3, 1, 3, 1]], float
 )
@@ -151,19 +156,28 @@ class Refiner:
         return None if light == ASTRAY else self._result(image, frame, rotation, centre, light)
 
     def best(
-        self, image: Picture, sky: Sky, rotations: Array, centres: Array, keep: int = 4
+        self,
+        image: Picture,
+        sky: Sky,
+        rotations: Array,
+        centres: Array,
+        keep: int = 4,
+        *,
+        thorough: bool = False,
     ) -> list[Refined]:
         """Starting poses aligned coarsely, the ``keep`` best supported refined, best first.
 
         Args:
             rotations: (K, 3, 3) camera_from_target, changed in place.
             centres: (K, 3) of the view centre in the camera frame, changed in place.
+            thorough: align with more points, in more steps.
         """
+        rough, coarse = _THOROUGH if thorough else (_ROUGH, _COARSE)
         supports = np.empty((len(rotations), 3))
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
         align_each(
-            image, self._lens, frame, _ROUGH, _COARSE, self._views, rotations, centres,
+            image, self._lens, frame, rough, coarse, self._views, rotations, centres,
             survivors, supports,
         )  # fmt: skip
         merit = (2.0 * supports[:, 0] + supports[:, 1]) / 3.0
