@@ -41,6 +41,8 @@ def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Mi
     for least in _LEAST_LOG_ODDS:
         found = _body(odds, least)
         if isinstance(found, Missing):
+            if found.status is Status.BORDER and missing is None and not bodies:
+                return found  # what is surest of it alone may end before the border
             missing = missing or found
         elif all(_different(found, other) for other in bodies):
             bodies.append(found)
