@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +49,9 @@ class Sighting:
     on_nodes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (K,) trust in each on node
     points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))  # camera seen by each on node
-    between: tuple[Array, Array] | None = None  # camera as seen by views (J, 3), weights (J,)
+    # Where views between the nodes see the camera (J, 3), and weights (J,): a millisecond, so it
+    # waits until the cloud is asked for.
+    between: Callable[[], tuple[Array, Array]] | None = None
     silhouette: Silhouette | None = None
     signature: Signature | None = None
     found: Found | None = None  # the best refined pose and its rival, given or not
@@ -66,7 +70,7 @@ class Sighting:
         where there is no pose.
         """
         if self.between is not None and len(self.points_m):
-            return self.between
+            return self.between()
         return self.points_m, self.weights[: len(self.points_m)]
 
     @property
@@ -285,7 +289,7 @@ class Recognizer:
         between = None
         if self.between is not None and sure is None:  # a refined pose says it better
             pixel_rad = 1.0 / float(np.sqrt(self.camera.fx * self.camera.fy))
-            between = self.between.points(match, signature, pixel_rad)
+            between = partial(self.between.points, match, signature, pixel_rad)
         clock.lap("pose")
         return replace(seen, pose=pose, covariance=covariance, points_m=points_m, between=between)
 
