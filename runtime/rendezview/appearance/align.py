@@ -70,6 +70,15 @@ def nearest_view(directions, shells_m, rotation, centre):  # type: ignore[no-unt
     return shell, view
 
 
+@njit(cache=True, nogil=True)
+def _weight(edge, cut):  # type: ignore[no-untyped-def]
+    """Of one edge in the normal equations (Tukey); 0 where it does not count."""
+    q = edge[RESIDUAL] / cut
+    if edge[STATE] != FOUND or q * q >= 1.0:
+        return 0.0
+    return edge[WEIGHT] * (1.0 - q * q) ** 2
+
+
 @njit(cache=True, nogil=True, fastmath=True)
 def normal_equations(edges, count, cut, matrix, right):  # type: ignore[no-untyped-def]
     """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
@@ -113,10 +122,9 @@ def covariance_of(edges, cut, least_sigma_px, loose, arm):  # type: ignore[no-un
     matrix, spread, row = np.zeros((6, 6)), np.zeros((6, 6)), np.empty(6)
     squares, weights = 0.0, 1e-12
     for j in range(edges.shape[0]):
-        q = edges[j, RESIDUAL] / cut
-        if edges[j, STATE] != FOUND or q * q >= 1.0:
+        w = _weight(edges[j], cut)
+        if w == 0.0:
             continue
-        w = edges[j, WEIGHT] * (1.0 - q * q) ** 2
         squares += w * edges[j, RESIDUAL] ** 2
         weights += w
         for a in range(6):
@@ -153,10 +161,9 @@ def strain_covariance(edges, cut, loose, centre, arm):  # type: ignore[no-untype
     for a in range(6):
         matrix[a, a] = loose[a]
     for n in range(edges.shape[0]):
-        ratio = edges[n, RESIDUAL] / cut
-        if edges[n, STATE] != FOUND or ratio * ratio >= 1.0:
+        w = _weight(edges[n], cut)
+        if w == 0.0:
             continue
-        w = edges[n, WEIGHT] * (1.0 - ratio * ratio) ** 2
         x, j = edges[n, :3], edges[n, 3:6]
         along = -(j[0] * centre[0] + j[1] * centre[1] + j[2] * centre[2])
         square = j[0] * j[0] + j[1] * j[1] + j[2] * j[2]
@@ -253,8 +260,7 @@ def support(  # type: ignore[no-untyped-def]
     """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
 
     An edge within half the spread of its place counts nearly whole; every ``stride``-th point is
-    looked at. ``seen`` is the share of the
-    outline's points that lie in the picture.
+    looked at. ``seen`` is the share of the outline's points that lie in the picture.
     """
     shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
     kinds = views.kind[shell, view]

@@ -37,9 +37,12 @@ from rendezview.pose import Array, Pose
 Picture = npt.NDArray[np.uint8]
 
 # Reach, spread, smooth, room: pixels; lines, stride, steps, and whether edges are fitted.
-_ROUGH = np.array([[20, 9, 4, 4, 1, 4, 2, 0]], float)
-_COARSE = np.array([[10, 4, 2, 2, 1, 2, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float)
-# The same with more points and steps, where that leads to no sure pose.
+# Many starting points are aligned roughly, the better ones coarsely, …
+_QUICK = (
+    np.array([[20, 9, 4, 4, 1, 4, 2, 0]], float),
+    np.array([[10, 4, 2, 2, 1, 2, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float),
+)
+# … with more points and steps where that leads to no sure pose.
 _THOROUGH = (
     np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float),
     np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float),
@@ -172,7 +175,7 @@ class Refiner:
             centres: (K, 3) of the view centre in the camera frame, changed in place.
             thorough: align with more points, in more steps.
         """
-        rough, coarse = _THOROUGH if thorough else (_ROUGH, _COARSE)
+        rough, coarse = _THOROUGH if thorough else _QUICK
         supports = np.empty((len(rotations), 3))
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
