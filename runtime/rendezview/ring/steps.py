@@ -13,20 +13,13 @@ from scipy.special import ndtr
 
 from rendezview.normal_table import normal_cdf
 from rendezview.ring.support import (
-    ANGLE,
     ARC,
     CONTRAST,
-    NX,
-    NY,
     OFFSET,
-    PX,
-    PY,
-    U0,
-    U1,
     WEIGHT,
+    begin_sample,
     bend,
     distance,
-    frame_at,
 )
 
 Array = npt.NDArray[np.float64]
@@ -144,25 +137,18 @@ def step_support(  # type: ignore[no-untyped-def]
     short = (shape[2] * shape[4] - shape[3] * shape[3]) / long
     while angle < 2.0 * np.pi and count < samples.shape[0]:
         u0, u1 = np.cos(angle), np.sin(angle)
-        x, y, nx, ny = frame_at(shape, u0, u1)
+        row = samples[count]
+        x, y, nx, ny, rx, ry = begin_sample(
+            row, shape, lens, angle, u0, u1, REACH + 1.5, width, height
+        )
         t0, t1 = -shape[2] * u1 + shape[3] * u0, -shape[3] * u1 + shape[4] * u0
         along = np.sqrt(t0 * t0 + t1 * t1)
         step = spacing_px / max(along, 0.2 * long)
-        row = samples[count]
-        row[ANGLE], row[PX], row[PY], row[NX], row[NY] = angle, x, y, nx, ny
-        row[U0], row[U1], row[ARC] = u0, u1, min(step, 2.0 * np.pi - angle)
-        row[WEIGHT], row[OFFSET], row[CONTRAST] = -1.0, 0.0, 0.0
+        row[ARC] = min(step, 2.0 * np.pi - angle)
         angle += step
         count += 1
-        rx, ry = bend(x, y, lens)
-        if not (
-            rx > REACH + 1.5
-            and ry > REACH + 1.5
-            and rx < width - REACH - 2.5
-            and ry < height - REACH - 2.5
-        ):
+        if row[WEIGHT] < 0.0:
             continue
-        row[WEIGHT] = 0.0
         # The nearest other edge on either side, along the normal.
         inner, outer = -_NO, _NO
         for k in range(others.shape[0]):

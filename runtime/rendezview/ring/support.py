@@ -52,6 +52,25 @@ def distance(shape, x, y):  # type: ignore[no-untyped-def]
     return (size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300)
 
 
+@njit(cache=True, nogil=True, fastmath=True)
+def begin_sample(row, shape, lens, angle, u0, u1, room_px, width, height):  # type: ignore[no-untyped-def]
+    """Place and normal of a sample at an angle of the circle, u its cosine and sine.
+
+    WEIGHT is 0 where it has so much room in the picture, else -1. Returns the point and its outward
+    normal without the lens's distortion, and the point in the picture.
+    """
+    x, y, nx, ny = frame_at(shape, u0, u1)
+    row[ANGLE], row[PX], row[PY], row[NX], row[NY] = angle, x, y, nx, ny
+    row[U0], row[U1], row[OFFSET], row[CONTRAST] = u0, u1, 0.0, 0.0
+    rx, ry = bend(x, y, lens)
+    inside = (
+        rx > room_px and ry > room_px
+        and rx < width - room_px - 1.0 and ry < height - room_px - 1.0
+    )  # fmt: skip
+    row[WEIGHT] = 0.0 if inside else -1.0
+    return x, y, nx, ny, rx, ry
+
+
 @njit(cache=True, nogil=True)
 def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: ignore[no-untyped-def]
     """Edges near an ellipse at ``count`` even angles of its circle; returns how many there are.
@@ -66,20 +85,12 @@ def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: i
     for i in range(count):
         angle = 2.0 * np.pi * i / count
         u0, u1 = np.cos(angle), np.sin(angle)
-        x, y, nx, ny = frame_at(shape, u0, u1)
         row = samples[i]
-        row[ANGLE], row[PX], row[PY], row[NX], row[NY] = angle, x, y, nx, ny
-        row[U0], row[U1] = u0, u1
-        row[WEIGHT], row[OFFSET], row[CONTRAST] = -1.0, 0.0, 0.0
-        rx, ry = bend(x, y, lens)
-        if not (
-            rx > reach + 2.5
-            and ry > reach + 2.5
-            and rx < width - reach - 3.5
-            and ry < height - reach - 3.5
-        ):
+        _, _, nx, ny, rx, ry = begin_sample(
+            row, shape, lens, angle, u0, u1, reach + 2.5, width, height
+        )
+        if row[WEIGHT] < 0.0:
             continue
-        row[WEIGHT] = 0.0
         best, at = low * 0.9, _NO
         for k in range(2 * reach + 3):
             d = k - reach - 1.0
