@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from scripts.benchmark_check import Row, best, worse, write
@@ -80,20 +82,34 @@ def test_the_kept_file_of_the_repository_has_positive_ratios() -> None:
     assert all(entry["ratio"] >= 0.0 for entry in kept.values())
 
 
-def test_turns_tell_twice_the_work_from_once() -> None:
-    def work(count: int) -> object:
-        return [sum(range(2000)) for _ in range(count)]
+@pytest.fixture
+def work(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], object]:
+    """Work that moves all clocks by a millisecond a piece, and nothing else does."""
+    now = [0.0]
 
+    def clock() -> float:
+        return now[0]
+
+    def done(count: int) -> object:
+        now[0] += 1e-3 * count
+        return None
+
+    clocks = SimpleNamespace(process_time=clock, perf_counter=clock)
+    monkeypatch.setattr("scripts.turns.time", clocks)
+    return done
+
+
+def test_turns_tell_twice_the_work_from_once(work: Callable[[int], object]) -> None:
     spent = race({"once": Way(lambda: work(10)), "twice": Way(lambda: work(20))}, 0.3)
-    assert 1.4 < spent["twice"] / spent["once"] < 2.8  # a clock that wanders is no failure
+    assert spent["once"] == pytest.approx(0.01)
+    assert spent["twice"] == pytest.approx(0.02)
 
 
-def test_turns_divide_by_the_answers_of_a_call() -> None:
-    def work() -> object:
-        return [sum(range(2000)) for _ in range(20)]
-
-    spent = race({"call": Way(work), "each": Way(work, answers=20)}, 0.3)
-    assert 12.0 < spent["call"] / spent["each"] < 30.0
+def test_turns_divide_by_the_answers_of_a_call(work: Callable[[int], object]) -> None:
+    ways = {"call": Way(lambda: work(20)), "each": Way(lambda: work(20), answers=20)}
+    spent = race(ways, 0.3)
+    assert spent["call"] == pytest.approx(0.02)
+    assert spent["each"] == pytest.approx(0.001)
 
 
 def test_waiting_for_a_core_does_not_count() -> None:
