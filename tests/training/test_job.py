@@ -151,6 +151,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "held-out",
         "contours",
         "lit",
+        "surface",
         "trees",
         "calibration",
     ]

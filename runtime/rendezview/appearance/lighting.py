@@ -108,19 +108,36 @@ def light(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _misfit(levels, which, normals, palette, sun, tolerance, strengths):  # type: ignore[no-untyped-def]
-    """Robust misfit of the best strengths (2,) of one Sun and of the light all around."""
+    """Robust misfit of one Sun, by kinds; see ``light_strengths``."""
     kinds = normals.shape[0]
-    lit = np.empty(kinds)
+    facing = np.empty(kinds)
     for e in range(kinds):
-        facing = normals[e, 0] * sun[0] + normals[e, 1] * sun[1] + normals[e, 2] * sun[2]
-        lit[e] = palette[e, 3] * max(0.0, facing)
+        cosine = normals[e, 0] * sun[0] + normals[e, 1] * sun[1] + normals[e, 2] * sun[2]
+        facing[e] = palette[e, 3] * max(0.0, cosine)
+    lit, albedo = np.empty(len(levels)), np.empty(len(levels))
+    for i in range(len(levels)):
+        lit[i], albedo[i] = facing[which[i]], palette[which[i], 3]
+    return light_strengths(levels, lit, albedo, tolerance, strengths)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def light_strengths(levels, lit, albedo, tolerance, strengths):  # type: ignore[no-untyped-def]
+    """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
+
+    Args:
+        levels: (N,) grey levels above black.
+        lit: (N,) albedo times the cosine to the Sun, 0 where it does not reach.
+        albedo: (N,).
+        tolerance: grey levels beyond which a level is an outlier.
+        strengths: (2,) gets the grey levels of albedo 1 in full sun, and around.
+    """
     a, b = 0.0, 0.0
     inverse = 1.0 / (tolerance * tolerance)
     cost = 0.0
     for step in range(4):
         aa, ab, bb, ca, cb, cost = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0
         for i in range(levels.shape[0]):
-            x, y = lit[which[i]], palette[which[i], 3]
+            x, y = lit[i], albedo[i]
             weight = 1.0
             if step > 0:
                 r = levels[i] - a * x - b * y

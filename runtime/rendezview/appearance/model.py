@@ -13,6 +13,7 @@ import numpy.typing as npt
 from rendezview.appearance.container import read_container, write_container
 from rendezview.appearance.contours import Contours
 from rendezview.appearance.lit_views import LitViews
+from rendezview.appearance.surface import Surface
 from rendezview.appearance.tree import Forest
 from rendezview.errors import RendezviewError
 from rendezview.geodesic import Geodesic
@@ -94,6 +95,7 @@ class ViewModel:
     symmetries: tuple[Symmetry, ...]  # turns that change nothing
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
+    surface: Surface | None = None  # what is bright and what dark; None: trained without
 
     @property
     def bins(self) -> int:
@@ -125,6 +127,8 @@ class ViewModel:
             }
         if self.lit is not None:
             arrays |= {f"lit.{f.name}": getattr(self.lit, f.name) for f in fields(LitViews)}
+        if self.surface is not None:
+            arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
         header = {
             "name": self.name,
             "order": self.order,
@@ -163,6 +167,7 @@ class ViewModel:
                 held_out=HeldOut(**header["held_out"]),
                 contours=_part(arrays, "contours", Contours),
                 lit=_part(arrays, "lit", LitViews),
+                surface=_part(arrays, "surface", Surface),
                 symmetries=tuple(
                     Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
                     for s in header.get("symmetries", [])
@@ -200,6 +205,8 @@ class ViewModel:
             self.contours.check(count)
         if self.lit is not None:
             self.lit.check(count)
+        if self.surface is not None:
+            self.surface.check()
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")

@@ -21,6 +21,7 @@ from rendezview.appearance.contours import Contours
 from rendezview.appearance.lit_views import LitViews
 from rendezview.appearance.model import HeldOut, ViewModel, Views
 from rendezview.appearance.signature import Readings
+from rendezview.appearance.surface import Surface
 from rendezview.appearance.tree import Forest
 from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
@@ -37,6 +38,12 @@ from rendezview.training.options import TrainingOptions, ViewGeometry, view_geom
 from rendezview.training.renderers import SilhouetteRenderer, make_renderer
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
+from rendezview.training.surface_points import (
+    SURFACE_ORDER,
+    candidate_points,
+    chosen_surface,
+    seen_points,
+)
 from rendezview.training.views import (
     ViewSet,
     clean_views,
@@ -131,6 +138,7 @@ def _train(
     held_out = drawn.perturbed("held-out", _STREAM_OF_HELD_OUT, options.held_out_views)
     contours = drawn.contours()
     lit = drawn.lit()
+    surface = drawn.surface()
     samples = Samples(options.order, lattice, perturbed)
     trees = drawn.trees(samples)
     sphere = Geodesic.of_order(options.order)
@@ -171,6 +179,7 @@ def _train(
         lit=lit,
         symmetries=symmetries,
         shape_error=shape_error,
+        surface=surface,
     )
     if held_out is not None:
         model = calibrated(model, drawn.calibration(model, held_out))
@@ -262,6 +271,18 @@ class _Drawn:
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         return LitViews(suns=maps.suns, **views)
 
+    def surface(self) -> Surface | None:
+        """Points of the surface, and from where each is seen; they serve refined poses."""
+        if 0 in (self.options.surface_points, self.options.contour_points):
+            return None
+        directions = Geodesic.of_order(SURFACE_ORDER).nodes
+        points, faces = candidate_points(self.mesh, self.geometry, self.options)
+        shared = (self.mesh, self.geometry, points, faces, self.options)
+        parts = [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)]
+        shards = self._run("surface", _surface_arrays, shared, parts)
+        seen = np.concatenate([a["seen"] for a in shards])
+        return chosen_surface(self.mesh, self.geometry, points, faces, seen, self.options)
+
     def trees(self, samples: Samples) -> TreeSet:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
@@ -309,6 +330,18 @@ def _lit_arrays(
 ) -> Arrays:
     views = [lit_views(mesh, maps, geometry, first + k, d) for k, d in enumerate(directions)]
     return {name: np.concatenate([view[name] for view in views]) for name in views[0]}
+
+
+def _surface_arrays(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    points: Array,
+    faces: npt.NDArray[np.int32],
+    options: TrainingOptions,
+    directions: Array,
+) -> Arrays:
+    views = [seen_points(mesh, geometry, points, faces, d, options) for d in directions]
+    return {"seen": np.stack(views)}
 
 
 def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Arrays:

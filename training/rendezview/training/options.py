@@ -49,6 +49,7 @@ class TrainingOptions:
     contour_radii: tuple[float, ...] = (1.0, 1.5, 3.0)  # shells, in sphere radii
     contour_resolution_px: int = 400  # of the views that show which edges are seen
     lit_views: bool = True  # what the Sun lights from each side, for first poses in hard light
+    surface_points: int = 4096  # whose light and shadow is known, for telling poses; 0: none
     min_samples_split: int = 4  # the paper's "too few samples"
     min_gain: float = 1e-3  # the paper's least entropy gain, nats per sample of the tree
     seed: int = 0
@@ -76,6 +77,7 @@ class TrainingOptions:
             and all(0.3 <= r < np.inf for r in self.contour_radii)
             and sorted(set(self.contour_radii)) == list(self.contour_radii),
             "contour_resolution_px": 64 <= self.contour_resolution_px <= 8192,
+            "surface_points": self.surface_points == 0 or 64 <= self.surface_points <= 65_536,
             "min_samples_split": self.min_samples_split >= 2,
             "min_gain": 0.0 <= self.min_gain < np.inf,
             "seed": self.seed >= 0,
@@ -96,6 +98,7 @@ class TrainingOptions:
             label_edges=1.0,
             contour_points=0,
             lit_views=False,
+            surface_points=0,
         )
 
 

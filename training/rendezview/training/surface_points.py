@@ -1,0 +1,92 @@
+"""Points on the surface of the target, and from which sides each is seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.appearance.contours import DIRECTION_UNIT, POINT_UNIT
+from rendezview.appearance.surface import ALBEDO_UNIT, Surface
+from rendezview.pose import Array
+from rendezview.training.crossings import face_normals
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.views import look_from
+from rendezview.training.zbuffer import draw_perspective, empty_buffers
+
+SURFACE_ORDER = 3  # of the sphere of directions: 642, whatever the order of the trees
+_CANDIDATES = 8  # times as many points as are kept: much of a mesh is never seen
+_AFAR_RADII = 100.0  # perspective has gone
+_STREAM = 6  # of random numbers
+
+
+def candidate_points(
+    mesh: Mesh, geometry: ViewGeometry, options: TrainingOptions
+) -> tuple[Array, npt.NDArray[np.int32]]:
+    """Random points, as many to every square metre: (N, 3) from the view centre, faces (N,)."""
+    rng = np.random.default_rng([options.seed, _STREAM])
+    corners = (mesh.vertices_m - geometry.centre_m)[mesh.faces]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    count = _CANDIDATES * options.surface_points
+    face = rng.choice(len(area), count, p=area / area.sum()).astype(np.int32)
+    s, t = rng.random((2, count, 1))
+    s, t = np.where(s + t > 1.0, 1.0 - s, s), np.where(s + t > 1.0, 1.0 - t, t)
+    return a[face] + s * (b - a)[face] + t * (c - a)[face], face
+
+
+def seen_points(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    points: Array,
+    faces: npt.NDArray[np.int32],
+    direction: Array,
+    options: TrainingOptions,
+) -> npt.NDArray[np.uint8]:
+    """(N / 8,) bits, the first point the lowest: which of the points are seen from afar."""
+    rotation = look_from(direction)
+    range_m = _AFAR_RADII * geometry.target_radius_m
+    behind = np.array([0.0, 0.0, range_m])
+    vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + behind
+    size = options.contour_resolution_px
+    focal = (0.5 * size - 4.0) / np.tan(np.arcsin(1.0 / _AFAR_RADII))
+    middle = 0.5 * (size - 1)
+    nearness, owner = empty_buffers(size, size)
+    triangles = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+    draw_perspective(vertices, triangles, focal, focal, middle, middle, 1e-3, nearness, owner)
+    seen = np.zeros(len(points), dtype=np.bool_)
+    _look_up(points @ rotation.T + behind, faces, focal, middle, owner, seen)
+    return np.packbits(seen, bitorder="little")
+
+
+def chosen_surface(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    points: Array,
+    faces: npt.NDArray[np.int32],
+    seen: npt.NDArray[np.uint8],
+    options: TrainingOptions,
+) -> Surface:
+    """The first of the points that are seen from anywhere. ``seen`` (S, N / 8), see there."""
+    bits = np.unpackbits(seen, axis=1, count=len(points), bitorder="little")
+    kept = np.flatnonzero(bits.any(axis=0))[: options.surface_points]
+    normals = face_normals(mesh.vertices_m, np.ascontiguousarray(mesh.faces, dtype=np.int32))
+    place = points[kept] / (geometry.target_radius_m * POINT_UNIT)
+    return Surface(
+        point=np.rint(place).astype(np.int16),
+        normal=np.rint(normals[faces[kept]] / DIRECTION_UNIT).astype(np.int8),
+        albedo=np.rint(mesh.face_albedo[faces[kept]] / ALBEDO_UNIT).astype(np.uint8),
+        seen=np.packbits(bits[:, kept], axis=1, bitorder="little"),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _look_up(places, faces, focal, middle, owner, seen):  # type: ignore[no-untyped-def]
+    """A point is seen where its face is drawn on its pixel, or next to it: faces are small."""
+    for k in range(places.shape[0]):
+        x, y, z = places[k]
+        column, row = int(x / z * focal + middle + 0.5), int(y / z * focal + middle + 0.5)
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                seen[k] |= owner[row + i, column + j] == faces[k]
