@@ -44,6 +44,7 @@ def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any
         best = found.best
         record |= {
             "features": found.features.tolist(),
+            "looked": found.shading is not None,
             "best_deg": float(np.rad2deg(angle_between(best.pose, truth, model.symmetries))),
         }
     error = pose_error(sighting, truth, model)

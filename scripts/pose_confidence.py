@@ -22,23 +22,30 @@ from rendezview.appearance.refine import inflating
 
 WRONG_DEG = 5.0
 _DARK = 7  # the feature that tells dark skies
-_WEIGHT_OF_WRONG = 3.0  # a wrong answer costs more than one that is not given
+_WEIGHT_OF_WRONG = 4.0  # a wrong answer costs more than one that is not given
 
 
-def fitted(features: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Coefficients before a bright sky and before a dark one."""
-    rows = []
-    for dark in (False, True):
-        these = (features[:, _DARK] > 0.5) == dark
-        weight = np.where(right[these], 1.0, _WEIGHT_OF_WRONG)
-        model = LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False)
-        rows.append(model.fit(features[these], right[these], sample_weight=weight).coef_[0])
-    return np.array(rows)
+def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    """(2, 2, 11) coefficients, by the edges alone and with the surface, bright skies and dark.
+
+    By the edges alone everything is fitted again, without the last feature.
+    """
+    tables = []
+    for look in (False, True):
+        rows = []
+        for dark in (False, True):
+            these = ((features[:, _DARK] > 0.5) == dark) & (looked | (not look))
+            weight = np.where(right[these], 1.0, _WEIGHT_OF_WRONG)
+            known = features[these] * np.append(np.ones(features.shape[1] - 1), float(look))
+            model = LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False)
+            rows.append(model.fit(known, right[these], sample_weight=weight).coef_[0])
+        tables.append(rows)
+    return np.array(tables)
 
 
-def probability(coefficients: np.ndarray, features: np.ndarray) -> np.ndarray:
-    row = (features[:, _DARK] > 0.5).astype(int)
-    return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, coefficients[row])))
+def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    rows = coefficients[looked.astype(int), (features[:, _DARK] > 0.5).astype(int)]
+    return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, rows)))
 
 
 def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
@@ -64,11 +71,13 @@ def main() -> None:
     chosen = [r for r in records if "features" in r]
     features = np.array([r["features"] for r in chosen])
     right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
+    looked = np.array([r["looked"] for r in chosen])
     target = np.array([r["target"] for r in chosen])
     held_out = np.zeros(len(chosen))
     for name in np.unique(target):
-        coefficients = fitted(features[target != name], right[target != name])
-        held_out[target == name] = probability(coefficients, features[target == name])
+        others, these = target != name, target == name
+        coefficients = fitted(features[others], right[others], looked[others])
+        held_out[these] = probability(coefficients, features[these], looked[these])
     theta, rest = inflation(records)
     print("inflation", np.round(theta, 2).tolist())
     answers = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
@@ -76,7 +85,7 @@ def main() -> None:
     for condition in conditions:
         part = rest[[r["condition"] == condition for r in answers]]
         print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
-    print("coefficients", np.round(fitted(features, right), 2).tolist())
+    print("coefficients", np.round(fitted(features, right, looked), 2).tolist())
     for mode in ("first", "tracked"):
         for condition in conditions:
             these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])

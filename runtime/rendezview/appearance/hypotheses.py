@@ -82,7 +82,8 @@ class Hypotheses:
                 parts that this Sun can light are compared.
 
         Returns:
-            Rotations (K, 3, 3) camera_from_target and the view centre (K, 3), camera frame.
+            Rotations (K, 3, 3) camera_from_target and the view centre (K, 3), camera frame; the
+            most alike of both kinds first, in turns.
         """
         readings = self._coarse(signature.readings)
         step = 2.0 * np.pi / self._bins
@@ -115,7 +116,13 @@ class Hypotheses:
             signature, attitudes, lit.offset_m[entries].astype(np.float64),
             np.sqrt(lit.area_m2[entries] / signature.area_sr), rolls,
         )  # fmt: skip
-        return np.concatenate([whole[0], part[0]]), np.concatenate([whole[1], part[1]])
+        turns = np.argsort(
+            np.concatenate([np.arange(len(p[0])) for p in (whole, part)]), kind="stable"
+        )
+        return (
+            np.concatenate([whole[0], part[0]])[turns],
+            np.concatenate([whole[1], part[1]])[turns],
+        )
 
     def _under(
         self,

@@ -19,6 +19,10 @@ from rendezview.symmetry import angle_between
 
 _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the support
 _LIGHT_WEIGHT = 0.25  # grey levels that one light explains speak for a pose
+_SHADING_WEIGHT = 0.4  # and so do bright and dark over all of its surface …
+_IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to the best
+_CLEAR = 0.97  # confidence by the edges alone that needs no look at the surface
+_PLAIN = 0.9  # confidence that needs no look around
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
@@ -28,6 +32,7 @@ class FinderOptions:
     """How far to look."""
 
     hypotheses: int = 60  # views and rolls that are aligned where nothing is known
+    hypotheses_first: int = 20  # of them, which often are enough
     hypotheses_of_several: int = 40  # for each of several outlines
     refined: int = 6  # of them that are refined
     refined_near: int = 3  # the same near a prior
@@ -53,15 +58,16 @@ class Found:
     dark: bool  # before a dark sky
     prior: bool  # found near a prior
     rival: Refined | None = None
+    shading: float | None = None  # see ``surface.shading``; None: not looked at
 
     @property
     def merit(self) -> float:
         """Of the best pose, as poses of one frame are compared."""
-        return merit(self.best, self.excess)
+        return merit(self.best, self.excess, self.shading)
 
     @property
     def features(self) -> Array:
-        """(10,) what tells a right pose from a wrong one; the first is 1."""
+        """(11,) what tells a right pose from a wrong one; the first is 1."""
         best = self.best
         return np.array(
             [
@@ -75,30 +81,39 @@ class Found:
                 float(self.dark),
                 float(self.prior),
                 best.light,
+                self.shading or 0.0,
             ]
         )
 
     @property
     def confidence(self) -> float:
         """Probability that the pose is right to 5°, 0 … 1: a logistic regression."""
-        odds = float(np.clip(self.features @ _LOGISTIC[int(self.dark)], -30.0, 30.0))
+        row = _LOGISTIC[int(self.shading is not None), int(self.dark)]
+        odds = float(np.clip(self.features @ row, -30.0, 30.0))
         return float(1.0 / (1.0 + np.exp(-odds)))
 
 
-# Of the features, before a bright sky and before a dark one; fitted by scripts/pose_confidence.py
-# to frames of four targets (seeds 1 and 88, and 1 and 2 of scripts/pose_cut.py). ``outline`` counts
-# what is out of the picture as not found.
+# Of the features, without a look at the surface and with one, each before a bright sky and before
+# a dark one; fitted by scripts/pose_confidence.py to frames of four targets (seeds 1, 88, 99, and
+# 1 and 2 of scripts/pose_cut.py). ``outline`` counts what is out of the picture as not found.
 _LOGISTIC = np.array(
     [
-        [-5.7, 4.69, 6.53, -7.41, 0.0, 8.03, -2.28, 0.0, 2.6, 5.94],
-        [-0.49, 5.66, 0.77, -11.68, -10.37, 11.11, -2.99, -0.49, -0.24, 5.53],
+        [
+            [-5.06, 2.58, 2.6, -8.15, 0.0, 15.43, -2.96, 0.0, 0.78, 9.37, 0.0],
+            [-0.92, 4.97, 1.12, -11.82, -10.41, 15.01, -3.3, -0.92, -0.9, 6.57, 0.0],
+        ],
+        [
+            [-7.0, 3.0, 1.08, -7.38, 0.0, 11.48, -1.88, 0.0, 0.83, 6.06, 8.21],
+            [-1.23, 5.56, -2.03, -10.29, -9.54, 12.79, -3.9, -1.23, -0.59, 4.91, 5.92],
+        ],
     ]
 )
 
 
-def merit(refined: Refined, excess: float) -> float:
+def merit(refined: Refined, excess: float, shading: float | None) -> float:
     """One figure to choose among poses of one frame by."""
-    return refined.support - _EXCESS_WEIGHT * excess + _LIGHT_WEIGHT * refined.light
+    edges = refined.support - _EXCESS_WEIGHT * excess + _LIGHT_WEIGHT * refined.light
+    return edges if shading is None else edges + _SHADING_WEIGHT * shading
 
 
 @dataclass(slots=True, eq=False)
@@ -129,17 +144,28 @@ class PoseFinder:
         each = self.options.hypotheses
         if len(bodies) > 1:
             each = self.options.hypotheses_of_several
-        found = [self.hypotheses.of(o.signature, each, sun_camera) for o in bodies]
-        rotations, centres = (np.concatenate(part) for part in zip(*found, strict=True))
-        starts = rotations.copy(), centres.copy()
+        starts = [self.hypotheses.of(o.signature, each, sun_camera) for o in bodies]
+        first = self.options.hypotheses_first // len(bodies)
         keep = self.options.refined
-        refined = self.refiner.best(image, sky, rotations, centres, keep)
-        if not refined or refined[0].support < self._sure(sky):
-            refined += self.refiner.best(image, sky, *starts, keep, thorough=True)
+        refined: list[Refined] = []
+        found = None
+        for part, thorough in (
+            (slice(0, first), False),
+            (slice(first, None), False),
+            (slice(None), True),
+        ):
+            rotations = np.concatenate([r[part] for r, _ in starts])
+            centres = np.concatenate([c[part] for _, c in starts])
+            refined += self.refiner.best(image, sky, rotations, centres, keep, thorough=thorough)
             refined.sort(key=lambda r: -r.support)
-        refined = self._around(image, sky, refined)
-        refined = self._flipped(image, sky, refined)
-        return self._chosen(refined, sky, bodies)
+            refined = self._flipped(image, sky, refined)
+            found = self._chosen(refined, image, sky, bodies)
+            if found is not None and found.confidence >= _PLAIN:
+                return found
+        if found is not None:
+            refined += self._around(image, sky, found.best)
+            found = self._chosen(refined, image, sky, bodies)
+        return found
 
     def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
         """The pose next to a prior that is right to a few degrees; None unless it is sure."""
@@ -148,7 +174,11 @@ class PoseFinder:
             return None
         if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
-        return self._chosen([refined], sky, [], prior=True)
+        found = self._chosen([refined], image, sky, [], prior=True, look=False)
+        if found is None or found.confidence >= _CLEAR:
+            return found
+        found = self._chosen([refined], image, sky, [], prior=True)
+        return found if found is not None and found.confidence >= _PLAIN else None
 
     def near(
         self,
@@ -172,20 +202,21 @@ class PoseFinder:
             centres = np.concatenate([centres, places[close]])
         keep = self.options.refined_near
         refined = self.refiner.best(image, sky, rotations, centres, keep)
-        refined = self._around(image, sky, refined)
         inside = [r for r in refined if r.pose.angle_to(prior) < _reach(error_rad)]
-        return self._chosen(inside, sky, bodies, prior=True)
+        found = self._chosen(inside, image, sky, bodies, prior=True)
+        if found is not None and found.confidence < _PLAIN:
+            others = self._around(image, sky, found.best)
+            inside += [r for r in others if r.pose.angle_to(prior) < _reach(error_rad)]
+            found = self._chosen(inside, image, sky, bodies, prior=True)
+        return found
 
     def _sure(self, sky: Sky) -> float:
         return self.options.sure_support if sky.dark else self.options.sure_support_bright
 
-    def _around(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
-        """Another look from around a best pose that is not sure: edges may have held it aside."""
-        if not refined or refined[0].support >= self._sure(sky):
-            return refined
-        rotations, centres = _turned(refined[0].pose, self.model.centre_m, _ASIDE_RAD)
-        others = self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
-        return sorted([*refined, *others], key=lambda r: -r.support)
+    def _around(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
+        """Poses from around the best one, where it is not sure: edges may have held it aside."""
+        rotations, centres = _turned(best.pose, self.model.centre_m, _ASIDE_RAD)
+        return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
 
     def _flipped(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
         """The best pose's half turns too: many craft look nearly the same from behind or below."""
@@ -198,13 +229,31 @@ class PoseFinder:
         return sorted([*refined, *others], key=lambda r: -r.support)
 
     def _chosen(
-        self, refined: list[Refined], sky: Sky, bodies: list[Outlines], prior: bool = False
+        self,
+        refined: list[Refined],
+        image: Picture,
+        sky: Sky,
+        bodies: list[Outlines],
+        *,
+        prior: bool = False,
+        look: bool = True,
     ) -> Found | None:
-        """The best of refined poses by merit, and the best that is another one."""
+        """The best of refined poses by merit, and the best that is another one.
+
+        ``look`` at the surface too, of those poses whose edges leave them a chance.
+        """
         if not refined:
             return None
         excess = [self._excess(r.pose, sky, bodies) for r in refined]
-        merits = [merit(r, x) for r, x in zip(refined, excess, strict=True)]
+        merits = [merit(r, x, None) for r, x in zip(refined, excess, strict=True)]
+        shadings: list[float | None] = [None] * len(refined)
+        if look:
+            least = max(merits) - _IN_DOUBT
+            shadings = [
+                self.refiner.shading(image, sky, r.pose) if m >= least else None
+                for r, m in zip(refined, merits, strict=True)
+            ]
+            merits = [merit(r, x, s) for r, x, s in zip(refined, excess, shadings, strict=True)]
         k = int(np.argmax(merits))
         best = refined[k]
         others = [
@@ -213,9 +262,10 @@ class PoseFinder:
             if angle_between(r.pose, best.pose, self.model.symmetries) > _RIVAL_RAD
         ]
         if not others:
-            return Found(best, excess[k], 1.0, sky.dark, prior)
+            return Found(best, excess[k], 1.0, sky.dark, prior, shading=shadings[k])
         j = max(others, key=lambda i: merits[i])
-        return Found(best, excess[k], merits[k] - merits[j], sky.dark, prior, refined[j])
+        lead = merits[k] - merits[j]
+        return Found(best, excess[k], lead, sky.dark, prior, refined[j], shadings[k])
 
     def _excess(self, pose: Pose, sky: Sky, bodies: list[Outlines]) -> float:
         """Before a bright sky the outlines themselves are in doubt, and say nothing."""

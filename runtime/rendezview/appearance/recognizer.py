@@ -30,7 +30,7 @@ from rendezview.camera import Camera
 from rendezview.grey_frame import check_frame
 from rendezview.pose import Array, Pose, rotation_angle
 
-_LEAST_MARGIN = 0.02  # of merits: nearer to each other, chance decides between two poses
+_LEAST_MARGIN = 0.01  # of merits: nearer to each other, chance decides between two poses
 _CLOSE_MARGIN = 0.1  # of merits: two poses that explain a frame as well
 
 # Beyond the residual that 99.5 % of good frames keep below, the outline is another one:

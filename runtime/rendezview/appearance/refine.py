@@ -29,6 +29,7 @@ from rendezview.appearance.edges import (
 )
 from rendezview.appearance.model import ViewModel
 from rendezview.appearance.sky import sky_level
+from rendezview.appearance.surface import SurfaceTables, shading
 from rendezview.camera import Camera
 from rendezview.grey_frame import grain
 from rendezview.lens import lens_vector
@@ -146,6 +147,9 @@ class Refiner:
             model.target_radius_m,
             self.options.blur_px,
         )
+        self._surface = None
+        if model.surface is not None:
+            self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
         self._lens = (lens_vector(camera), camera.is_distorted)
         self._edges = np.zeros((contours.kind.shape[2], COLUMNS))
         # Information of about a radian and a target radius: what no edge shows stays finite.
@@ -193,6 +197,13 @@ class Refiner:
             if light != ASTRAY:
                 found.append(self._result(image, frame, rotations[k], centres[k], light))
         return sorted(found, key=lambda r: -r.support)
+
+    def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
+        """How well bright and dark agree with a pose, −1 … 1; None where the model cannot tell."""
+        if self._surface is None:
+            return None
+        rotation, centre = self._centred(pose)
+        return float(shading(image, self._lens, sky.vector, self._surface, rotation, centre))
 
     def _distinct(
         self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int
