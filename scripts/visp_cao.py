@@ -3,8 +3,8 @@
 Triangles that meet flatly are one face. Faces with creases all around are written as such, and ViSP
 tracks their borders. A curved surface becomes a few nearly flat patches that only hide what is
 behind them (name ``smooth``); its creases, a rim, are lines of their own. Borders are
-straightened alike on both sides of them, and small or thin bodies are left out: ViSP wants tens of
-edges of tens of pixels, where a mesh has thousands of two.
+straightened alike on both sides of them, small or thin bodies are left out, and narrow faces only
+hide: ViSP wants tens of edges of tens of pixels, where a mesh has thousands of two.
 """
 
 from __future__ import annotations
@@ -28,10 +28,11 @@ class CaoOptions:
     """How much of a mesh is told."""
 
     crease_rad: float = np.deg2rad(28.0)  # triangles that meet at more are two faces
-    bend_rad: float = np.deg2rad(20.0)  # of a patch, away from its first triangle
-    least_body: float = 0.04  # longest side of a body, of the target's diameter
-    least_width: float = 0.012  # its second side
-    straight: float = 0.0012  # how far a border may be moved to be straight, of the same
+    bend_rad: float = np.deg2rad(35.0)  # of a patch, away from its first triangle
+    least_body: float = 0.08  # longest side of a body, of the target's diameter
+    least_width: float = 0.02  # its second side
+    least_gap: float = 0.004  # between the borders of a face that is tracked, of the same
+    straight: float = 0.002  # how far a border may be moved to be straight, of the same
     smooth_borders: bool = False  # track those of patches too: the limbs of tubes
 
 
@@ -51,7 +52,9 @@ class Cao:
         rows += [f"{x:.9g} {y:.9g} {z:.9g}" for x, y, z in self.points_m]
         rows += [str(len(self.lines)), *(f"{a} {b}" for a, b in self.lines)]
         rows += ["0", str(len(self.faces) + len(self.smooth))]  # no faces of lines
-        for corners, name in [(f, "") for f in self.faces] + [(f, " name=smooth") for f in self.smooth]:
+        for corners, name in [(f, "") for f in self.faces] + [
+            (f, " name=smooth") for f in self.smooth
+        ]:
             rows.append(" ".join(map(str, [len(corners), *corners])) + name)
         return "\n".join([*rows, "0", "0", ""])  # no cylinders, no circles
 
@@ -79,14 +82,16 @@ def cao_of(mesh: Mesh, options: CaoOptions | None = None) -> Cao:
     lines: set[Edge] = set()
     for edges in borders:
         loops = [_thinned(loop, corner) for loop in _loops(edges)]
-        sharp = [
-            [creases[_key(a, b)] for a, b in _legs(loop, corner)] for loop in _loops(edges)
-        ]
+        sharp = [[creases[_key(a, b)] for a, b in _legs(loop, corner)] for loop in _loops(edges)]
         whole = [(loop, flags) for loop, flags in zip(loops, sharp, strict=True) if len(loop) > 2]
         if not whole:
             continue
-        if len(whole) == 1 and (all(whole[0][1]) or options.smooth_borders):
+        gap = _gap([loop for loop, _ in whole], points)
+        wide = gap >= options.least_gap * diameter_m
+        if len(whole) == 1 and wide and (all(whole[0][1]) or options.smooth_borders):
             faces.append(whole[0][0])
+            continue
+        if not wide:
             continue
         smooth.append(_bridged([loop for loop, _ in whole], points))
         for loop, flags in whole:
@@ -250,9 +255,18 @@ def _thinned(loop: list[int], corner: npt.NDArray[np.bool_]) -> list[int]:
 
 def _legs(loop: list[int], corner: npt.NDArray[np.bool_]) -> list[Edge]:
     """The first edge from each corner of a loop on: it tells of all up to the next corner."""
-    return [
-        (a, b) for a, b in zip(loop, [*loop[1:], loop[0]], strict=True) if corner[a]
-    ]
+    return [(a, b) for a, b in zip(loop, [*loop[1:], loop[0]], strict=True) if corner[a]]
+
+
+def _gap(loops: list[list[int]], points: Array) -> float:
+    """Between the long sides of a face: twice its area over its border's length."""
+    area, length = np.zeros(3), 0.0
+    for loop in loops:
+        corners = points[loop] - points[loops[0][0]]
+        ahead = np.roll(corners, -1, axis=0)
+        area += np.cross(corners, ahead).sum(axis=0)  # holes wind the other way
+        length += float(np.linalg.norm(ahead - corners, axis=1).sum())
+    return float(np.linalg.norm(area)) / length
 
 
 def _bridged(loops: list[list[int]], points: Array) -> list[int]:
@@ -267,9 +281,7 @@ def _bridged(loops: list[list[int]], points: Array) -> list[int]:
     return outer
 
 
-def _used(
-    points: Array, faces: list[list[int]], smooth: list[list[int]], lines: list[Edge]
-) -> Cao:
+def _used(points: Array, faces: list[list[int]], smooth: list[list[int]], lines: list[Edge]) -> Cao:
     """With only the points that are in use."""
     named = sorted({k for face in [*faces, *smooth] for k in face} | {k for e in lines for k in e})
     number = {k: n for n, k in enumerate(named)}

@@ -103,7 +103,7 @@ public:
                 std::atof(arguments[7])),
         _tracker(1, vpMbGenericTracker::EDGE_TRACKER)
   {
-    // what ViSP's defaults leave open; every one can be set by name
+    // every one can be set by name
     _edge.setMaskSize(5);
     _edge.setMaskNumber(180);
     _edge.setRange(10);
@@ -145,14 +145,6 @@ public:
     _tracker.loadModel(arguments[1]);
     _tracker.setScanLineVisibilityTest(_is_scan_line);
     _tracker.setUseEdgeTracking(SMOOTH, false);
-    if (_least_line_px > 0.0) {
-      _tracker.setLod(true);
-      _tracker.setMinLineLengthThresh(_least_line_px);
-      _tracker.setMinPolygonAreaThresh(0.0);
-    }
-    if (_most_iterations > 0) {
-      _tracker.setMaxIter(_most_iterations);
-    }
     if (_is_lm) {
       _tracker.setOptimizationMethod(vpMbTracker::LEVENBERG_MARQUARDT_OPT);
     }
@@ -231,9 +223,7 @@ private:
     else if (name == "disappear") _disappear_deg = value;
     else if (name == "good") _good_ratio = value;                      // least share of points kept
     else if (name == "scanline") _is_scan_line = value != 0.0;
-    else if (name == "least_line") _least_line_px = value;             // shorter ones are left out
-    else if (name == "iterations") _most_iterations = whole;
-    else if (name == "lm") _is_lm = value != 0.0;
+    else if (name == "lm") _is_lm = value != 0.0;                      // Levenberg–Marquardt
     else if (name == "klt") _is_klt = value != 0.0;
     else return false;
     return true;
@@ -286,8 +276,7 @@ private:
   vpHomogeneousMatrix _last;
   std::vector<double> _processor_s, _wall_s;
   std::string _thrown;
-  double _appear_deg = 85.0, _disappear_deg = 89.0, _good_ratio = 0.4, _least_line_px = 0.0;
-  unsigned int _most_iterations = 0;
+  double _appear_deg = 85.0, _disappear_deg = 89.0, _good_ratio = 0.4;
   bool _is_scan_line = true, _is_lm = false, _is_klt = false;
 };
 }  // namespace

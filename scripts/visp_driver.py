@@ -26,6 +26,8 @@ Frame = npt.NDArray[np.uint8]
 DRIVER = Path(__file__).with_suffix(".cpp")
 PACKAGES = "g++ pkg-config libvisp-mbt-dev"
 _LIBRARIES = ["-lvisp_mbt", "-lvisp_me", "-lvisp_klt", "-lvisp_core"]
+# Edges are found a quarter of a pixel left and up of where they are; its camera is shifted alike.
+_SHIFT_PX = -0.25
 _HEADERS = "#include <visp3/mbt/vpMbGenericTracker.h>\n"
 
 
@@ -81,17 +83,19 @@ class Visp:
         assert not np.any(camera.distortion), "the driver's camera has no distortion"
         self._folder = tempfile.TemporaryDirectory()
         path = Path(self._folder.name) / "model.cao"
+        self._said = path.with_name("said")  # a pipe that nobody reads would fill
         path.write_text(cao.text)
-        numbers = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        centre = (camera.cx + _SHIFT_PX, camera.cy + _SHIFT_PX)
+        numbers = (camera.width, camera.height, camera.fx, camera.fy, *centre)
         named = [f"{name}={value:.9g}" for name, value in (settings or {}).items()]
-        self._said = tempfile.TemporaryFile()  # a pipe that nobody reads would fill
-        self._process = subprocess.Popen(
-            [str(program), str(path), *(f"{n:.17g}" for n in numbers), *named],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._said,
-            env={"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C"},
-        )
+        with self._said.open("wb") as said:
+            self._process = subprocess.Popen(
+                [str(program), str(path), *(f"{n:.17g}" for n in numbers), *named],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=said,
+                env={"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C"},
+            )
 
     def __enter__(self) -> Visp:
         return self
@@ -103,9 +107,8 @@ class Visp:
         trace: TracebackType | None,
     ) -> None:
         self._process.communicate()
-        self._folder.cleanup()
         said = self._heard()
-        self._said.close()
+        self._folder.cleanup()
         if error is None:
             assert self._process.returncode == 0, (self._process.returncode, said)
 
@@ -157,8 +160,7 @@ class Visp:
         return AssertionError(f"ViSP's driver ended ({self._process.returncode}): {self._heard()}")
 
     def _heard(self) -> str:
-        self._said.seek(0)
-        return self._said.read()[-2000:].decode(errors="replace")
+        return self._said.read_text(errors="replace")[-2000:]
 
 
 def _compiler() -> str | None:
