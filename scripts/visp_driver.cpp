@@ -26,7 +26,7 @@
 
 namespace
 {
-// Faces of this name hide what is behind them, and their borders are not tracked.
+// Faces of this name hide what is behind them, and are not tracked.
 const char *const SMOOTH = "smooth";
 FILE *answers = nullptr;
 
@@ -145,6 +145,9 @@ public:
     _tracker.loadModel(arguments[1]);
     _tracker.setScanLineVisibilityTest(_is_scan_line);
     _tracker.setUseEdgeTracking(SMOOTH, false);
+    if (_is_klt) {
+      _tracker.setUseKltTracking(SMOOTH, false);  // it takes faces as flat
+    }
     if (_is_lm) {
       _tracker.setOptimizationMethod(vpMbTracker::LEVENBERG_MARQUARDT_OPT);
     }
