@@ -349,13 +349,14 @@ def visp(bench: Bench) -> Iterator[Row]:
             what = told.get(task, f"prior {task} off")
             ours = scores.pop(visp_tracking.OURS)
             for peer, theirs in scores.items():
+                if peer != visp_tracking.EDGES and task not in told:
+                    continue  # its other ways: of the sequence only
                 yield Row(f"tracking, {what}", ours.ms, peer, theirs.ms, "ms", command)
-                yield Row(
-                    f"attitude error, median, {what}",
-                    ours.degrees, peer, theirs.degrees, "°", command,
-                )  # fmt: skip
-                wrong = f"no pose or over 5° off, of {len(ours.rotation_rad)}, {what}"
-                yield Row(wrong, ours.wrong, peer, theirs.wrong, "", command)
+                name = f"attitude error, median, {what}"
+                yield Row(name, ours.degrees, peer, theirs.degrees, "°", command)
+            wrong = scores[visp_tracking.EDGES].wrong
+            name = f"no pose or over 5° off, of {len(ours.rotation_rad)}, {what}"
+            yield Row(name, ours.wrong, visp_tracking.EDGES, wrong, "", command)
 
 
 def groups(short: bool = False) -> list[Callable[[Bench], Iterator[Row]]]:

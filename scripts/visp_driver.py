@@ -5,6 +5,7 @@ ViSP is C++; Debian and Ubuntu have it: ``apt install g++ pkg-config libvisp-mbt
 
 from __future__ import annotations
 
+import os
 import shutil
 import struct
 import subprocess
@@ -19,7 +20,6 @@ import numpy.typing as npt
 
 from rendezview.camera import Camera
 from rendezview.pose import Pose
-from visp_cao import Cao
 
 Array = npt.NDArray[np.float64]
 Frame = npt.NDArray[np.uint8]
@@ -72,19 +72,19 @@ def build(folder: Path) -> Path:
 
 
 class Visp:
-    """A running driver with one model and camera; ends with the block.
+    """A running driver with one model (``cao``: the text) and camera; ends with the block.
 
     One thread: OpenMP's and OpenCV's others are kept from starting.
     """
 
     def __init__(
-        self, program: Path, cao: Cao, camera: Camera, settings: dict[str, float] | None = None
+        self, program: Path, cao: str, camera: Camera, settings: dict[str, float] | None = None
     ) -> None:
         assert not np.any(camera.distortion), "the driver's camera has no distortion"
         self._folder = tempfile.TemporaryDirectory()
         path = Path(self._folder.name) / "model.cao"
         self._said = path.with_name("said")  # a pipe that nobody reads would fill
-        path.write_text(cao.text)
+        path.write_text(cao)
         centre = (camera.cx + _SHIFT_PX, camera.cy + _SHIFT_PX)
         numbers = (camera.width, camera.height, camera.fx, camera.fy, *centre)
         named = [f"{name}={value:.9g}" for name, value in (settings or {}).items()]
@@ -94,7 +94,8 @@ class Visp:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=said,
-                env={"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C"},
+                env=os.environ
+                | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C"},
             )
 
     def __enter__(self) -> Visp:

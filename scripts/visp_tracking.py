@@ -208,7 +208,7 @@ def tasks(
     changed: dict[str, float] | None = None,
 ) -> Iterator[tuple[str, dict[str, Score]]]:  # fmt: skip
     """Every task and its scores; ``changed``: settings of ViSP other than the chosen."""
-    cao = cao_of(mesh)
+    cao = cao_of(mesh).text
     kept = singles(mesh, model, frames, seed)
     for task, share in SHARES.items():
         given = [(i, t, earlier(t, model.centre_m, share, rng)) for i, t, rng in kept]
@@ -231,7 +231,7 @@ def draw(
 ) -> None:  # fmt: skip
     """Frames with the edges that ViSP sees from the pose it found of the prior 5° off."""
     folder.mkdir(parents=True, exist_ok=True)
-    with Visp(program, cao_of(mesh), CAMERA, SETTINGS["5°"]) as visp:
+    with Visp(program, cao_of(mesh).text, CAMERA, SETTINGS["5°"]) as visp:
         for k, (image, truth, rng) in enumerate(singles(mesh, model, count, seed)):
             found = visp.frame(image, earlier(truth, model.centre_m, 1.0, rng), PASSES["5°"])
             picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
