@@ -247,9 +247,17 @@ private:
   template <class Call> void timed(Call call)
   {
     const double processor = now(CLOCK_PROCESS_CPUTIME_ID), wall = now(CLOCK_MONOTONIC);
-    call();
-    _processor_s.push_back(now(CLOCK_PROCESS_CPUTIME_ID) - processor);
-    _wall_s.push_back(now(CLOCK_MONOTONIC) - wall);
+    const auto stop = [&] {
+      _processor_s.push_back(now(CLOCK_PROCESS_CPUTIME_ID) - processor);
+      _wall_s.push_back(now(CLOCK_MONOTONIC) - wall);
+    };
+    try {
+      call();
+    } catch (...) {  // it has cost its time all the same
+      stop();
+      throw;
+    }
+    stop();
   }
 
   void answer()
