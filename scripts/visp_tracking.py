@@ -263,15 +263,9 @@ def main() -> None:
     model = ViewModel.load(arguments.model)
     table = Table(title=f"{arguments.target}, seed {arguments.seed}, ms of processor time")
     for name in (
-        "task",
-        "tracker",
-        "ms a frame",
-        "right",
-        "within 1°",
-        "no pose",
-        "rotation",
+        "task", "tracker", "ms a frame", "mean", "right", "within 1°", "no pose", "rotation",
         "translation",
-    ):
+    ):  # fmt: skip
         table.add_column(name)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         program = build(Path(folder))
