@@ -8,7 +8,8 @@
 Ours and its peers are timed in turns, in processor time; each figure is the least of the medians of
 15 turns. Less is better everywhere, and the ratio is ours over the peer's. The short form has a
 small model of its own, trained once into --cache. EdgeDrawing and linemod are in opencv-contrib,
-which cannot stand beside opencv: --peer-python names an interpreter that has it.
+which cannot stand beside opencv: --peer-python names an interpreter that has it. ViSP is C++: its
+rows want ``apt install g++ pkg-config libvisp-mbt-dev``.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from ctypes.util import find_library
 from pathlib import Path
 
 import cv2
@@ -30,6 +30,7 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+import visp_driver
 from benchmark_check import ALLOWED, Row, best, worse, write
 from benchmark_rows import Bench, groups
 from flight_code_driver import compiler
@@ -63,6 +64,8 @@ LONG = (  # claim, command; {folder}: where the campaign writes and reads
      "{data}/SpaceShuttleOrbiter.obj client"),
     ("no pose where there is no target", "pose_trials.py refusals {folder} {data}/HST.obj hubble "
      "{data}/SpaceShuttleOrbiter.obj client"),
+    ("beside ViSP's tracker", "visp_tracking.py hubble --model {folder}/hubble.rvm"),
+    ("", "visp_tracking.py client --model {folder}/client.rvm"),
     ("a few minutes of training", "training_speed.py models_cad/hubble"),
     ("on nodes, views", "recognition_accuracy.py models_cad/hubble --views 2000 --seed 77"),
     ("C identical, 10,000 of 10,000",
@@ -105,7 +108,7 @@ def small_model(cache: Path) -> Path:
     return path
 
 
-def absent(peer_python: Path | None) -> Iterator[str]:
+def absent(peer_python: Path | None, short: bool) -> Iterator[str]:
     """A line for every peer that is not in this run, and why."""
     if peer_python is None:
         yield "linemod, EdgeDrawing, findEllipses: in opencv-contrib only; give --peer-python"
@@ -114,10 +117,10 @@ def absent(peer_python: Path | None) -> Iterator[str]:
             yield f"{package}: not installed"
     if compiler() is None:
         yield "flight code: no C compiler here"
-    if find_library("visp_core") is None:
-        yield "ViSP: not on this system"
-    else:
-        yield "ViSP: on this system, but C++ without a Python package; no row drives it"
+    if short:
+        yield "ViSP: not in the short form"
+    elif visp_driver.missing() is not None:
+        yield f"ViSP: {visp_driver.missing()}"
 
 
 def show(rows: list[Row]) -> None:
@@ -188,12 +191,14 @@ def campaigns(folder: str) -> int:
     return failed
 
 
-def measured(bench: Bench, passes: int, kept: Path | None) -> tuple[list[Row], dict[str, str]]:
+def measured(
+    bench: Bench, passes: int, kept: Path | None, short: bool
+) -> tuple[list[Row], dict[str, str]]:
     """All rows, the best of the passes, and what is worse than kept.
 
     Groups with a row that is worse are measured again: noise passes, what is really slower stays.
     """
-    everything = groups()
+    everything = groups(short)
     rows: dict[str, Row] = {}
     of_group: dict[str, int] = {}
     again = set(range(len(everything)))
@@ -244,9 +249,10 @@ def main() -> None:
             bench = Bench(mesh, path, 3, 200, 0.6, arguments.seed, peers)
         else:
             bench = Bench(mesh, path, 6, 1000, 1.5, arguments.seed, peers)
-        rows, wrong = measured(bench, 3 if arguments.write else 1, arguments.check)
+        passes = 3 if arguments.write else 1
+        rows, wrong = measured(bench, passes, arguments.check, arguments.short)
     show(rows)
-    for line in absent(peers):
+    for line in absent(peers, arguments.short):
         print(f"absent: {line}")
     print(f"seed {arguments.seed}; model {path.stat().st_size / 1e6:.1f} MB; "
           f"{time.perf_counter() - start:.0f} s")  # fmt: skip

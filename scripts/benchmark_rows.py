@@ -25,6 +25,8 @@ import reflector_speed
 import ring_speed
 import stereo_speed
 import trajectory_speed
+import visp_driver
+import visp_tracking
 from benchmark_check import Row
 from export_c_check import LIMIT_BYTES, perturbed
 from flight_code_driver import FlightCode, build, compiler, object_bytes
@@ -334,9 +336,34 @@ def segments(bench: Bench) -> Iterator[Row]:
         yield from times("trajectory_speed.py", spent, rows)
 
 
-def groups() -> list[Callable[[Bench], Iterator[Row]]]:
-    """All that this machine can run."""
+def visp(bench: Bench) -> Iterator[Row]:
+    """Tracking beside ViSP's model-based tracker: near priors, far ones, and a sequence."""
+    command = "visp_tracking.py hubble --model hubble.rvm"
+    with tempfile.TemporaryDirectory() as folder:
+        program = visp_driver.build(Path(folder))
+        singles, length = 3 * bench.frames, 5 * bench.frames
+        told = {"sequence": "sequence, 1.5° a frame"}
+        for task, scores in visp_tracking.tasks(
+            bench.mesh, bench.model, program, singles, length, bench.seed
+        ):
+            what = told.get(task, f"prior {task} off")
+            ours = scores.pop(visp_tracking.OURS)
+            for peer, theirs in scores.items():
+                if peer != visp_tracking.EDGES and task not in told:
+                    continue  # its other ways: of the sequence only
+                yield Row(f"tracking, {what}", ours.ms, peer, theirs.ms, "ms", command)
+                name = f"attitude error, median, {what}"
+                yield Row(name, ours.degrees, peer, theirs.degrees, "°", command)
+            wrong = scores[visp_tracking.EDGES].wrong
+            name = f"no pose or over 5° off, of {len(ours.rotation_rad)}, {what}"
+            yield Row(name, ours.wrong, visp_tracking.EDGES, wrong, "", command)
+
+
+def groups(short: bool = False) -> list[Callable[[Bench], Iterator[Row]]]:
+    """All that this machine can run; the short form is without ViSP, which CI need not have."""
     found = [poses, nodes, reflectors, three_points, rings, stereo, fusion, segments]
+    if not short and visp_driver.missing() is None:
+        found.insert(1, visp)
     if compiler() is not None:
-        found.insert(2, flight_code)
+        found.insert(found.index(reflectors), flight_code)
     return found
