@@ -21,8 +21,8 @@ _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the suppo
 _LIGHT_WEIGHT = 0.25  # grey levels that one light explains speak for a pose
 _SHADING_WEIGHT = 0.4  # and so do bright and dark over all of its surface …
 _IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to the best
-_CLEAR = 0.97  # confidence by the edges alone that needs no look at the surface
-_PLAIN = 0.9  # confidence that needs no look around
+_CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
+_PLAIN = 0.95  # confidence that needs no look around
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
