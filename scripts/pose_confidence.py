@@ -22,7 +22,7 @@ from rendezview.appearance.refine import inflating
 
 WRONG_DEG = 5.0
 _DARK = 7  # the feature that tells dark skies
-_WEIGHT_OF_WRONG = 4.0  # a wrong answer costs more than one that is not given
+_WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
 
 
 def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:

@@ -36,8 +36,8 @@ class FinderOptions:
     hypotheses_of_several: int = 40  # for each of several outlines
     refined: int = 6  # of them that are refined
     refined_near: int = 3  # the same near a prior
-    sure_support: float = 0.4  # of the prior alone: nothing else is tried …
-    sure_support_bright: float = 0.5  # … and before a bright sky, where chance supports too
+    sure_support: float = 0.5  # of the prior alone: nothing else is tried …
+    sure_support_bright: float = 0.6  # … and before a bright sky, where chance supports too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,12 +99,12 @@ class Found:
 _LOGISTIC = np.array(
     [
         [
-            [-5.06, 2.58, 2.6, -8.15, 0.0, 15.43, -2.96, 0.0, 0.78, 9.37, 0.0],
-            [-0.92, 4.97, 1.12, -11.82, -10.41, 15.01, -3.3, -0.92, -0.9, 6.57, 0.0],
+            [-5.84, 2.34, 2.28, -8.97, 0.0, 15.58, -1.31, 0.0, 1.16, 8.35, 0.0],
+            [-1.32, 4.93, 0.79, -17.46, -18.59, 14.08, -1.24, -1.32, -0.51, 6.16, 0.0],
         ],
         [
-            [-7.0, 3.0, 1.08, -7.38, 0.0, 11.48, -1.88, 0.0, 0.83, 6.06, 8.21],
-            [-1.23, 5.56, -2.03, -10.29, -9.54, 12.79, -3.9, -1.23, -0.59, 4.91, 5.92],
+            [-7.16, 2.78, -0.19, -6.97, 0.0, 11.31, -0.56, 0.0, 1.35, 4.68, 8.22],
+            [-1.43, 5.17, -1.54, -17.69, -16.6, 11.94, -1.59, -1.43, -0.14, 3.71, 5.9],
         ],
     ]
 )
