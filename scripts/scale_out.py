@@ -38,6 +38,7 @@ from rendezview.training.cluster import Cluster
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
+from rendezview.training.surface_points import SURFACE_ORDER
 from rendezview.training.workers import Cores, Workers
 from training_speed import split
 
@@ -56,7 +57,7 @@ KILLED = replace(
 )
 STAGES = {  # of training, and how often the default training does each: views or nodes
     "lattice": 2562, "perspective": 2562, "views": 32_000, "held-out": 4000,
-    "contours": 3 * 2562, "lit": 2562, "trees": 642, "calibration": 4000,
+    "contours": 3 * 2562, "lit": 2562, "surface": 642, "trees": 642, "calibration": 4000,
 }  # fmt: skip
 
 
@@ -248,7 +249,8 @@ def cost(arguments: argparse.Namespace) -> None:
     counts = {
         "lattice": lattice, "perspective": lattice, "views": options.perturbed_views,
         "held-out": options.held_out_views, "contours": lattice * len(options.contour_radii),
-        "lit": lattice, "trees": nodes, "calibration": options.held_out_views,
+        "lit": lattice, "surface": len(Geodesic.of_order(SURFACE_ORDER).nodes), "trees": nodes,
+        "calibration": options.held_out_views,
     }  # fmt: skip
     print("| stage | times in a default training | CPU ms each | CPU s |")
     print("|---|---:|---:|---:|")

@@ -38,6 +38,7 @@ SMALL = TrainingOptions(
     contour_points=20,
     contour_radii=(1.0,),
     contour_resolution_px=64,
+    surface_points=64,
 )
 
 
