@@ -31,7 +31,12 @@ def test_a_public_mesh_trains_and_its_trees_beat_chance(name: str, tmp_path: Pat
         pytest.skip(f"{name} is not here: set RENDEZVIEW_TEST_DATA to the folder of test data")
     mesh = load_mesh(Path(data) / name)
     options = TrainingOptions(
-        order=1, perturbed_views=400, held_out_views=100, resolution_px=128, component_step=8
+        surface_points=64,
+        order=1,
+        perturbed_views=400,
+        held_out_views=100,
+        resolution_px=128,
+        component_step=8,
     )
     path = tmp_path / "model.rvm"
     trained = train(mesh, path, name="public", options=options, jobs=1)
