@@ -90,13 +90,20 @@ def processes(
             )
             for _ in range(workers)
         ]  # fmt: skip
-        while not place.exists():
-            time.sleep(0.05)
-        address = json.loads(place.read_text())["address"]
+        address = _address(place)
         if workers:
             with distributed.Client(address, set_as_default=False) as client:
                 client.wait_for_workers(workers, timeout=60)
         yield Processes(address, scheduler, joined)
+
+
+def _address(place: Path) -> str:
+    """The scheduler's address from its file, which stands there a moment before it is written."""
+    while True:
+        try:
+            return json.loads(place.read_text())["address"]
+        except (FileNotFoundError, json.JSONDecodeError):
+            time.sleep(0.05)
 
 
 @pytest.fixture(scope="module")
