@@ -117,6 +117,20 @@ def merit(refined: Refined, excess: float, shading: float | None) -> float:
 
 
 @dataclass(slots=True, eq=False)
+class _Candidate:
+    """A refined pose of a frame, and what was found of it besides its edges."""
+
+    refined: Refined
+    excess: float
+    shading: float | None = None  # None: not looked at yet, or nothing to look at
+
+    @property
+    def by_edges(self) -> float:
+        """Its merit without a look at the surface."""
+        return merit(self.refined, self.excess, None)
+
+
+@dataclass(slots=True, eq=False)
 class PoseFinder:
     """Finds poses of one model in the frames of one camera."""
 
@@ -147,8 +161,8 @@ class PoseFinder:
         starts = [self.hypotheses.of(o.signature, each, sun_camera) for o in bodies]
         first = self.options.hypotheses_first // len(bodies)
         keep = self.options.refined
-        refined: list[Refined] = []
-        found = None
+        candidates: list[_Candidate] = []
+        turned = found = None
         for part, thorough in (
             (slice(0, first), False),
             (slice(first, None), False),
@@ -156,15 +170,20 @@ class PoseFinder:
         ):
             rotations = np.concatenate([r[part] for r, _ in starts])
             centres = np.concatenate([c[part] for _, c in starts])
-            refined += self.refiner.best(image, sky, rotations, centres, keep, thorough=thorough)
-            refined.sort(key=lambda r: -r.support)
-            refined = self._flipped(image, sky, refined)
-            found = self._chosen(refined, image, sky, bodies)
+            refined = self.refiner.best(image, sky, rotations, centres, keep, thorough=thorough)
+            candidates += self._candidates(refined, sky, bodies)
+            best = max(candidates, key=lambda c: c.refined.support, default=None)
+            if best is not None and best is not turned:
+                flipped = self._flipped(image, sky, best.refined)
+                candidates += self._candidates(flipped, sky, bodies)
+                turned = best
+            found = self._chosen(candidates, image, sky)
             if found is not None and found.confidence >= _PLAIN:
                 return found
         if found is not None:
-            refined += self._around(image, sky, found.best)
-            found = self._chosen(refined, image, sky, bodies)
+            around = self._around(image, sky, found.best)
+            candidates += self._candidates(around, sky, bodies)
+            found = self._chosen(candidates, image, sky)
         return found
 
     def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
@@ -174,10 +193,11 @@ class PoseFinder:
             return None
         if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
-        found = self._chosen([refined], image, sky, [], prior=True, look=False)
+        alone = self._candidates([refined], sky, [])
+        found = self._chosen(alone, image, sky, prior=True, look=False)
         if found is None or found.confidence >= _CLEAR:
             return found
-        found = self._chosen([refined], image, sky, [], prior=True)
+        found = self._chosen(alone, image, sky, prior=True)
         return found if found is not None and found.confidence >= _PLAIN else None
 
     def near(
@@ -203,11 +223,13 @@ class PoseFinder:
         keep = self.options.refined_near
         refined = self.refiner.best(image, sky, rotations, centres, keep)
         inside = [r for r in refined if r.pose.angle_to(prior) < _reach(error_rad)]
-        found = self._chosen(inside, image, sky, bodies, prior=True)
+        candidates = self._candidates(inside, sky, bodies)
+        found = self._chosen(candidates, image, sky, prior=True)
         if found is not None and found.confidence < _PLAIN:
-            others = self._around(image, sky, found.best)
-            inside += [r for r in others if r.pose.angle_to(prior) < _reach(error_rad)]
-            found = self._chosen(inside, image, sky, bodies, prior=True)
+            around = self._around(image, sky, found.best)
+            inside = [r for r in around if r.pose.angle_to(prior) < _reach(error_rad)]
+            candidates += self._candidates(inside, sky, bodies)
+            found = self._chosen(candidates, image, sky, prior=True)
         return found
 
     def _sure(self, sky: Sky) -> float:
@@ -218,54 +240,51 @@ class PoseFinder:
         rotations, centres = _turned(best.pose, self.model.centre_m, _ASIDE_RAD)
         return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
 
-    def _flipped(self, image: Picture, sky: Sky, refined: list[Refined]) -> list[Refined]:
-        """The best pose's half turns too: many craft look nearly the same from behind or below."""
-        if not refined:
-            return refined
-        pose = refined[0].pose
-        rotations = pose.rotation @ self._flips
-        centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
-        others = self.refiner.best(image, sky, rotations, centres, 2)
-        return sorted([*refined, *others], key=lambda r: -r.support)
+    def _flipped(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
+        """Half turns of the best pose: many craft look nearly the same from behind or below."""
+        rotations = best.pose.rotation @ self._flips
+        centres = np.tile(best.pose.apply(self.model.centre_m), (len(rotations), 1))
+        return self.refiner.best(image, sky, rotations, centres, 2)
+
+    def _candidates(
+        self, refined: list[Refined], sky: Sky, bodies: list[Outlines]
+    ) -> list[_Candidate]:
+        return [_Candidate(r, self._excess(r.pose, sky, bodies)) for r in refined]
 
     def _chosen(
         self,
-        refined: list[Refined],
+        candidates: list[_Candidate],
         image: Picture,
         sky: Sky,
-        bodies: list[Outlines],
         *,
         prior: bool = False,
         look: bool = True,
     ) -> Found | None:
         """The best of refined poses by merit, and the best that is another one.
 
-        ``look`` at the surface too, of those poses whose edges leave them a chance.
+        ``look`` at the surface too, once, of those poses whose edges leave them a chance.
         """
-        if not refined:
+        if not candidates:
             return None
-        excess = [self._excess(r.pose, sky, bodies) for r in refined]
-        merits = [merit(r, x, None) for r, x in zip(refined, excess, strict=True)]
-        shadings: list[float | None] = [None] * len(refined)
-        if look:
-            least = max(merits) - _IN_DOUBT
-            shadings = [
-                self.refiner.shading(image, sky, r.pose) if m >= least else None
-                for r, m in zip(refined, merits, strict=True)
-            ]
-            merits = [merit(r, x, s) for r, x, s in zip(refined, excess, shadings, strict=True)]
+        least = max(c.by_edges for c in candidates) - _IN_DOUBT if look else np.inf
+        merits = []
+        for c in candidates:
+            doubtful = c.by_edges >= least
+            if doubtful and c.shading is None:
+                c.shading = self.refiner.shading(image, sky, c.refined.pose)
+            merits.append(merit(c.refined, c.excess, c.shading if doubtful else None))
         k = int(np.argmax(merits))
-        best = refined[k]
+        best, shading = candidates[k], candidates[k].shading
         others = [
             j
-            for j, r in enumerate(refined)
-            if angle_between(r.pose, best.pose, self.model.symmetries) > _RIVAL_RAD
+            for j, c in enumerate(candidates)
+            if angle_between(c.refined.pose, best.refined.pose, self.model.symmetries) > _RIVAL_RAD
         ]
         if not others:
-            return Found(best, excess[k], 1.0, sky.dark, prior, shading=shadings[k])
+            return Found(best.refined, best.excess, 1.0, sky.dark, prior, shading=shading)
         j = max(others, key=lambda i: merits[i])
-        lead = merits[k] - merits[j]
-        return Found(best, excess[k], lead, sky.dark, prior, refined[j], shadings[k])
+        lead, rival = merits[k] - merits[j], candidates[j].refined
+        return Found(best.refined, best.excess, lead, sky.dark, prior, rival, shading)
 
     def _excess(self, pose: Pose, sky: Sky, bodies: list[Outlines]) -> float:
         """Before a bright sky the outlines themselves are in doubt, and say nothing."""
