@@ -16,6 +16,7 @@ no other sensor sees the ring, the filter coasts: its error grows, and so must i
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -69,9 +70,10 @@ def lying(measurement: Measurement, size: float) -> Measurement:
 
 
 def with_fault(run: Run, sensors: tuple[str, ...], fault: str, third: int, size: float) -> Run:
-    """The run with a fault in a third of its time."""
+    """The run with a fault in a third of its time; the last frame is in the last third."""
     end_s = max(run.truth)
-    start_s, stop_s = end_s * third / 3.0, end_s * (third + 1) / 3.0
+    start_s = end_s * third / 3.0
+    stop_s = end_s * (third + 1) / 3.0 if third < 2 else math.inf
     changed: list[Measurement] = []
     for measurement in run.measurements:
         hit = measurement.sensor in sensors and start_s <= measurement.time_s < stop_s

@@ -191,9 +191,11 @@ def scene_of(folder: Path) -> Sequence:
 OPTIONS = FusionOptions(
     # The wander of ApproachOptions; along has the braking, which the filter is not told.
     motion=MotionOptions(angular=1.7e-4, linear=6e-4, along=5e-3, pointing=6e-5),
-    pose=SensorOptions(inflation=1.5, lasting=0.9, lasting_s=60.0, lasting_range=0.25),
+    pose=SensorOptions(
+        inflation=1.2, floor_range=2e-4, lasting=0.9, lasting_s=60.0, lasting_range=0.25
+    ),
     ring=SensorOptions(
-        inflation=4.0, floor_rad=math.radians(0.5), floor_range=5e-4, lasting=0.8,
+        inflation=4.0, floor_rad=math.radians(0.25), floor_range=5e-4, lasting=0.8,
         lasting_s=60.0, lasting_range=0.35, gate=1e-3,
     ),
     range=SensorOptions(lasting_s=10.0, lasting_range=0.5),

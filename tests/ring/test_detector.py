@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -172,3 +173,37 @@ def test_the_sensor_follows_the_ring_and_forgets_it_after_a_while(make, ring_cam
     for _ in range(6):
         assert sensor.update(np.zeros_like(image)).pose is None
     assert sensor.update(image).status in (Status.OK, Status.AMBIGUOUS)
+
+
+def lip(outer_px, width_px, centre, noise, rng, ratio=0.98):
+    """A bright lip, dark beside it outside on the right, inside on the left: a Sun from one side.
+
+    Elsewhere it stands out from nothing: each of its edges shows on one half only.
+    """
+    fine = 8
+    y, x = (np.mgrid[: 160 * fine, : 160 * fine] + 0.5) / fine - 0.5
+    dx, dy = x - centre[0], (y - centre[1]) / ratio
+    r = np.hypot(dx, dy)
+    grey = np.full(r.shape, 120.0)
+    grey[(r > outer_px) & (r < 1.6 * outer_px) & (dx > 0.0)] = 20.0
+    grey[(r < outer_px - width_px) & (r > 0.6 * outer_px) & (dx < 0.0)] = 20.0
+    small = grey.reshape(160, fine, 160, fine).mean(axis=(1, 3))
+    soft = cv2.GaussianBlur(small, (0, 0), 0.8)
+    return np.clip(soft + noise * rng.standard_normal(soft.shape), 0, 255).astype(np.uint8)
+
+
+def test_a_narrow_lip_lit_from_one_side_has_two_edges_and_no_tilt_between_them():
+    camera = Camera(160, 160, 400.0, 400.0, 79.5, 79.5)
+    for seed in range(8):
+        rng = np.random.default_rng([11, seed])
+        outer, width = rng.uniform(30.0, 45.0), rng.uniform(2.2, 3.5)
+        centre = 79.5 + rng.uniform(-3.0, 3.0, 2)
+        image = lip(outer, width, centre, 2.0, rng)
+        edges = [e for e in RingDetector(camera).detect(image).edges if e.pair >= 0]
+        assert len(edges) == 2
+        for edge, size in zip(edges, (outer, outer - width), strict=True):
+            true = np.array([*centre, size, 0.0, 0.98 * size])
+            odd = edge.ellipse.shape - true
+            assert np.abs(odd[:2]).max() < 0.15
+            assert np.abs(odd[2:]).max() < 0.35
+            assert edge.arc_deg < 200.0

@@ -246,7 +246,8 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             if not (centre[2] > 1.02 * radius_m and centre[2] < 1e9 * radius_m):
                 return ASTRAY
             shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
-            if scale * (turn * radius_m + shift) < 0.1:  # pixels
+            # The last step is small in pixels, and beside a target that is small itself.
+            if scale * (turn * radius_m + shift) < min(0.1, 1e-3 * scale * radius_m):
                 break
     # Without the rounding of many small turns: one step towards the nearest rotation.
     rotation[:] = rotation @ (1.5 * np.eye(3) - 0.5 * (rotation.T @ rotation))

@@ -53,6 +53,7 @@ class RingEdge:
     contrast_grey: float  # outside minus inside
     family: int  # number of the set of concentric circles it belongs to
     rms_px: float  # of the edge places about the ellipse
+    pair: int = -1  # number of the lip whose two edges were fitted as one; -1: of none
 
     @property
     def arc_deg(self) -> float:
@@ -133,7 +134,7 @@ class RingDetector:
 
     def _refined(self, grey: Grey, shapes: Array, noise: float) -> tuple[RingEdge, ...]:
         o = self.options
-        fitted, covariances, facts = fit_steps(
+        fitted, covariances, facts, pairs = fit_steps(
             grey, self._lens, shapes, o.sample_px, noise, self._filters, self._basis, o.blur_px,
             o.least_arc_rad, o.floor_px,
         )  # fmt: skip
@@ -148,6 +149,7 @@ class RingDetector:
                 float(facts[k, 1]),
                 int(family[k]),
                 float(facts[k, 2]),
+                int(pairs[k]),
             )
             for k in order
         )

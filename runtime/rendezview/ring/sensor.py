@@ -187,12 +187,13 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
 
     First its family; then, because short arcs place an ellipse badly, all of like place. Only what
     is nearly as large: near head-on a smaller circle of another plane fits as well, with a false
-    tilt. What else does not belong there the joint fit leaves out.
+    tilt. Of a lip whose edges were fitted as one, one edge says it all. What else does not belong
+    there the joint fit leaves out.
     """
-    main = edges[first].ellipse
+    main, pairs = edges[first].ellipse, {edges[first].pair}
     near: list[tuple[bool, float, Ellipse]] = []
     for k, edge in enumerate(edges):
-        if k == first:
+        if k == first or (edge.pair >= 0 and edge.pair in pairs):
             continue
         ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
         aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
@@ -201,5 +202,6 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
         family = edge.family == edges[first].family
         if family or aside < 0.3 * main.semi_axes_px[0]:
             near.append((not family, -edge.arc_rad, edge.ellipse))
+            pairs.add(edge.pair)
     near.sort(key=lambda item: item[:2])
     return [main, *(ellipse for *_, ellipse in near[:_MOST_COMPANIONS])]

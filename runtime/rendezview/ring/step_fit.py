@@ -6,17 +6,10 @@ import numpy as np
 from numba import njit
 
 from rendezview.ring.ellipse import axes_of_shape
+from rendezview.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
+from rendezview.ring.spread import covered, scale_of, spread_of, trim
 from rendezview.ring.steps import step_support
-from rendezview.ring.support import (
-    ANGLE,
-    ARC,
-    COLUMNS,
-    CONTRAST,
-    OFFSET,
-    WEIGHT,
-    distance,
-    update_shape,
-)
+from rendezview.ring.support import COLUMNS, distance, update_shape
 from rendezview.ring.verify import one_sense, twins
 
 _MOST_SAMPLES = 640  # along one ellipse
@@ -26,16 +19,22 @@ _MOST_SAMPLES = 640  # along one ellipse
 def fit_steps(  # type: ignore[no-untyped-def]
     image, lens, shapes, spacing, noise, filters, basis, blur, least_arc, floor
 ):
-    """Blurred-step fits: shapes (M, 5), covariances (M, 5, 5), (M, 3) arc, contrast, rms."""
+    """Blurred-step fits of the edges that rough ellipses (K, 5) lie on, or the pairs of edges.
+
+    Returns:
+        Shapes (M, 5); covariances (M, 5, 5); (M, 3) arc (rad), contrast (grey), r.m.s. (px); (M,)
+        number of the pair that an edge was fitted in, -1 for none.
+    """
     total = shapes.shape[0]
     current = shapes.copy()
-    fitted = np.empty((total, 5))
-    covariances = np.empty((total, 5, 5))
-    facts = np.empty((total, 3))
-    samples = np.zeros((_MOST_SAMPLES, COLUMNS))
+    fitted = np.empty((2 * total, 5))
+    covariances = np.empty((2 * total, 5, 5))
+    facts = np.empty((2 * total, 3))
+    pairs = np.empty(2 * total, dtype=np.int64)
+    samples = np.zeros((2 * _MOST_SAMPLES, COLUMNS))
     others = np.empty((total, 5))
-    normal = np.empty((5, 5))
-    count = 0
+    both, both_covariances, both_facts = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 3))
+    count, pair = 0, 0
     for k in range(total):
         shape = current[k].copy()
         beside = 0
@@ -43,69 +42,39 @@ def fit_steps(  # type: ignore[no-untyped-def]
             if j != k and not twins(current[j], shape, 2.5) and _meet(current[j], shape, 14.0):
                 others[beside] = current[j]
                 beside += 1
-        row = axes_of_shape(shape)
-        around = np.pi * (3.0 * (row[2] + row[3])
-                          - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
-        step_px = max(spacing, around / (0.8 * _MOST_SAMPLES))
-        good = True
-        n = 0
-        sense = 0.0
-        for step in range(4):
-            # The first look is a sparse one: it brings the ellipse onto the edge.
-            n = step_support(
-                image, lens, shape, 4.0 * step_px if step == 0 else step_px, sense, noise,
-                filters, basis, blur, others[:beside], samples,
+        step_px = _step_px(shape, spacing)
+        used, scale = _settle(
+            image, lens, shape, step_px, noise, filters, basis, blur, others[:beside],
+            samples[:_MOST_SAMPLES], 0.5 * least_arc,
+        )  # fmt: skip
+        if used == 0:
+            continue
+        two = False
+        if min(arcs_of_senses(samples, used, scale)) > LEAST_ARC:
+            two = fit_lip(
+                image, lens, shape, step_px, noise, filters, basis, blur, others[:beside],
+                samples, used, both, both_covariances, both_facts,
             )  # fmt: skip
-            if step == 0:
-                one_sense(samples, n)
-            scale = 2.0 if step == 0 else _scale(samples, n)
-            moved = update_shape(samples, n, scale, shape, normal)
-            if moved < 0.0 or _covered(samples, n, scale) < 0.5 * least_arc:
-                good = False
-                break
-            if step > 0 and moved < 0.01:
-                break
-        if not good:
-            continue
-        twin = False
-        for j in range(count):
-            if twins(fitted[j], shape, 1.0):
-                twin = True
-        if twin:
-            continue
-        scale = _scale(samples, n)
-        chi, used, contrast, weight, square = 0.0, 0, 0.0, 0.0, 0.0
-        for i in range(n):
-            if samples[i, WEIGHT] > 0.0:
-                if abs(samples[i, OFFSET]) > scale:
-                    samples[i, WEIGHT] = 0.0
-                    continue
-                w = samples[i, WEIGHT]
-                chi += w * samples[i, OFFSET] ** 2
-                square += samples[i, OFFSET] ** 2
-                used += 1
-                weight += 1.0
-                contrast += samples[i, CONTRAST]
-        arc = _covered(samples, n, scale)
-        if used < 20 or arc < 0.8 * least_arc:
-            continue
-        update = shape.copy()
-        if update_shape(samples, n, 3.0 * scale, update, normal) < 0.0:
-            continue
-        trace = np.trace(normal)
+        if two:
+            if both_facts[:, 0].max() < 0.8 * least_arc:
+                continue
+            for e in range(2):
+                if not _known(fitted, count, both[e]):
+                    fitted[count], covariances[count] = both[e], both_covariances[e]
+                    facts[count], pairs[count] = both_facts[e], pair
+                    count += 1
+            pair += 1
+            current[k] = both[0]
+        elif not _known(fitted, count, shape) and _fit_single(
+            samples, used, scale, 0.8 * least_arc, shape, covariances[count], facts[count]
+        ):
+            fitted[count], pairs[count] = shape, -1
+            count += 1
+            current[k] = shape
+    for e in range(count):
         for j in range(5):
-            normal[j, j] += 1e-12 * trace
-        spread = max(chi / max(used - 5, 1), 0.5) * _correlation_factor(samples, n)
-        spread = max(spread, _waviness_factor(samples, n))
-        fitted[count] = update
-        covariances[count] = np.linalg.inv(normal) * spread
-        for j in range(5):
-            covariances[count, j, j] += floor * floor
-        facts[count, 0], facts[count, 1] = arc, contrast / weight
-        facts[count, 2] = np.sqrt(square / used)
-        current[k] = update
-        count += 1
-    return fitted[:count], covariances[:count], facts[:count]
+            covariances[e, j, j] += floor * floor
+    return fitted[:count], covariances[:count], facts[:count], pairs[:count]
 
 
 @njit(cache=True, nogil=True)
@@ -120,75 +89,57 @@ def _meet(a, b, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _scale(samples, n):  # type: ignore[no-untyped-def]
-    """Where offsets stop counting, px: five σ of them, from their median size."""
-    size = np.empty(n)
-    count = 0
-    for i in range(n):
-        if samples[i, WEIGHT] > 0.0:
-            size[count] = abs(samples[i, OFFSET])
-            count += 1
-    if count == 0:
-        return 1.0
-    return min(max(5.0 * 1.483 * float(np.median(size[:count])), 0.15), 2.0)
+def _step_px(shape, spacing):  # type: ignore[no-untyped-def]
+    """Between samples: as wanted, or as many samples as there is room for."""
+    row = axes_of_shape(shape)
+    around = np.pi * (3.0 * (row[2] + row[3])
+                      - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
+    return max(spacing, around / (0.8 * _MOST_SAMPLES))
 
 
 @njit(cache=True, nogil=True)
-def _covered(samples, n, scale):  # type: ignore[no-untyped-def]
-    """Angle of the circle that samples within ``scale`` px bear out, rad."""
-    total = 0.0
-    for i in range(n):
-        if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
-            total += samples[i, ARC]
-    return total
-
-
-@njit(cache=True, nogil=True)
-def _waviness_factor(samples, count):  # type: ignore[no-untyped-def]
-    """How much more the means of 36 stretches scatter than independent samples' would, ≥ 1.
-
-    Facets of a CAD ring, shadows, or an edge that is none show here: their errors go together over
-    long stretches.
-    """
-    sums, weights = np.zeros(36), np.zeros(36)
-    for i in range(count):
-        w = samples[i, WEIGHT]
-        if w > 0.0:
-            k = min(int(samples[i, ANGLE] * (36.0 / (2.0 * np.pi))), 35)
-            sums[k] += w * samples[i, OFFSET]
-            weights[k] += w
-    total, used = 0.0, 0
-    for k in range(36):
-        if weights[k] > 0.0:
-            total += sums[k] * sums[k] / weights[k]
-            used += 1
-    return max(total / max(used - 5, 2), 1.0)
-
-
-@njit(cache=True, nogil=True)
-def _correlation_factor(samples, count):  # type: ignore[no-untyped-def]
-    """Sum of the correlations between a sample's error and its neighbours' (1 for none), ≥ 1."""
-    power, pairs = 0.0, 0
-    for i in range(count):
-        if samples[i, WEIGHT] > 0.0:
-            power += samples[i, OFFSET] ** 2 * samples[i, WEIGHT]
-            pairs += 1
-    if pairs < 12 or power <= 0.0:
-        return 2.0
-    factor = 1.0
-    for lag in range(1, 6):
-        total, n = 0.0, 0
-        for i in range(count):
-            j = i + lag
-            if j >= count:
-                j -= count
-            if samples[i, WEIGHT] > 0.0 and samples[j, WEIGHT] > 0.0:
-                total += (
-                    samples[i, OFFSET] * samples[j, OFFSET]
-                    * np.sqrt(samples[i, WEIGHT] * samples[j, WEIGHT])
-                )  # fmt: skip
-                n += 1
-        if n < 12:
+def _settle(  # type: ignore[no-untyped-def]
+    image, lens, shape, step_px, noise, filters, basis, blur, others, samples, least_arc
+):
+    """Bring a shape onto its edge; number of samples, 0 where there is none, and their scale."""
+    n = 0
+    for step in range(4):
+        # The first look is a sparse one: it brings the ellipse onto the edge.
+        n = step_support(
+            image, lens, shape, 4.0 * step_px if step == 0 else step_px, 0.0, noise,
+            filters, basis, blur, others, samples,
+        )  # fmt: skip
+        if step == 0:
+            one_sense(samples, n)
+        scale = 2.0 if step == 0 else scale_of(samples, n)
+        moved = update_shape(samples, n, scale, shape, np.empty((5, 5)))
+        if moved < 0.0 or covered(samples, n, scale) < least_arc:
+            return 0, 0.0
+        if step > 0 and moved < 0.01:
             break
-        factor += 2.0 * (total / n) / (power / pairs)
-    return min(max(factor, 1.0), 6.0)
+    return n, scale_of(samples, n)
+
+
+@njit(cache=True, nogil=True)
+def _fit_single(samples, n, scale, least_arc, shape, covariance, facts):  # type: ignore[no-untyped-def]
+    """The last step of one edge, its covariance and facts; whether enough bears it out."""
+    used, contrast, rms = trim(samples, n, scale)
+    arc = covered(samples, n, scale)
+    normal = np.empty((5, 5))
+    if used < 20 or arc < least_arc or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
+        return False
+    trace = np.trace(normal)
+    for j in range(5):
+        normal[j, j] += 1e-12 * trace
+    covariance[:] = np.linalg.inv(normal) * spread_of(samples, n)
+    facts[0], facts[1], facts[2] = arc, contrast, rms
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _known(fitted, count, shape):  # type: ignore[no-untyped-def]
+    """Whether an ellipse is there already."""
+    known = False
+    for j in range(count):
+        known |= twins(fitted[j], shape, 1.0)
+    return known
