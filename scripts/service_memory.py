@@ -1,11 +1,11 @@
 """Memory of the service's processes over many frames, recording and history on.
 
-    python scripts/service_memory.py hubble.rvm [--frames 100000] [--side 64]
+    python scripts/service_memory.py hubble.rvm SCENE [--frames 100000]
 
-Frames are small (side × side pixels, a bright block that wanders before a noisy sky), so that the
-count is reached in minutes: what would leak, it would leak by the frame. Half of them go by
-requests, half by a stream, and one in 500 to a session that is opened for it and closed. With
---history-s (10) the last seconds are full soon, and what grows after that is a leak.
+SCENE's frames go to and fro, shrunk (--shrink) so that the count is reached in minutes: what would
+leak, it would leak by the frame. Half of them go by requests, half by a stream, and one in 500 to a
+session that is opened for it and closed. With --history-s (10) the last seconds are full soon, and
+what grows after that is a leak.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
+import cv2
 
 from rendezview.camera import Camera
 from rendezview.client import Client
-from service_speed import Served
+from service_speed import Loop, Served
 
 _POINTS = 10
 
@@ -34,23 +34,31 @@ def open_files(pid: int) -> int:
     return len(os.listdir(f"/proc/{pid}/fd"))
 
 
+def shrunk(loop: Loop, by: int) -> Loop:
+    """The same frames with pixels ``by`` times as large."""
+    c = loop.camera
+    width, height = c.width // by, c.height // by
+    loop.camera = Camera(
+        width, height, c.fx / by, c.fy / by, (c.cx + 0.5) / by - 0.5, (c.cy + 0.5) / by - 0.5
+    )
+    loop.images = [
+        cv2.resize(
+            image[: by * height, : by * width], (width, height), interpolation=cv2.INTER_AREA
+        )
+        for image in loop.images
+    ]
+    return loop
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", type=Path)
+    parser.add_argument("scene", type=Path)
     parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--side", type=int, default=64)
     parser.add_argument("--history-s", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--shrink", type=int, default=5)
     arguments = parser.parse_args()
-    rng = np.random.default_rng(arguments.seed)
-    side = arguments.side
-    camera = Camera.from_fov(side, side, np.deg2rad(40.0))
-    images = []
-    for k in range(32):
-        image = rng.integers(0, 12, (side, side), dtype=np.uint8)
-        row, column = (int(side * (0.3 + 0.1 * f(k / 5.0))) for f in (np.sin, np.cos))
-        image[row : row + side // 3, column : column + side // 4] = 180
-        images.append(image)
+    loop = shrunk(Loop(arguments.scene), arguments.shrink)
     os.environ["RENDEZVIEW_SERVE_HISTORY_S"] = str(arguments.history_s)
     os.environ["RENDEZVIEW_SERVE_RECORD_MODEL"] = "false"
     # All come from one address, faster than any camera.
@@ -59,7 +67,8 @@ def main() -> None:
         served = Served(arguments.model, "--workers", "2", "--record", folder)
         pids = served.pids()
         names = ["service", *(f"worker {k}" for k in range(1, len(pids)))]
-        print(f"seed {arguments.seed}, {side} × {side} px, history {arguments.history_s:g} s")
+        size = f"{loop.camera.width} × {loop.camera.height} px"
+        print(f"{size}, history {arguments.history_s:g} s, half of the frames by requests")
         print(f"{'frames':>8} {'s':>5} " + " ".join(f"{n + ' MB':>12}" for n in names), "files")
         start_s = time.monotonic()
 
@@ -70,23 +79,27 @@ def main() -> None:
 
         try:
             with Client(served.url) as client:
-                by_request, streaming = client.open(camera), client.open(camera)
+                by_request, streaming = (
+                    client.open(loop.camera, prior=loop.prior) for _ in range(2)
+                )
                 with streaming.stream() as stream:
+                    found = 0
                     tell(0)
                     each = max(1, arguments.frames // _POINTS)
                     for k in range(1, arguments.frames + 1):
-                        image = images[k % len(images)]
+                        time_s, image = loop(k)
                         if k % 500 == 0:
-                            once = client.open(camera)
+                            once = client.open(loop.camera, prior=loop.prior)
                             once.track(image, 0.0)
                             once.close()
                         elif k % 2:
-                            by_request.track(image, 0.01 * k)
+                            found += by_request.track(image, time_s)["pose"] is not None
                         else:
-                            stream.send(image, 0.01 * k)
-                            stream.receive(30.0)
+                            stream.send(image, time_s)
+                            found += stream.receive(30.0)["pose"] is not None
                         if k % each == 0:
                             tell(k)
+                print(f"{found} poses")
                 logs_mb = sum(p.stat().st_size for p in Path(folder).glob("*.mcap")) / 1e6
                 print(f"logs: {logs_mb:.0f} MB in {len(list(Path(folder).glob('*.mcap')))} files")
         finally:

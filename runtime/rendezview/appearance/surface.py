@@ -62,6 +62,7 @@ class Surface:
         """
         count = len(self.albedo)
         wanted = {
+            "albedo": (count,),
             "point": (count, 3),
             "normal": (count, 3),
             "seen": (len(self.seen), (count + 7) // 8),

@@ -23,12 +23,12 @@ from rendezview.appearance.contours import (
 )
 from rendezview.pose import Array
 from rendezview.training.crossings import KIND, LENGTH, edge_crossings, face_normals
+from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.surface_palette import packed_surfaces
-from rendezview.training.views import look_from
-from rendezview.training.zbuffer import draw_perspective, empty_buffers
 
+_BORDER_PX = 4.0  # around the target in the picture
 _STEP_RADII = 0.02  # a surface that lies further behind by so much gives a step
 _CLEAR_PX = 6.0  # a run of so many pixels makes an edge as good as any
 _ASIDE = 1.0 / 196.0  # of the target's radius, apart are five samples of a strip along the edge
@@ -54,22 +54,16 @@ def contour_points(
         The fields of ``rendezview.appearance.contours.Contours`` for this one view, but instead
         of ``strip`` the ``surfaces`` (N, CELLS, 4) for ``surface_palette``.
     """
-    rotation = look_from(direction)
-    vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
-    tangent = np.tan(np.arcsin(geometry.target_radius_m / range_m))
     size = options.contour_resolution_px
-    focal = (0.5 * size - 4.0) / tangent
-    middle = 0.5 * (size - 1)
-    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    nearness, owner = empty_buffers(size, size)
-    draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
+    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
+    focal, middle, nearness, owner = view.focal, view.middle, view.nearness, view.owner
     albedo = mesh.face_albedo
-    normals = face_normals(vertices, faces)
+    normals = face_normals(view.vertices, view.faces)
     step_m = _STEP_RADII * geometry.target_radius_m
     crossings = edge_crossings(
-        vertices,
-        vertices[:, :2] / vertices[:, 2:] * focal + middle,
-        faces,
+        view.vertices,
+        view.vertices[:, :2] / view.vertices[:, 2:] * focal + middle,
+        view.faces,
         normals,
         beside,
         albedo,
@@ -91,13 +85,13 @@ def contour_points(
     chosen = _chosen(crossings, count - inner, inner)
     kept = crossings[chosen]
     runs_m = runs_px[chosen] * (kept[:, 4] / focal)[:, None]
-    place = (kept[:, 2:5] - np.array([0.0, 0.0, range_m])) @ rotation
+    place = (kept[:, 2:5] - np.array([0.0, 0.0, range_m])) @ view.rotation
     radius_m = geometry.target_radius_m
-    towards, colour = _strips(kept, focal, owner, normals, albedo, focal * tangent)
-    surfaces = packed_surfaces(towards @ rotation, colour)
+    towards, colour = _strips(kept, focal, owner, normals, albedo, 0.5 * size - _BORDER_PX)
+    surfaces = packed_surfaces(towards @ view.rotation, colour)
     return {
         "point": _packed(place / (radius_m * POINT_UNIT), count, np.int16),
-        "tangent": _packed(kept[:, 5:8] @ rotation / DIRECTION_UNIT, count, np.int8),
+        "tangent": _packed(kept[:, 5:8] @ view.rotation / DIRECTION_UNIT, count, np.int8),
         "kind": _packed(kept[:, KIND], count, np.uint8, NO_POINT),
         "run": _packed(np.minimum(runs_m / (radius_m * RUN_UNIT), 255.0), count, np.uint8),
         "surfaces": _packed(surfaces, count, np.uint8),

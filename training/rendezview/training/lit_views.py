@@ -15,14 +15,15 @@ from rendezview.appearance.signature import Signature
 from rendezview.appearance.silhouette import outlines_of_mask
 from rendezview.geodesic import Geodesic
 from rendezview.pose import Array
+from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
-from rendezview.training.views import look_from
-from rendezview.training.zbuffer import draw_parallel, draw_perspective, empty_buffers
+from rendezview.training.zbuffer import draw_parallel, empty_buffers
 
 _SUN_ORDER = 1  # 42 directions, 32° apart
 _MAP_TEXELS = 256
 _PICTURE_PX = 128
+_BORDER_PX = 2.0
 _RANGE_RADII = 1.5  # sphere radii: between the nearest and the far views
 _PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # less is the whole silhouette
 _LEAST_COSINE = 0.06  # of the Sun's incidence: flatter, a face stays below the threshold
@@ -74,14 +75,10 @@ def lit_views(
         The fields of ``rendezview.appearance.lit_views.LitViews`` but ``suns``.
     """
     range_m = _RANGE_RADII * geometry.sphere_radius_m
-    rotation = look_from(direction)
-    vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
-    focal = (0.5 * _PICTURE_PX - 2.0) / np.tan(np.arcsin(geometry.target_radius_m / range_m))
-    middle = 0.5 * (_PICTURE_PX - 1)
-    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    nearness, owner = empty_buffers(_PICTURE_PX, _PICTURE_PX)
-    draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
-    corners = vertices[faces]
+    drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX)
+    rotation, nearness, owner = drawn.rotation, drawn.nearness, drawn.owner
+    focal, middle = drawn.focal, drawn.middle
+    corners = drawn.vertices[drawn.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
     normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0

@@ -10,14 +10,14 @@ from rendezview.appearance.contours import DIRECTION_UNIT, POINT_UNIT
 from rendezview.appearance.surface import ALBEDO_UNIT, Surface
 from rendezview.pose import Array
 from rendezview.training.crossings import face_normals
+from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
-from rendezview.training.views import look_from
-from rendezview.training.zbuffer import draw_perspective, empty_buffers
 
 SURFACE_ORDER = 3  # of the sphere of directions: 642, whatever the order of the trees
 _CANDIDATES = 8  # times as many points as are kept: much of a mesh is never seen
 _AFAR_RADII = 100.0  # perspective has gone
+_BORDER_PX = 4.0  # around the target in the picture
 _STREAM = 6  # of random numbers
 
 
@@ -45,18 +45,12 @@ def seen_points(
     options: TrainingOptions,
 ) -> npt.NDArray[np.uint8]:
     """(N / 8,) bits, the first point the lowest: which of the points are seen from afar."""
-    rotation = look_from(direction)
     range_m = _AFAR_RADII * geometry.target_radius_m
-    behind = np.array([0.0, 0.0, range_m])
-    vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + behind
     size = options.contour_resolution_px
-    focal = (0.5 * size - 4.0) / np.tan(np.arcsin(1.0 / _AFAR_RADII))
-    middle = 0.5 * (size - 1)
-    nearness, owner = empty_buffers(size, size)
-    triangles = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    draw_perspective(vertices, triangles, focal, focal, middle, middle, 1e-3, nearness, owner)
+    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
+    places = points @ view.rotation.T + np.array([0.0, 0.0, range_m])
     seen = np.zeros(len(points), dtype=np.bool_)
-    _look_up(points @ rotation.T + behind, faces, focal, middle, owner, seen)
+    _look_up(places, faces, view.focal, view.middle, view.owner, seen)
     return np.packbits(seen, bitorder="little")
 
 

@@ -1,0 +1,46 @@
+"""The mesh drawn at once from a direction: what every look at a view of the sphere starts with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.pose import Array
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import ViewGeometry
+from rendezview.training.views import look_from
+from rendezview.training.zbuffer import draw_perspective, empty_buffers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnView:
+    """A square picture of the target, the view centre in its middle."""
+
+    rotation: Array  # (3, 3) camera_from_target
+    vertices: Array  # (V, 3) camera frame, m
+    faces: npt.NDArray[np.int32]  # (F, 3)
+    focal: float  # px
+    middle: float  # px, of both axes
+    nearness: npt.NDArray[np.float32]  # (size, size) 1/m; 0: sky
+    owner: npt.NDArray[np.int32]  # (size, size) face; -1: sky
+
+
+def draw_view(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    direction: Array,
+    range_m: float,
+    size_px: int,
+    border_px: float,
+) -> DrawnView:
+    """Draw the target from a unit direction (3,), its sphere touching a border of ``border_px``."""
+    rotation = look_from(direction)
+    vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
+    focal = (0.5 * size_px - border_px) / np.tan(np.arcsin(geometry.target_radius_m / range_m))
+    middle = 0.5 * (size_px - 1)
+    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+    nearness, owner = empty_buffers(size_px, size_px)
+    draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
+    return DrawnView(rotation, vertices, faces, float(focal), middle, nearness, owner)
