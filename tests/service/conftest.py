@@ -74,11 +74,13 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
     """Starts a service; those that still run at the end are killed."""
     started: list[Served] = []
 
-    def start(*flags: str, **environment: str) -> Served:
+    def start(*flags: str, given: bool = True, **environment: str) -> Served:
         folder = tmp_path_factory.mktemp("service")
-        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
+        if given:
+            command.append(str(model_path))
         process = subprocess.Popen(
-            [*command, "serve", str(model_path), "--port", "0", "--workers", "1", *flags],
+            [*command, "--port", "0", "--workers", "1", *flags],
             stderr=subprocess.PIPE,
             text=True,
             cwd=folder,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -92,6 +93,40 @@ def test_models_are_sent_checked_used_and_deleted(service, client, model_path, c
             client.request("PUT", f"/v1/models/{name}", content, "application/octet-stream")
         assert refused.value.status in (404, 405, 422), name
     assert [m["name"] for m in client.request("GET", "/v1/models")["models"]] == ["bumpy"]
+
+
+def test_without_a_model_given_the_stored_ones_warm_it_up(
+    start_service, model_path, camera, tour, tmp_path
+):
+    (tmp_path / "a-broken.rvm").write_bytes(b"junk")
+    (tmp_path / "stored.rvm").write_bytes(model_path.read_bytes())
+    served = start_service("--models", str(tmp_path), given=False)
+    assert any("a-broken" in line and "not read" in line for line in served.lines)
+    with served.client() as client:
+        session = client.open(camera, model="stored")
+        time_s, _, image = tour[0]
+        assert session.track(image, time_s)["pose"] is not None
+    served.stop()
+
+
+def test_the_first_model_that_is_sent_warms_it_up(start_service, model_path, camera, tour):
+    served = start_service(given=False)
+    with served.client() as client:
+        with pytest.raises(ServiceError, match="there are: none"):
+            client.open(camera)
+        content = model_path.read_bytes()
+        answer = httpx.put(served.url + "v1/models/sent", content=content, timeout=60.0)
+        assert answer.status_code < 300, answer.text
+        until = time.monotonic() + 400
+        session = None
+        while session is None:
+            assert time.monotonic() < until
+            # On a machine that has compiled nothing yet the first tries are turned away.
+            with contextlib.suppress(ServiceError):
+                session = client.open(camera)
+        time_s, _, image = tour[0]
+        assert session.track(image, time_s)["pose"] is not None
+    served.stop()
 
 
 def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):

@@ -164,7 +164,7 @@ def fault_of(error: Exception) -> Response | None:
         case Full():
             return fault(429, "too many wait, or too many sessions there are: come back later")
         case NotReady():
-            return fault(503, "no process that tracks is up: come back in a moment")
+            return fault(503, str(error))
         case ClientDisconnect():
             return fault(400, "the request broke off")
     return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import re
 import secrets
 from functools import cached_property
@@ -14,6 +15,8 @@ from rendezview.errors import RendezviewError
 from rendezview.files import make_folder, write_error
 from rendezview.service.geometry import geometry
 from rendezview.service.messages import ModelInfo
+
+log = logging.getLogger("rendezview.service")
 
 SUFFIX = ".rvm"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -100,6 +103,17 @@ class ModelStore:
     def only(self) -> StoredModel | None:
         """The model, if there is but one."""
         return next(iter(self._models.values())) if len(self._models) == 1 else None
+
+    def first_readable(self) -> StoredModel | None:
+        """The first model whose file can be read; of others the log says why not."""
+        for name in self.names():
+            try:
+                ViewModel.load(self._models[name].path)
+            except RendezviewError as error:
+                log.warning("model not read", extra={"model": name, "reason": str(error)})
+            else:
+                return self._models[name]
+        return None
 
     def path_for(self, name: str) -> Path:
         """Where a new model of that name goes.

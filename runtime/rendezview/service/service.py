@@ -36,10 +36,15 @@ log = logging.getLogger("rendezview.service")
 _RESTART_PAUSE_S = 1.0
 _CLOSE_S = 30.0
 _IDLE_CHECK_S = 5.0
+_COMPILING = "loops are being compiled, some minutes, once: /readyz says when that is done"
+_WARM_WAIT_S = 20.0  # for loops that are only read from their cache
 
 
 class NotReady(Exception):
     """There is no worker to track with, for the moment."""
+
+    def __init__(self, reason: str = "no process that tracks is up: come back in a moment") -> None:
+        super().__init__(reason)
 
 
 def _ring_of(path: Path) -> RingMessage:
@@ -97,6 +102,8 @@ class Service:
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs)
         self._workers: list[Worker] = []
+        self._warm_with: StoredModel | None = self.given  # its loops are compiled in each worker
+        self._warming: asyncio.Task[None] | None = None
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -119,6 +126,8 @@ class Service:
                 raise RendezviewError(f"{place}: its folder does not exist: create it first")
             for path, cut in await asyncio.to_thread(mend_folder, folder):
                 log.warning("log mended", extra={"log": path.name, "cut_bytes": cut})
+        if self._warm_with is None:
+            self._warm_with = await asyncio.to_thread(self.models.first_readable)
         count = self.settings.workers or os.cpu_count() or 1
         self._workers = [self._new_worker() for _ in range(count)]
         try:
@@ -163,6 +172,8 @@ class Service:
         ready = sum(worker.ready for worker in self._workers)
         if ready == 0:
             reasons.append("no process that tracks is up")
+        if self._warming is not None and not self._warming.done():
+            reasons.append(_COMPILING)
         failures = sum(s.recording.state is RecordingState.FAILED for s in self.sessions.values())
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
         return Health(
@@ -182,7 +193,7 @@ class Service:
         Raises:
             RendezviewError: the request is impossible.
             Full: there is no room for another.
-            NotReady: no worker is up.
+            NotReady: no worker is up, or loops are being compiled.
         """
         if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
             raise Full
@@ -215,6 +226,7 @@ class Service:
             raise RendezviewError("record: the service keeps no logs: start it with --record")
         self._opening.add(name)
         try:
+            await self._warmed(stored)
             session = Session(
                 name,
                 stored.name,
@@ -321,11 +333,14 @@ class Service:
     # Workers
 
     async def _come_up(self, worker: Worker) -> None:
-        """Start a worker and warm it up; once more if it had to compile."""
+        """Start a worker and warm it up."""
         await worker.start()
-        if self.given is None:
-            return
-        request = {"kind": "warm", "session": "", "model_path": str(self.given.path)}
+        if self._warm_with is not None:
+            await self._warm(worker, self._warm_with)
+
+    async def _warm(self, worker: Worker, stored: StoredModel) -> None:
+        """Have a worker compile what it needs; if it had to, in a process that only reads it."""
+        request = {"kind": "warm", "session": "", "model_path": str(stored.path)}
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
             raise RendezviewError(answer["error"])
@@ -333,6 +348,34 @@ class Service:
             log.info("compiled", extra={"loops": answer["compiled"]})
             await worker.restart()
             await worker.ask(request)
+
+    async def _warmed(self, stored: StoredModel) -> None:
+        """Warm the workers up with the first model there is, if there was none at the start.
+
+        Raises:
+            RendezviewError: it is no model.
+            NotReady: that takes longer, because loops have to be compiled.
+        """
+        if self._warm_with is None:
+            self._warm_with = stored
+            self._warming = asyncio.create_task(self._warm_all(stored))
+        if self._warming is None:
+            return
+        try:
+            await asyncio.wait_for(asyncio.shield(self._warming), _WARM_WAIT_S)
+        except TimeoutError:
+            raise NotReady(_COMPILING) from None
+
+    async def _warm_all(self, stored: StoredModel) -> None:
+        first, *others = self._workers
+        try:
+            await self._warm(first, stored)
+            await asyncio.gather(*(self._warm(worker, stored) for worker in others))
+        except RendezviewError:
+            self._warm_with = self._warming = None
+            raise
+        except (WorkerGone, TimeoutError, OSError):
+            pass  # what comes up in its place warms up
 
     def _new_worker(self) -> Worker:
         worker = Worker(self.settings.frame_bytes, self.settings.frame_timeout_s)
