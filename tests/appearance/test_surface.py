@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Recognizer, Status, ViewModel
+from rendezview.appearance import Recognizer, Status, Tracker, TrackerOptions, ViewModel
+from rendezview.appearance.pose_finder import FinderOptions
 from rendezview.appearance.refine import Refiner, Sky
 from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
@@ -96,3 +97,17 @@ def test_a_surface_whose_arrays_do_not_match_is_refused(refining_model, tmp_path
     replace(refining_model, surface=short).save(tmp_path / "short.rvm")
     with pytest.raises(RendezviewError, match="surface"):
         ViewModel.load(tmp_path / "short.rvm")
+
+
+def test_a_pose_that_a_search_bore_out_is_kept_with_less_support_for_a_while(
+    refining_model, bumpy_mesh, camera
+):
+    pose = seen_at(refining_model, 5)
+    image = shaded(bumpy_mesh, camera, pose, 5, 10.0)
+    recognizer = Recognizer(refining_model, camera)
+    assert recognizer.finder is not None
+    recognizer.finder.options = FinderOptions(sure_support=2.0)  # nothing is sure by itself
+    tracker = Tracker(recognizer, pose, TrackerOptions(vouched_frames=3))
+    sightings = [tracker.update(float(k), image) for k in range(9)]
+    assert [s.found.alone for s in sightings] == [*2 * [False, True, True, True], False]
+    assert all(s.pose.angle_to(pose) < np.deg2rad(1.0) for s in sightings)

@@ -26,7 +26,9 @@ class Script:
         self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
         self.finder = None
 
-    def recognize(self, image, prior=None, prior_error_rad=None, sun_camera=None) -> Sighting:
+    def recognize(
+        self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
+    ) -> Sighting:
         self.priors.append(prior)
         self.reach_deg.append(round(np.rad2deg(prior_error_rad), 6))
         if self.answer is None:
@@ -161,11 +163,14 @@ class Rivals(Script):
         }
         self.merits = merits
 
-    def recognize(self, image, prior=None, prior_error_rad=None, sun_camera=None) -> Sighting:
+    def recognize(
+        self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
+    ) -> Sighting:
         if prior is None:
             both = tuple(self.poses.values())
             found = SimpleNamespace(
-                best=SimpleNamespace(pose=both[0]),
+                best=SimpleNamespace(pose=both[0], support=0.8),
+                alone=False,
                 rival=SimpleNamespace(pose=both[1]),
                 margin=0.0,
                 confidence=0.9,
@@ -174,7 +179,8 @@ class Rivals(Script):
         key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
         pose = self.poses[key]
         found = SimpleNamespace(
-            best=SimpleNamespace(pose=pose),
+            best=SimpleNamespace(pose=pose, support=0.8),
+            alone=False,
             rival=None,
             margin=1.0,
             merit=self.merits[key].pop(0),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -59,6 +59,7 @@ class Found:
     prior: bool  # found near a prior
     rival: Refined | None = None
     shading: float | None = None  # see ``surface.shading``; None: not looked at
+    alone: bool = False  # the prior's own, nothing else was tried
 
     @property
     def merit(self) -> float:
@@ -186,19 +187,30 @@ class PoseFinder:
             found = self._chosen(candidates, image, sky)
         return found
 
-    def at(self, image: Picture, sky: Sky, prior: Pose, error_rad: float) -> Found | None:
-        """The pose next to a prior that is right to a few degrees; None unless it is sure."""
+    def at(
+        self,
+        image: Picture,
+        sky: Sky,
+        prior: Pose,
+        error_rad: float,
+        enough: float = 1.0,
+    ) -> Found | None:
+        """The pose next to a prior that is right to a few degrees; None unless it is sure.
+
+        ``enough`` support will do, if it is less than the options ask for.
+        """
         refined = self.refiner.refine(image, sky, prior)
-        if refined is None or refined.support < self._sure(sky):
+        if refined is None or refined.support < min(enough, self._sure(sky)):
             return None
         if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
-        alone = self._candidates([refined], sky, [])
-        found = self._chosen(alone, image, sky, prior=True, look=False)
-        if found is None or found.confidence >= _CLEAR:
-            return found
-        found = self._chosen(alone, image, sky, prior=True)
-        return found if found is not None and found.confidence >= _PLAIN else None
+        lone = self._candidates([refined], sky, [])
+        found = self._chosen(lone, image, sky, prior=True, look=False)
+        if found is not None and found.confidence < _CLEAR:
+            found = self._chosen(lone, image, sky, prior=True)
+            if found is not None and found.confidence < _PLAIN:
+                return None
+        return None if found is None else replace(found, alone=True)
 
     def near(
         self,

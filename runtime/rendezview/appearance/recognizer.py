@@ -131,6 +131,7 @@ class Recognizer:
         prior: Pose | None = None,
         prior_error_rad: float | None = None,
         sun_camera: npt.ArrayLike | None = None,
+        enough_support: float = 1.0,
     ) -> Sighting:
         """Look at one frame.
 
@@ -141,6 +142,8 @@ class Recognizer:
                 searched, and a view that fits two of them gives ``AMBIGUOUS``.
             prior_error_rad: how far off the prior's attitude may be; default 20°.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
+            enough_support: with so much of its edges found, the pose next to the prior is taken
+                and nothing else tried, if that is less than the finder's options ask for.
 
         Raises:
             ValueError: the direction to the Sun is none.
@@ -161,7 +164,7 @@ class Recognizer:
         found = None
         error = prior_error_rad or self.matcher.options.prior_error_rad
         if prior is not None:
-            found = self.finder.at(frame, sky, prior, error)
+            found = self.finder.at(frame, sky, prior, error, enough_support)
             clock.lap("refine")
             if found is not None and not self.trees:
                 return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)

@@ -25,6 +25,8 @@ class TrackerOptions:
     longest_prediction_s: float = 10.0  # rates are held for so long, then the pose stands still
     anew_after: int = 2  # frames without a pose, then all attitudes are searched too
     anew_confidence: float = 0.9  # of a pose found anew: more than one near a prediction needs
+    vouched_frames: int = 15  # for which a pose stands that was the best of a search around it …
+    vouched_share: float = 0.9  # … with so much of the support that it had there
     decided_by: float = 0.1  # merit by which one of two rivals must lead, summed over frames
 
 
@@ -51,6 +53,7 @@ class Tracker:
         self._last_time_s = -np.inf
         self._misses = 0
         self._rivals: list[tuple[Pose, float]] = []
+        self._vouched = (0.0, 0)  # support in the last search, frames since
 
     @property
     def prior(self) -> Pose | None:
@@ -105,6 +108,7 @@ class Tracker:
             self._misses += 1
         else:
             self._follow(sighting.pose, time_s)
+            self._vouch(sighting)
         return sighting
 
     def _look(
@@ -118,7 +122,9 @@ class Tracker:
             self.options.widest_rad,
         )
         prior = self.predicted(time_s)
-        sighting = self.recognizer.recognize(image, prior, error_rad, sun_camera)
+        sighting = self.recognizer.recognize(
+            image, prior, error_rad, sun_camera, self._enough_support()
+        )
         refines = self.recognizer.finder is not None
         if (
             refines
@@ -133,6 +139,23 @@ class Tracker:
         if sighting.status is Status.AMBIGUOUS and self._pose is None:
             self._rivals = [(pose, 0.0) for pose in sighting.candidates]
         return sighting
+
+    def _vouch(self, sighting: Sighting) -> None:
+        """Remember what support the pose has where it was the best of several."""
+        found = sighting.found
+        if found is None:
+            self._vouched = (0.0, 0)
+        elif found.alone:
+            self._vouched = (self._vouched[0], self._vouched[1] + 1)
+        else:
+            self._vouched = (found.best.support, 0)
+
+    def _enough_support(self) -> float:
+        """For the pose next to the prediction: less than usual, if a search bore it out lately."""
+        support, frames = self._vouched
+        if self._misses or support == 0.0 or frames >= self.options.vouched_frames:
+            return 1.0
+        return self.options.vouched_share * support
 
     def _decide(self, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None) -> Sighting:
         """Both rivals against the next frame; the answer when one leads."""

@@ -38,6 +38,8 @@ def fit_lip(  # type: ignore[no-untyped-def]
     pair[:5] = shape
     if _update(samples, used, 2.0, pair, normal) < 0.0:
         return False
+    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _GAP_PX[0]:
+        return False  # one edge whose surroundings change
     half = samples.shape[0] // 2
     first, second, scale = 0, 0, 0.0
     for _ in range(4):
