@@ -205,12 +205,13 @@ class PoseFinder:
         if refined.pose.angle_to(prior) > _reach(error_rad):
             return None
         lone = self._candidates([refined], sky, [])
-        found = self._chosen(lone, image, sky, prior=True, look=False)
-        if found is not None and found.confidence < _CLEAR:
+        usual = refined.support >= self._sure(sky)
+        found = self._chosen(lone, image, sky, prior=True, look=not usual)
+        if usual and found is not None and found.confidence < _CLEAR:
             found = self._chosen(lone, image, sky, prior=True)
-            if found is not None and found.confidence < _PLAIN:
-                return None
-        return None if found is None else replace(found, alone=True)
+        if found is None or found.confidence < (_PLAIN if usual else _CLEAR):
+            return None
+        return replace(found, alone=True)
 
     def near(
         self,
