@@ -28,6 +28,18 @@ BUMPS_M = [  # size, place: no rotation and no mirror maps this body to itself
 ]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files of the first half and of the second in turns.
+
+    Of two workers (``--dist loadfile``) each then has one of the halves, more or less: files that
+    stand together use the same loops, and these are compiled once.
+    """
+    files = list(dict.fromkeys(item.path for item in items))
+    half = (len(files) + 1) // 2
+    rank = {path: 2 * k if k < half else 2 * (k - half) + 1 for k, path in enumerate(files)}
+    items.sort(key=lambda item: rank[item.path])
+
+
 @pytest.fixture(scope="session")
 def bumpy_mesh() -> Mesh:
     boxes = []

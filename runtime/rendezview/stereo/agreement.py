@@ -14,14 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from rendezview.pose import Array
 from rendezview.stereo.collinearity import lights_seen, rotation_vector, solve
 from rendezview.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
-LIMITS = np.concatenate([[np.inf], chi2.isf(_FALSE_ALARM, np.arange(1, 2001))])
+LIMITS = np.concatenate([[np.inf], chdtri(np.arange(1, 2001), _FALSE_ALARM)])
 TOLERANCE = 0.3  # of a standard deviation: the step after one so short is a twentieth of it
 ITERATIONS = 15
 _LIKE = 9.0  # sums of squares closer than this do not tell two explanations apart
