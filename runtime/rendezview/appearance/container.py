@@ -10,8 +10,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import struct
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,8 @@ MAGIC = b"RVM\n"
 VERSION = 1
 _PREFIX = struct.Struct("<4sIQ")
 _ALIGN = 64
+_DIGEST_BYTES = hashlib.sha256().digest_size
+_READ_AT_ONCE = 1 << 20
 _DTYPES = ("|u1", "|i1", "<u2", "<i2", "<i4", "<i8", "<f4", "<f8")
 
 
@@ -76,7 +80,7 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
             or damaged.
     """
     try:
-        data = path.read_bytes()
+        data, digest = _read(path)
     except FileNotFoundError:
         raise RendezviewError(f"{path}: no such model file") from None
     except OSError as error:
@@ -93,19 +97,19 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
         )
     body = _PREFIX.size + length
     try:
-        description = json.loads(data[_PREFIX.size : body])
+        description = json.loads(bytes(data[_PREFIX.size : body]))
         total = body + int(description["bytes"])
         table, header = list(description["arrays"]), dict(description["header"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         raise RendezviewError(
             f"{path}: the model file is cut off or damaged in its header; train or copy it again"
         ) from None
-    if len(data) != total + hashlib.sha256().digest_size:
+    if len(data) != total + _DIGEST_BYTES:
         raise RendezviewError(
-            f"{path}: the model file has {len(data)} bytes instead of {total + 32}: "
+            f"{path}: the model file has {len(data)} bytes instead of {total + _DIGEST_BYTES}: "
             "it is cut off; train or copy it again"
         )
-    if hashlib.sha256(memoryview(data)[:total]).digest() != data[total:]:
+    if digest != data[total:]:
         raise RendezviewError(f"{path}: the model file is damaged (checksum); copy it again")
     try:
         arrays = {str(entry["name"]): _array(data, body, total, entry) for entry in table}
@@ -114,7 +118,31 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
     return header, arrays
 
 
-def _array(data: bytes, body: int, end: int, entry: dict[str, Any]) -> npt.NDArray[Any]:
+def _read(path: Path) -> tuple[memoryview, bytes]:
+    """The file, read-only, and the checksum of all of it but the last, its own.
+
+    What is read is summed up while the next is being read.
+    """
+    with path.open("rb", buffering=0) as file, ThreadPoolExecutor(1) as pool:
+        size = os.fstat(file.fileno()).st_size
+        buffer: npt.NDArray[np.uint8] = np.empty(size, dtype=np.uint8)
+        data = buffer.data
+        checksum = hashlib.sha256()
+        end = max(0, size - _DIGEST_BYTES)
+        done, sums = 0, []
+        while done < size:
+            count = file.readinto(data[done : done + _READ_AT_ONCE])
+            if not count:
+                break
+            sums.append(pool.submit(checksum.update, data[min(done, end) : min(done + count, end)]))
+            done += count
+        for each in sums:
+            each.result()
+    buffer.flags.writeable = False
+    return buffer.data[:done], checksum.digest()
+
+
+def _array(data: memoryview, body: int, end: int, entry: dict[str, Any]) -> npt.NDArray[Any]:
     if entry["dtype"] not in _DTYPES:
         raise ValueError(entry["dtype"])
     dtype = np.dtype(entry["dtype"])
