@@ -13,7 +13,18 @@ from numba import njit
 
 from rendezview.ring.spread import covered, scale_of, spread_of, trim
 from rendezview.ring.steps import step_support
-from rendezview.ring.support import ARC, CONTRAST, NX, NY, OFFSET, U0, U1, WEIGHT
+from rendezview.ring.support import (
+    ARC,
+    CONTRAST,
+    NX,
+    NY,
+    OFFSET,
+    U0,
+    U1,
+    WEIGHT,
+    add_equation,
+    solve_equations,
+)
 
 LEAST_ARC = 0.5  # rad of either sense, below which no second edge is looked for
 _GAP_PX = (0.4, 6.0)  # least and most, between the two
@@ -111,7 +122,7 @@ def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
     Returns the largest change, px; a negative number where there is no solution.
     """
     normal[:] = 0.0
-    right = np.zeros(6)
+    right, step = np.zeros(6), np.empty(6)
     row = np.empty(6)
     for i in range(n):
         s = samples[i]
@@ -130,21 +141,9 @@ def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
             s[NX] * (shape[2] * s[U0] + shape[3] * s[U1])
             + s[NY] * (shape[3] * s[U0] + shape[4] * s[U1])
         )  # fmt: skip
-        for j in range(6):
-            right[j] += w * row[j] * s[OFFSET]
-            for k in range(j + 1):
-                normal[j, k] += w * row[j] * row[k]
-    trace = 0.0
-    for j in range(6):
-        trace += normal[j, j]
-        for k in range(j):
-            normal[k, j] = normal[j, k]
-    if not trace > 0.0:
+        add_equation(row, w, s[OFFSET], normal, right)
+    if not solve_equations(normal, right, 1e-9, step):
         return -1.0
-    damped = normal.copy()
-    for j in range(6):
-        damped[j, j] += 1e-9 * trace
-    step = np.linalg.solve(damped, right)
     size = 0.5 * (shape[2] + shape[4])
     largest = max(np.max(np.abs(step[:5])), size * abs(step[5]))
     if not largest < 0.25 * size:

@@ -122,6 +122,33 @@ def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: i
 
 
 @njit(cache=True, nogil=True)
+def add_equation(row, weight, value, normal, right):  # type: ignore[no-untyped-def]
+    """Add ``row · x = value`` to the lower half of normal equations (N, N) and right side (N,)."""
+    for j in range(row.shape[0]):
+        right[j] += weight * row[j] * value
+        for k in range(j + 1):
+            normal[j, k] += weight * row[j] * row[k]
+
+
+@njit(cache=True, nogil=True)
+def solve_equations(normal, right, damping, step):  # type: ignore[no-untyped-def]
+    """Fill in the upper half and solve, damped by a share of the trace; False: no equations."""
+    count = right.shape[0]
+    trace = 0.0
+    for j in range(count):
+        trace += normal[j, j]
+        for k in range(j):
+            normal[k, j] = normal[j, k]
+    if not trace > 0.0:
+        return False
+    damped = normal.copy()
+    for j in range(count):
+        damped[j, j] += damping * trace
+    step[:] = np.linalg.solve(damped, right)
+    return True
+
+
+@njit(cache=True, nogil=True)
 def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-untyped-def]
     """One robust Gauss–Newton step to the offsets; ``normal`` (5, 5) gets the normal equations.
 
@@ -129,7 +156,7 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
     a negative number where there is no solution.
     """
     normal[:] = 0.0
-    right = np.zeros(5)
+    right, step = np.zeros(5), np.empty(5)
     row = np.empty(5)
     for i in range(count):
         s = samples[i]
@@ -142,21 +169,9 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
         row[0], row[1] = s[NX], s[NY]
         row[2], row[4] = s[NX] * s[U0], s[NY] * s[U1]
         row[3] = s[NX] * s[U1] + s[NY] * s[U0]
-        for j in range(5):
-            right[j] += w * row[j] * s[OFFSET]
-            for k in range(j + 1):
-                normal[j, k] += w * row[j] * row[k]
-    trace = 0.0
-    for j in range(5):
-        trace += normal[j, j]
-        for k in range(j):
-            normal[k, j] = normal[j, k]
-    if not trace > 0.0:
+        add_equation(row, w, s[OFFSET], normal, right)
+    if not solve_equations(normal, right, 1e-7, step):
         return -1.0
-    damped = normal.copy()
-    for j in range(5):
-        damped[j, j] += 1e-7 * trace
-    step = np.linalg.solve(damped, right)
     largest = np.max(np.abs(step))
     limit = 0.25 * (shape[2] + shape[4])
     if not largest < limit:
