@@ -106,6 +106,22 @@ def test_without_a_model_given_the_stored_ones_warm_it_up(
         session = client.open(camera, model="stored")
         time_s, _, image = tour[0]
         assert session.track(image, time_s)["pose"] is not None
+        session.close()
+        # A worker that dies after that model was deleted is replaced all the same.
+        client.request("DELETE", "/v1/models/stored")
+        children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children")
+        (worker,) = map(int, children.read_text().split())
+        os.kill(worker, signal.SIGKILL)
+        content = model_path.read_bytes()
+        assert httpx.put(served.url + "v1/models/again", content=content).status_code < 300
+        until = time.monotonic() + 60
+        session = None
+        while session is None:
+            assert time.monotonic() < until
+            with contextlib.suppress(ServiceError):
+                session = client.open(camera, model="again")
+            time.sleep(0.1)
+        assert session.track(image, time_s)["pose"] is not None
     served.stop()
 
 

@@ -19,8 +19,9 @@ from rendezview.service.fusing import CAMERA
 from rendezview.service.message_parts import MOST_TIME_S, NAME_PATTERN
 from rendezview.service.messages import Fault
 from rendezview.service.security import Right
-from rendezview.service.service import NotReady, Service
+from rendezview.service.service import Service
 from rendezview.service.sessions import Answer, Full, Session, Waiting
+from rendezview.service.workers import NotReady
 
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)

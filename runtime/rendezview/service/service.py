@@ -1,4 +1,4 @@
-"""The service itself, without HTTP: models, sessions, workers, trainings, and their lives."""
+"""The service itself, without HTTP: models, sessions, sources, trainings, and their lives."""
 
 from __future__ import annotations
 
@@ -23,28 +23,19 @@ from rendezview.service.jobs import Jobs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import ModelStore, StoredModel
-from rendezview.service.pool import Worker, WorkerGone
+from rendezview.service.pool import WorkerGone
 from rendezview.service.recording import mend_folder
 from rendezview.service.sessions import Full, Session
 from rendezview.service.settings import Settings
 from rendezview.service.sources import Feeder, Source, open_source
 from rendezview.service.tracking import camera_message
+from rendezview.service.workers import COMPILING, NotReady, Workers
 from rendezview.target import Target
 
 log = logging.getLogger("rendezview.service")
 
-_RESTART_PAUSE_S = 1.0
 _CLOSE_S = 30.0
 _IDLE_CHECK_S = 5.0
-_COMPILING = "loops are being compiled, some minutes, once: /readyz says when that is done"
-_WARM_WAIT_S = 20.0  # for loops that are only read from their cache
-
-
-class NotReady(Exception):
-    """There is no worker to track with, for the moment."""
-
-    def __init__(self, reason: str = "no process that tracks is up: come back in a moment") -> None:
-        super().__init__(reason)
 
 
 def _ring_of(path: Path) -> RingMessage:
@@ -101,9 +92,7 @@ class Service:
             raise
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs)
-        self._workers: list[Worker] = []
-        self._warm_with: StoredModel | None = self.given  # its loops are compiled in each worker
-        self._warming: asyncio.Task[None] | None = None
+        self._workers = Workers(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
@@ -126,18 +115,8 @@ class Service:
                 raise RendezviewError(f"{place}: its folder does not exist: create it first")
             for path, cut in await asyncio.to_thread(mend_folder, folder):
                 log.warning("log mended", extra={"log": path.name, "cut_bytes": cut})
-        if self._warm_with is None:
-            self._warm_with = await asyncio.to_thread(self.models.first_readable)
-        count = self.settings.workers or os.cpu_count() or 1
-        self._workers = [self._new_worker() for _ in range(count)]
-        try:
-            # One first: what it compiles the others find compiled.
-            await self._come_up(self._workers[0])
-            await asyncio.gather(*map(self._come_up, self._workers[1:]))
-        except (WorkerGone, TimeoutError, OSError) as error:
-            raise RendezviewError(
-                f"the processes that track do not start ({error or type(error).__name__})"
-            ) from None
+        model = self.given or await asyncio.to_thread(self.models.first_readable)
+        await self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
         for number, source in enumerate(self._sources):
             name = "main" if number == 0 else f"source-{number + 1}"
             if source.camera is None:
@@ -155,25 +134,23 @@ class Service:
     async def stop(self) -> None:
         """Complete the logs, tell the watchers, end the processes."""
         self.stopping = True
+        self._workers.stay_down()
         for task in self._tasks:
             task.cancel()
         for session in list(self.sessions.values()):
             await self.close(session, "the service ends")
         await self.jobs.stop()
-        for worker in self._workers:
-            worker.stop()
-        await asyncio.gather(*(worker.join(10.0) for worker in self._workers))
+        await self._workers.stop()
         if self._temporary is not None:
             self._temporary.cleanup()
 
     def health(self) -> Health:
         """Whether frames can be looked at, and what is wrong if not."""
         reasons = []
-        ready = sum(worker.ready for worker in self._workers)
-        if ready == 0:
+        if self._workers.none_ready:
             reasons.append("no process that tracks is up")
-        if self._warming is not None and not self._warming.done():
-            reasons.append(_COMPILING)
+        if self._workers.compiling:
+            reasons.append(COMPILING)
         failures = sum(s.recording.state is RecordingState.FAILED for s in self.sessions.values())
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
         return Health(
@@ -226,7 +203,7 @@ class Service:
             raise RendezviewError("record: the service keeps no logs: start it with --record")
         self._opening.add(name)
         try:
-            await self._warmed(stored)
+            await self._workers.warmed(stored)
             session = Session(
                 name,
                 stored.name,
@@ -282,10 +259,7 @@ class Service:
 
     async def _place(self, session: Session, model: Path) -> None:
         """Give a session to the worker with the fewest."""
-        up = [worker for worker in self._workers if worker.ready]
-        if not up:
-            raise NotReady
-        worker = min(up, key=lambda w: len(w.sessions))
+        worker = self._workers.least_busy()
         worker.sessions.add(session)
         request = session.request
         log_path = self._log_path(session) if request.record else None
@@ -330,78 +304,8 @@ class Service:
             return place.with_name(f"{place.stem}-{session.id}{place.suffix}")
         return place / f"{session.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
 
-    # Workers
-
-    async def _come_up(self, worker: Worker) -> None:
-        """Start a worker and warm it up."""
-        await worker.start()
-        if self._warm_with is not None:
-            await self._warm(worker, self._warm_with)
-
-    async def _warm(self, worker: Worker, stored: StoredModel) -> None:
-        """Have a worker compile what it needs; if it had to, in a process that only reads it."""
-        request = {"kind": "warm", "session": "", "model_path": str(stored.path)}
-        answer = await worker.ask(request)
-        if answer["kind"] == "fault":
-            raise RendezviewError(answer["error"])
-        if answer["compiled"]:
-            log.info("compiled", extra={"loops": answer["compiled"]})
-            await worker.restart()
-            await worker.ask(request)
-
-    async def _warmed(self, stored: StoredModel) -> None:
-        """Warm the workers up with the first model there is, if there was none at the start.
-
-        Raises:
-            RendezviewError: it is no model.
-            NotReady: that takes longer, because loops have to be compiled.
-        """
-        if self._warm_with is None:
-            self._warm_with = stored
-            self._warming = asyncio.create_task(self._warm_all(stored))
-        if self._warming is None:
-            return
-        try:
-            await asyncio.wait_for(asyncio.shield(self._warming), _WARM_WAIT_S)
-        except TimeoutError:
-            raise NotReady(_COMPILING) from None
-
-    async def _warm_all(self, stored: StoredModel) -> None:
-        first, *others = self._workers
-        try:
-            await self._warm(first, stored)
-            await asyncio.gather(*(self._warm(worker, stored) for worker in others))
-        except RendezviewError:
-            self._warm_with = self._warming = None
-            raise
-        except (WorkerGone, TimeoutError, OSError):
-            pass  # what comes up in its place warms up
-
-    def _new_worker(self) -> Worker:
-        worker = Worker(self.settings.frame_bytes, self.settings.frame_timeout_s)
-        worker.on_gone = self._gone
-        return worker
-
-    def _gone(self, worker: Worker) -> None:
-        if not self.stopping:
-            log.error("a process that tracks has ended; it is started anew")
-            self.metrics.restarts.inc()
-            self._spawn(self._replace(worker))
-
-    async def _replace(self, worker: Worker) -> None:
-        """Another process for one that ended; its sessions go on, their trackers anew."""
-        orphans = list(worker.sessions)
-        for session in orphans:
-            session.worker = None
-        fresh = self._new_worker()
-        while True:
-            try:
-                await self._come_up(fresh)
-                break
-            except (WorkerGone, TimeoutError, OSError):
-                await asyncio.sleep(_RESTART_PAUSE_S)
-                fresh = self._new_worker()
-        self._workers[self._workers.index(worker)] = fresh
+    async def _reopen(self, orphans: list[Session]) -> None:
+        """Sessions whose worker ended go on with another, or end."""
         for session in orphans:
             if session.id not in self.sessions:
                 continue
