@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -16,8 +18,27 @@ from rendezview.appearance.edges import (
 )
 from rendezview.appearance.lighting import light
 
-# Columns of a stage of the search, from coarse to fine.
-REACH, SPREAD, SMOOTH, ROOM, LINES, STRIDE, STEPS, FIT = range(8)
+
+class Stage(NamedTuple):
+    """One stage of the search for a pose, from coarse to fine; a row of numbers for ``align``."""
+
+    reach_px: float  # how far edges are looked for
+    spread_px: float  # σ of the preference for near edges
+    steps: float  # at most
+    smooth_px: float = 1.0
+    room_px: float = 0.0  # points with another edge nearer than this are left out
+    lines: float = 1.0  # parallel lines read
+    stride: float = 1.0  # every so many-th point only
+    fit: float = 0.0  # 1: edges are placed by their strips
+    damping: float = 1e-3  # of the normal equations: what the edges do not show stays as it was
+    relaxation: float = 1.0  # of a step: weights that fall with the residual make it too short
+    stop_px: float = 0.1  # a shorter step is the last; on a small target it is shorter still
+
+
+# Its columns, in the same order.
+(
+    REACH, SPREAD, STEPS, SMOOTH, ROOM, LINES, STRIDE, FIT, DAMPING, RELAXATION, STOP,
+) = range(len(Stage._fields))  # fmt: skip
 
 _CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
 CLOSE_PX = 1.5  # spread of the edges that support a refined pose …
@@ -26,8 +47,8 @@ _LOOSE_STRIDE = 2  # so many points are enough to judge that
 _HOPELESS = 0.65  # of the best loosely judged support: below, one of 200 right poses lies
 _LEAST_EDGES = 12  # found, for six unknowns
 _LONGEST_TURN_RAD = 0.2  # of one step
-_DAMPING = 1e-3  # of the normal equations: what the edges do not show stays as it was
 _AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
+_SMALL = 0.01  # of the target's radius in pixels: there a step stops as at one pixel
 _NO_LIGHT = np.zeros(1)
 ASTRAY = -9.0  # of ``align``: no pose
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix
@@ -200,7 +221,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
     Args:
         lens: (12,) camera vector, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
-        stages: (K, 8) from coarse to fine, columns REACH … FIT.
+        stages: (K, 11) from coarse to fine, rows of ``Stage``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
 
@@ -211,6 +232,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
     matrix, right = np.empty((6, 6)), np.empty(6)
     shade = np.zeros(views.palette.shape[0])
     radius_m = views.radius_m
+    sun = np.zeros(3)
     explained = 0.0
     shell, view, count = 0, 0, 0
     for stage in stages:
@@ -219,7 +241,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             explained = light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
                 views.palette, rotation, centre, lens[0][0] * radius_m / centre[2], frame,
-                shade,
+                sun, shade,
             )  # fmt: skip
         for _ in range(int(stage[STEPS])):
             shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
@@ -234,11 +256,11 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             if used < _LEAST_EDGES:
                 return ASTRAY
             scale = lens[0][0] / centre[2]  # pixels a metre
-            held = _DAMPING * weights * scale * scale
+            held = stage[DAMPING] * weights * scale * scale
             for a in range(3):
                 matrix[a, a] += held * radius_m * radius_m
                 matrix[3 + a, 3 + a] += held
-            step = np.linalg.solve(matrix, right)
+            step = np.linalg.solve(matrix, right) * stage[RELAXATION]
             turn = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
             shorter = min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
             rotation[:] = turned(step[:3] * shorter, rotation)
@@ -247,7 +269,8 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
                 return ASTRAY
             shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
             # The last step is small in pixels, and beside a target that is small itself.
-            if scale * (turn * radius_m + shift) < min(0.1, 1e-3 * scale * radius_m):
+            small = stage[STOP] * min(1.0, _SMALL * scale * radius_m)
+            if scale * (turn * radius_m + shift) < small:
                 break
     # Without the rounding of many small turns: one step towards the nearest rotation.
     rotation[:] = rotation @ (1.5 * np.eye(3) - 0.5 * (rotation.T @ rotation))

@@ -19,13 +19,14 @@ _SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)
 _HALVINGS = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # of the way between those directions
 _LEAST_DEPTH_PX = 1.8  # nearer to an edge its blur reaches
 _LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
+_COARSELY = 3  # every so many-th sample says roughly where the Sun is
 _TOLERANCE = 0.1  # of the bright samples' level: what shading leaves unexplained
 _BEHIND = -0.3  # cosine to the camera of the last Sun that is tried
 
 
 @njit(cache=True, nogil=True)
 def light(  # type: ignore[no-untyped-def]
-    image, edges, count, kind, strip, palette, rotation, centre, scale, frame, shade
+    image, edges, count, kind, strip, palette, rotation, centre, scale, frame, sun, shade
 ):
     """Fit the light of a frame; fills ``shade`` (K,), grey levels above black of every kind.
 
@@ -36,6 +37,7 @@ def light(  # type: ignore[no-untyped-def]
         rotation, centre: of the pose, camera frame.
         scale: pixels of the target's radius.
         frame: (6,) as in ``Sky.vector``.
+        sun: (3,) gets the direction to the Sun, camera frame; where it is not zero, it is near.
 
     Returns:
         Share of the samples that the light explains, 0 … 1; −1 (and ``shade`` all 0) where too
@@ -78,14 +80,21 @@ def light(  # type: ignore[no-untyped-def]
             n[0], n[1], n[2] = -n[0], -n[1], -n[2]
     tolerance = _TOLERANCE * np.percentile(levels, 80) + noise
     strengths = np.empty(2)
-    sun = frame[3:6].copy()
-    if np.dot(sun, sun) == 0.0:
-        best, sun = np.inf, -away
-        for k in range(len(_SUNS)):
-            if -np.dot(_SUNS[k], away) > _BEHIND:
-                cost = _misfit(levels, which, normals, palette, _SUNS[k], tolerance, strengths)
-                if cost < best:
-                    best, sun = cost, _SUNS[k].copy()
+    known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
+    if known:
+        sun[:] = frame[3:6]
+    else:
+        if sun[0] == 0.0 and sun[1] == 0.0 and sun[2] == 0.0:
+            some, of = levels[::_COARSELY].copy(), which[::_COARSELY].copy()
+            best = np.inf
+            sun[:] = -away
+            for k in range(len(_SUNS)):
+                if -np.dot(_SUNS[k], away) > _BEHIND:
+                    cost = _misfit(some, of, normals, palette, _SUNS[k], tolerance, strengths)
+                    if cost < best:
+                        best = cost
+                        sun[:] = _SUNS[k]
+        best = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
         for step in _HALVINGS:
             across = np.cross(sun, np.array([1.0, 0.0, 0.0]) if abs(sun[0]) < 0.7 else
                               np.array([0.0, 1.0, 0.0]))  # fmt: skip
@@ -97,7 +106,8 @@ def light(  # type: ignore[no-untyped-def]
                 tried = np.cos(step) * middle + np.sin(step) * (c * across + s * other)
                 cost = _misfit(levels, which, normals, palette, tried, tolerance, strengths)
                 if cost < best:
-                    best, sun = cost, tried
+                    best = cost
+                    sun[:] = tried
     cost = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
     for e in range(1, len(shade)):
         n = normals[e]

@@ -24,6 +24,7 @@ _IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to t
 _CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
 _PLAIN = 0.95  # confidence that needs no look around
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
+_CLOSE_RAD = np.deg2rad(3.0)  # a good prior is that near
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
 
@@ -100,12 +101,12 @@ class Found:
 _LOGISTIC = np.array(
     [
         [
-            [-5.84, 2.34, 2.28, -8.97, 0.0, 15.58, -1.31, 0.0, 1.16, 8.35, 0.0],
-            [-1.32, 4.93, 0.79, -17.46, -18.59, 14.08, -1.24, -1.32, -0.51, 6.16, 0.0],
+            [-4.6, 1.43, 3.59, -11.67, 0.0, 16.53, -1.92, 0.0, 1.13, 8.52, 0.0],
+            [-1.29, 4.28, 1.91, -16.08, -15.67, 18.04, -1.49, -1.29, 0.4, 5.8, 0.0],
         ],
         [
-            [-7.16, 2.78, -0.19, -6.97, 0.0, 11.31, -0.56, 0.0, 1.35, 4.68, 8.22],
-            [-1.43, 5.17, -1.54, -17.69, -16.6, 11.94, -1.59, -1.43, -0.14, 3.71, 5.9],
+            [-4.12, 2.32, 2.27, -8.92, 0.0, 13.51, -4.05, 0.0, 0.76, 2.79, 11.32],
+            [-2.56, 4.4, 2.12, -9.72, -8.04, 14.61, -3.55, -2.56, 0.97, 4.34, 8.37],
         ],
     ]
 )
@@ -233,8 +234,8 @@ class PoseFinder:
             close = np.flatnonzero(0.5 * (trace - 1.0) > cosine)[: self.options.hypotheses]
             rotations = np.concatenate([rotations, more[close]])
             centres = np.concatenate([centres, places[close]])
-        keep = self.options.refined_near
-        refined = self.refiner.best(image, sky, rotations, centres, keep)
+        refined = self._beside(image, sky, prior)
+        refined += self.refiner.best(image, sky, rotations, centres, self.options.refined_near)
         inside = [r for r in refined if r.pose.angle_to(prior) < _reach(error_rad)]
         candidates = self._candidates(inside, sky, bodies)
         found = self._chosen(candidates, image, sky, prior=True)
@@ -252,6 +253,14 @@ class PoseFinder:
         """Poses from around the best one, where it is not sure: edges may have held it aside."""
         rotations, centres = _turned(best.pose, self.model.centre_m, _ASIDE_RAD)
         return self.refiner.best(image, sky, rotations[1:], centres[1:], 2)
+
+    def _beside(self, image: Picture, sky: Sky, prior: Pose) -> list[Refined]:
+        """Poses next to a good prior, where coarse looks may find no hold or another one."""
+        rotations, centres = _turned(prior, self.model.centre_m, _CLOSE_RAD)
+        starts = map(Pose, rotations[:7], (centres - rotations @ self.model.centre_m)[:7])
+        found = [self.refiner.refine(image, sky, start, closely=True) for start in starts]
+        found.append(self.refiner.refine(image, sky, prior))
+        return [refined for refined in found if refined is not None]
 
     def _flipped(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
         """Half turns of the best pose: many craft look nearly the same from behind or below."""

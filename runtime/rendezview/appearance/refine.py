@@ -16,6 +16,7 @@ import numpy.typing as npt
 from rendezview.appearance.align import (
     ASTRAY,
     CLOSE_PX,
+    Stage,
     align,
     align_each,
     covariance_of,
@@ -37,19 +38,24 @@ from rendezview.pose import Array, Pose
 
 Picture = npt.NDArray[np.uint8]
 
-# Reach, spread, smooth, room: pixels; lines, stride, steps, and whether edges are fitted.
 # Many starting points are aligned roughly, the better ones coarsely, …
 _QUICK = (
-    np.array([[20, 9, 4, 4, 1, 4, 2, 0]], float),
-    np.array([[10, 4, 2, 2, 1, 2, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float),
+    np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)]),
+    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)]),
 )
 # … with more points and steps where that leads to no sure pose.
 _THOROUGH = (
-    np.array([[20, 9, 4, 4, 1, 2, 3, 0]], float),
-    np.array([[10, 4, 2, 2, 1, 1, 3, 0], [5, 1.5, 1, 0, 1, 1, 2, 0]], float),
+    np.array([Stage(20, 9, 3, smooth_px=4, room_px=4, stride=2)]),
+    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2), Stage(5, 1.5, 2)]),
 )
+# The reach must not close in before the pose has come to rest: views alike are half a pixel apart.
 _FINE = np.array(
-    [[8, 3, 1, 2, 1, 1, 3, 0], [5, 1.2, 1, 0, 3, 1, 3, 0], [4, 0.5, 1, 0, 3, 1, 3, 1]], float
+    [
+        Stage(8, 3, 3, room_px=2, stop_px=1.0),
+        Stage(6, 2, 3, damping=1e-4, relaxation=1.3, stop_px=0.6),
+        Stage(5, 1.2, 10, lines=3, fit=1, damping=1e-4, relaxation=1.3, stop_px=0.4),
+        Stage(4, 0.5, 3, lines=3, fit=1, damping=1e-4, relaxation=1.2, stop_px=0.1),
+    ]
 )
 _CUT_PX = 1.25  # of the last stage
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
@@ -120,7 +126,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
 # less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seed 1).
-_INFLATION = np.array([2.07, 5.36, 2.79, -1.76])
+_INFLATION = np.array([1.4, 3.59, 0.78, -0.57])
 
 
 class Refiner:
@@ -155,11 +161,16 @@ class Refiner:
         # Information of about a radian and a target radius: what no edge shows stays finite.
         self._nothing_known = 1e-4 * np.array([1.0] * 3 + [model.target_radius_m**-2] * 3)
 
-    def refine(self, image: Picture, sky: Sky, start: Pose) -> Refined | None:
-        """The pose next to ``start`` that fits the edges; None where it finds no hold."""
+    def refine(
+        self, image: Picture, sky: Sky, start: Pose, *, closely: bool = False
+    ) -> Refined | None:
+        """The pose next to ``start`` that fits the edges; None where it finds no hold.
+
+        ``closely``: only edges a few pixels away are looked for.
+        """
         rotation, centre = self._centred(start)
-        frame = sky.vector
-        light = align(image, self._lens, frame, _FINE, self._views, rotation, centre, self._edges)
+        frame, stages = sky.vector, _FINE[1:] if closely else _FINE
+        light = align(image, self._lens, frame, stages, self._views, rotation, centre, self._edges)
         return None if light == ASTRAY else self._result(image, frame, rotation, centre, light)
 
     def best(
