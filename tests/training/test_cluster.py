@@ -60,6 +60,8 @@ def processes(
         os.environ,
         OMP_NUM_THREADS="1",
         DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=str(allowed_failures),
+        # Every other second it takes copies from workers that happen to wait for a shard.
+        DASK_DISTRIBUTED__SCHEDULER__ACTIVE_MEMORY_MANAGER__START="false",
     )
     place = folder / "scheduler.json"
     with ExitStack() as started:

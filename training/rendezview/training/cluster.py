@@ -1,9 +1,10 @@
 """Shards on a Dask cluster, through joblib's own backend for it.
 
 Dask computes anew what a worker had in hand when it died. What is added here: everything shared
-is moved to each worker once, a failure is told and not waited for, data that died with the last
-worker holding it is sent again, and a worker with other code or packages is refused, so that the
-results are those of one machine, byte for byte.
+is moved to each worker once (unless Dask's memory manager takes it from one that waits), a failure
+is told and not waited for, data that died with the last worker holding it is sent again, and a
+worker with other code or packages is refused, so that the results are those of one machine, byte
+for byte.
 """
 
 from __future__ import annotations
