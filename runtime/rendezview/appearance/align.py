@@ -50,6 +50,7 @@ _LONGEST_TURN_RAD = 0.2  # of one step
 _AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
 _SMALL = 0.01  # of the target's radius in pixels: there a step stops as at one pixel
 _NO_LIGHT = np.zeros(1)
+_NO_SUN = np.zeros(3)
 ASTRAY = -9.0  # of ``align``: no pose
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix
 
@@ -246,7 +247,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
         for _ in range(int(stage[STEPS])):
             shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
             count = measure_edges(
-                image, lens, frame, views, shell, view, rotation, centre, shade,
+                image, lens, frame, views, shell, view, rotation, centre, shade, sun,
                 int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
                 int(stage[LINES]), int(stage[STRIDE]), fit, edges,
             )  # fmt: skip
@@ -289,7 +290,7 @@ def support(  # type: ignore[no-untyped-def]
     shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
     kinds = views.kind[shell, view]
     count = measure_edges(
-        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT,
+        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT, _NO_SUN,
         int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0

@@ -21,6 +21,11 @@ DIRECTION_UNIT = 1.0 / 127.0
 # which they part, of the target's radius: an outline's strip starts at the edge itself, that of an
 # inner edge outside of it. The last cell goes on, as does the first of an inner edge.
 CELLS = 8
+# Where the first surface inside an outline, its rim, ends within so many cells, the first cell
+# ends there.
+RIM_CELLS = 2
+RIM_WIDTH_UNIT = 1.0 / 12000.0  # of the target's radius
+RIM_DEPTH_UNIT = 1.0 / 127.0
 OUTLINE_CELLS = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0]) / 196.0
 INNER_CELLS = np.array([-7.0, -3.5, -1.5, 0.0, 1.5, 3.5, 7.0]) / 196.0
 KINDS_OF_SURFACE = 256
@@ -59,6 +64,7 @@ class Contours:
     tangent: npt.NDArray[np.int8]  # (S, V, N, 3) along the edge, the outside on its right
     kind: npt.NDArray[np.uint8]  # (S, V, N)
     run: npt.NDArray[np.uint8]  # (S, V, N, 2) to the next edge inwards and outwards, RUN_UNIT
+    rim: npt.NDArray[np.int8]  # (S, V, N, 2) width, and depth of its inner end; 0: no rim
     strip: npt.NDArray[np.uint8]  # (S, V, N, CELLS) kinds of surface along the normal; 0 the sky
     palette: npt.NDArray[np.float32]  # (KINDS_OF_SURFACE, 4) normal, either way, and albedo
 
@@ -73,7 +79,7 @@ class Contours:
             "point": (*shape, 3),
             "tangent": (*shape, 3),
         }
-        wanted |= {"kind": shape, "run": (*shape, 2), "strip": (*shape, CELLS)}
+        wanted |= {"kind": shape, "run": (*shape, 2), "rim": (*shape, 2), "strip": (*shape, CELLS)}
         wanted |= {"palette": (KINDS_OF_SURFACE, 4)}
         for name, size in wanted.items():
             if getattr(self, name).shape != size:

@@ -18,11 +18,14 @@ from numba import njit
 
 from rendezview.appearance.contours import (
     CELLS,
+    CREASE,
     INNER_CELLS,
     NO_POINT,
     OUTLINE,
     OUTLINE_CELLS,
     POINT_UNIT,
+    RIM_DEPTH_UNIT,
+    RIM_WIDTH_UNIT,
     RUN_UNIT,
 )
 from rendezview.lens import distorted
@@ -49,7 +52,12 @@ _LEAST_CONTRAST = 4.0  # grey levels; a strip with less has no edge
 _GAIN_SPREAD = 0.3  # of the brightness that is expected
 _TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
 _MODEL_GREY = 3.0  # what the strip leaves unexplained anyway
+_EDGE_ON = 0.05  # cosine below which a facet's width in the model's view says nothing
+_WIDEST = 3.0  # than in that view
+_MOST_HIDDEN_PX = 3.0  # of a rim, behind what makes the outline then
+_AT_EDGE = int(np.searchsorted(INNER_CELLS, 0.0)) + 1  # the first cell inside an inner edge
 _SURE_PX2 = 0.08**2  # an edge this sure weighs half
+_STRAINED = 0.5  # of the target's radius: how far from its middle edges lie
 _UNFITTED_WEIGHT = 0.1  # of an edge that its strip does not fit
 
 
@@ -62,10 +70,12 @@ class ViewTables(NamedTuple):
     tangent: npt.NDArray[np.int8]
     kind: npt.NDArray[np.uint8]
     run: npt.NDArray[np.uint8]
+    rim: npt.NDArray[np.int8]
     strip: npt.NDArray[np.uint8]
     palette: npt.NDArray[np.float32]
     radius_m: float
     blur_px: float
+    shape_error: float
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -194,30 +204,111 @@ def strip_place(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _strip(kind, strip, shade, inner_px, scale, depths, levels):  # type: ignore[no-untyped-def]
-    """Depths and steps in brightness of one strip; how many. The first level of an inner edge
-    is left out: it is the background.
+def _across(eye, x, y, z, tangent, out):  # type: ignore[no-untyped-def]
+    """Directions at a point that is seen from ``eye``, target axes: to the camera without what
+    runs along the edge there (3,), and outwards in the picture (3,).
     """
-    steps = 0
-    before = 0.0
-    if kind != OUTLINE:
-        before = shade[strip[0]]
-    for cell in range(0 if kind == OUTLINE else 1, CELLS):
+    w0, w1, w2 = eye[0] - x, eye[1] - y, eye[2] - z
+    t0, t1, t2 = float(tangent[0]), float(tangent[1]), float(tangent[2])
+    o0, o1, o2 = t2 * w1 - t1 * w2, t0 * w2 - t2 * w0, t1 * w0 - t0 * w1
+    along = (w0 * t0 + w1 * t1 + w2 * t2) / (t0 * t0 + t1 * t1 + t2 * t2 + 1e-9)
+    w0, w1, w2 = w0 - along * t0, w1 - along * t1, w2 - along * t2
+    inverse = 1.0 / (np.sqrt(w0 * w0 + w1 * w1 + w2 * w2) + 1e-30)
+    out[0], out[1], out[2] = w0 * inverse, w1 * inverse, w2 * inverse
+    inverse = 1.0 / (np.sqrt(o0 * o0 + o1 * o1 + o2 * o2) + 1e-30)
+    out[3], out[4], out[5] = o0 * inverse, o1 * inverse, o2 * inverse
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _wider(surface, seen, drawn):  # type: ignore[no-untyped-def]
+    """How much wider a facet beside an edge is seen than in the model's view of it."""
+    if surface[3] == 0.0:
+        return 1.0
+    now = surface[0] * seen[0] + surface[1] * seen[1] + surface[2] * seen[2]
+    then = surface[0] * drawn[0] + surface[1] * drawn[1] + surface[2] * drawn[2]
+    if then < 0.0:
+        now, then = -now, -then
+    return min(max(now / max(then, _EDGE_ON), 0.0), _WIDEST)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _in_shadow(wide, deep, sunward, drawn, away):  # type: ignore[no-untyped-def]
+    """Whether what rises at the inner end of a rim casts its shadow over all of it."""
+    over = -(sunward[0] * drawn[3] + sunward[1] * drawn[4] + sunward[2] * drawn[5])
+    up = -(sunward[0] * away[0] + sunward[1] * away[1] + sunward[2] * away[2])
+    return deep < 0.0 and over > 0.0 and -deep * over > wide * max(up, 0.0)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _outline_strip(  # type: ignore[no-untyped-def]
+    strip, palette, shade, seen, drawn, rim, rim_px, shaded, inner_px, scale, depths, levels
+):
+    """Depths and steps in brightness of an outline's strip; how many.
+
+    The facets' widths are those of the model's view, foreshortened as they are seen from here.
+
+    Args:
+        rim: width of the rim in the model's view, of the target's radius; 0: none.
+        rim_px: its width as it is seen; where it is hidden, what lies behind is the outline.
+        shaded: whether what rises at the rim's inner end casts its shadow over it.
+    """
+    steps, before, depth = 0, 0.0, 0.0
+    first = 0
+    if rim > 0.0 and rim_px <= 0.0:
+        first, depth = 1, rim_px
+    for cell in range(first, CELLS):
         level = shade[strip[cell]]
-        if abs(level - before) > 1.5 or (kind == OUTLINE and cell == 0):
-            depth = OUTLINE_CELLS[cell] if kind == OUTLINE else INNER_CELLS[cell - 1]
-            depth *= scale
-            if strip[cell] == 0 and cell > 0 and inner_px < depth + 2.0:
-                depth = inner_px  # of a thin body: known better than to a cell
-            depths[steps], levels[steps] = depth, level - before
+        if cell == 0 and shaded:
+            level = 0.0
+        if cell == first or abs(level - before) > 1.5:
+            at = depth
+            thin = strip[cell] == 0 and cell > 0 and inner_px < depth + 2.0
+            if thin and not (cell == 1 and rim > 0.0):
+                at = inner_px  # the width of a thin body is known better than to a cell
+            depths[steps], levels[steps] = at, level - before
             steps += 1
             before = level
+        if cell == 0 and rim > 0.0:
+            depth = rim_px
+        elif cell < CELLS - 1:
+            near = rim if cell == 1 and rim > 0.0 else OUTLINE_CELLS[cell]
+            wider = _wider(palette[strip[cell]], seen, drawn)
+            depth += (OUTLINE_CELLS[cell + 1] - near) * wider * scale
+    return steps
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _inner_strip(  # type: ignore[no-untyped-def]
+    kind, strip, palette, shade, seen, drawn, inner_px, scale, depths, levels
+):
+    """The same of an inner edge; the first level is left out: it is the background."""
+    steps, before = 0, shade[strip[0]]
+    depth = INNER_CELLS[0] * scale
+    if kind == CREASE:
+        depth = 0.0
+        for cell in range(1, _AT_EDGE):
+            width = INNER_CELLS[cell] - INNER_CELLS[cell - 1]
+            depth -= width * _wider(palette[strip[cell]], seen, drawn) * scale
+    for cell in range(1, CELLS):
+        level = shade[strip[cell]]
+        if abs(level - before) > 1.5:
+            at = depth
+            if strip[cell] == 0 and inner_px < depth + 2.0:
+                at = inner_px  # of a thin body: known better than to a cell
+            depths[steps], levels[steps] = at, level - before
+            steps += 1
+            before = level
+        if cell < CELLS - 1:
+            wider = 1.0
+            if kind == CREASE or cell >= _AT_EDGE:
+                wider = _wider(palette[strip[cell]], seen, drawn)
+            depth += (INNER_CELLS[cell] - INNER_CELLS[cell - 1]) * wider * scale
     return steps
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def measure_edges(  # type: ignore[no-untyped-def]
-    image, lens, frame, views, shell, view, rotation, centre, shade, reach_px, spread_px,
+    image, lens, frame, views, shell, view, rotation, centre, shade, sun, reach_px, spread_px,
     smooth_px, room_px, lines, stride, fit, out,
 ):  # fmt: skip
     """Look for the edge of every contour point of one view; returns how many points there are.
@@ -230,6 +321,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
         views: ``ViewTables``; ``shell`` and ``view`` say which is seen.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         shade: (K,) brightness of the kinds of surface, of ``light``; read where ``fit`` is.
+        sun: (3,) direction to the Sun, camera frame, or zero.
         reach_px: how far to look to either side.
         spread_px: σ of the preference for near edges.
         smooth_px: width of the two boxes whose difference is the slope.
@@ -244,6 +336,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
     noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
     point, tangent = views.point[shell, view], views.tangent[shell, view]
     kind, run, strip = views.kind[shell, view], views.run[shell, view], views.strip[shell, view]
+    rim = views.rim[shell, view]
     radius_m, blur_px = views.radius_m, views.blur_px
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     unit_m = radius_m * POINT_UNIT
@@ -255,6 +348,10 @@ def measure_edges(  # type: ignore[no-untyped-def]
     margin = smooth_px + 2
     depths, levels, fitted = np.empty(CELLS), np.empty(CELLS), np.empty(2)
     grainy = 0.75 * noise / np.sqrt(lines)
+    # Where the camera is, and was in the model's view; target axes at the view centre.
+    eye, drawn_eye = -(rotation.T @ centre), views.directions[view] * views.shells_m[shell]
+    sunward = rotation.T @ sun
+    seen, drawn, away = np.empty(6), np.empty(6), np.empty(3)
     side = 2.0
     total = 0
     for j in range(point.shape[0]):
@@ -294,6 +391,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
             continue
         nx, ny = by / length, -bx / length  # outwards
         row[NX], row[NY] = nx, ny
+        gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11
         scale = _RUN_PER_POINT * unit_m * fx * inverse
         inner, outer = run[j, 0] * scale, run[j, 1] * scale
         if inner < room_px or (kind[j] == OUTLINE and outer < room_px):
@@ -358,7 +456,36 @@ def measure_edges(  # type: ignore[no-untyped-def]
         placed = False
         if fit:
             body = radius_m * fx * inverse
-            steps = _strip(kind[j], strip[j], shade, inner, body, depths, levels)
+            _across(eye, px, py, pz, tangent[j], seen)
+            _across(drawn_eye, px, py, pz, tangent[j], drawn)
+            away[0], away[1], away[2] = px - drawn_eye[0], py - drawn_eye[1], pz - drawn_eye[2]
+            away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
+            if kind[j] == OUTLINE:
+                rim_wide, rim_deep = rim[j, 0] * RIM_WIDTH_UNIT, rim[j, 1] * RIM_DEPTH_UNIT
+                rim_px, shaded = 0.0, False
+                if rim_wide > 0.0:
+                    o, d = rim_wide * radius_m, rim_deep * radius_m
+                    shaded = _in_shadow(o, d, sunward, drawn, away)
+                    bx = px - o * drawn[3] + d * away[0]
+                    by = py - o * drawn[4] + d * away[1]
+                    bz = pz - o * drawn[5] + d * away[2]
+                    ex = rotation[0, 0] * bx + rotation[0, 1] * by + rotation[0, 2] * bz
+                    ey = rotation[1, 0] * bx + rotation[1, 1] * by + rotation[1, 2] * bz
+                    ez = rotation[2, 0] * bx + rotation[2, 1] * by + rotation[2, 2] * bz
+                    ez = 1.0 / (ez + centre[2])
+                    ex, ey = (ex + centre[0]) * ez - x, (ey + centre[1]) * ez - y
+                    rim_px = min(
+                        max(-(gx * ex + gy * ey), -_WIDEST), 4.0 * rim_wide * body + _WIDEST
+                    )
+                steps = _outline_strip(
+                    strip[j], views.palette, shade, seen, drawn, rim_wide, rim_px, shaded,
+                    inner, body, depths, levels,
+                )  # fmt: skip
+            else:
+                steps = _inner_strip(
+                    kind[j], strip[j], views.palette, shade, seen, drawn, inner, body,
+                    depths, levels,
+                )  # fmt: skip
             contrast = 0.0
             for step in range(steps):
                 contrast = max(contrast, abs(levels[step]))
@@ -371,7 +498,9 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 )  # fmt: skip
         if placed:
             at = fitted[0]
-            row[WEIGHT] = _SURE_PX2 / (_SURE_PX2 + fitted[1])
+            # Where the craft may differ from its mesh, edges are equally unsure.
+            sure = _SURE_PX2 + (_STRAINED * views.shape_error * body) ** 2
+            row[WEIGHT] = sure / (sure + fitted[1])
         else:
             # A thin body's edges are displaced by what the blur makes of it.
             sure = steepness * steepness / (steepness * steepness + _EVEN_SLOPE * _EVEN_SLOPE)
@@ -382,7 +511,6 @@ def measure_edges(  # type: ignore[no-untyped-def]
                 row[WEIGHT] *= _UNFITTED_WEIGHT
         row[RESIDUAL] = at
         row[WEIGHT] *= np.exp(-0.5 * (at / spread_px) ** 2)
-        gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11
         j0, j1, j2 = gx * inverse, gy * inverse, -(gx * x + gy * y) * inverse
         row[0], row[1], row[2] = j2 * qy - j1 * qz, j0 * qz - j2 * qx, j1 * qx - j0 * qy
         row[3], row[4], row[5] = j0, j1, j2

@@ -148,7 +148,7 @@ def light_strengths(levels, lit, albedo, tolerance, strengths):  # type: ignore[
         aa, ab, bb, ca, cb, cost = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0
         for i in range(levels.shape[0]):
             x, y = lit[i], albedo[i]
-            weight = 1.0
+            weight = max(0.0, levels[i])  # at first: shadows darken what they fall on
             if step > 0:
                 r = levels[i] - a * x - b * y
                 weight = 1.0 / (1.0 + r * r * inverse)

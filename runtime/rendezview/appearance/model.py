@@ -155,6 +155,8 @@ class ViewModel:
         """
         path = Path(path)
         header, arrays = read_container(path)
+        if "contours.kind" in arrays and "contours.rim" not in arrays:  # of an earlier making
+            arrays["contours.rim"] = np.zeros((*arrays["contours.kind"].shape, 2), dtype=np.int8)
         try:
             model = cls(
                 name=str(header["name"]),

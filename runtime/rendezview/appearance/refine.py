@@ -126,7 +126,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
 # less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seed 1).
-_INFLATION = np.array([1.4, 3.59, 0.78, -0.57])
+_INFLATION = np.array([1.25, 3.59, 0.78, -0.57])
 
 
 class Refiner:
@@ -148,10 +148,12 @@ class Refiner:
             contours.tangent,
             contours.kind,
             contours.run,
+            contours.rim,
             contours.strip,
             contours.palette,
             model.target_radius_m,
             self.options.blur_px,
+            model.shape_error,
         )
         self._surface = None
         if model.surface is not None:

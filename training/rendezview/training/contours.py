@@ -13,27 +13,27 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.appearance.contours import (
-    CELLS,
     DIRECTION_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
+    RIM_DEPTH_UNIT,
+    RIM_WIDTH_UNIT,
     RUN_UNIT,
-    cell_limits,
 )
 from rendezview.pose import Array
 from rendezview.training.crossings import KIND, LENGTH, edge_crossings, face_normals
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.strips import strips
 from rendezview.training.surface_palette import packed_surfaces
 
 _BORDER_PX = 4.0  # around the target in the picture
 _STEP_RADII = 0.02  # a surface that lies further behind by so much gives a step
 _CLEAR_PX = 6.0  # a run of so many pixels makes an edge as good as any
-_ASIDE = 1.0 / 196.0  # of the target's radius, apart are five samples of a strip along the edge
 _FREE_PX = 64  # how far the free run along the normal is looked for
-_INNER_SHARE = 0.3  # of the points, for steps and creases inside the outline
+_INNER_SHARE = 0.25  # of the points, for steps and creases inside the outline
 
 
 def contour_points(
@@ -87,13 +87,16 @@ def contour_points(
     runs_m = runs_px[chosen] * (kept[:, 4] / focal)[:, None]
     place = (kept[:, 2:5] - np.array([0.0, 0.0, range_m])) @ view.rotation
     radius_m = geometry.target_radius_m
-    towards, colour = _strips(kept, focal, owner, normals, albedo, 0.5 * size - _BORDER_PX)
+    radius_px = 0.5 * size - _BORDER_PX
+    towards, colour, rims = strips(kept, view, normals, albedo, radius_px)
+    rims /= np.array([radius_px * RIM_WIDTH_UNIT, radius_m * RIM_DEPTH_UNIT])
     surfaces = packed_surfaces(towards @ view.rotation, colour)
     return {
         "point": _packed(place / (radius_m * POINT_UNIT), count, np.int16),
         "tangent": _packed(kept[:, 5:8] @ view.rotation / DIRECTION_UNIT, count, np.int8),
         "kind": _packed(kept[:, KIND], count, np.uint8, NO_POINT),
         "run": _packed(np.minimum(runs_m / (radius_m * RUN_UNIT), 255.0), count, np.uint8),
+        "rim": _packed(np.clip(rims, -127, 127), count, np.int8),
         "surfaces": _packed(surfaces, count, np.uint8),
     }
 
@@ -181,53 +184,3 @@ def _free_runs(points, focal, edges, nearness, step):  # type: ignore[no-untyped
                 run += 0.25 if run < 2.5 else 0.5
             runs[k, way] = run
     return runs
-
-
-@njit(cache=True, nogil=True)
-def _strips(points, focal, owner, normals, albedo, radius_px):  # type: ignore[no-untyped-def]
-    """Normals (N, CELLS, 3) and albedo (N, CELLS) along the image normals of the points.
-
-    Mean over a cell as far to either side along the edge as the reading of the picture goes;
-    the sky counts as black.
-    """
-    height, width = owner.shape
-    aside = _ASIDE * radius_px
-    towards = np.zeros((points.shape[0], CELLS, 3))
-    colour = np.zeros((points.shape[0], CELLS))
-    for j in range(points.shape[0]):
-        x, y, z = points[j, 2], points[j, 3], points[j, 4]
-        tx, ty = points[j, 5] - x / z * points[j, 7], points[j, 6] - y / z * points[j, 7]
-        length = np.sqrt(tx * tx + ty * ty) + 1e-30
-        tx, ty = tx / length, ty / length
-        outline = points[j, 8] == 0.0
-        for cell in range(CELLS):
-            near, far = cell_limits(outline, cell)
-            near, far = near * radius_px, far * radius_px
-            steps = max(2, int(np.ceil((far - near) * 1.5)))
-            samples = 0
-            for a in range(steps):
-                depth = near + (far - near) * (a + 0.5) / steps
-                for b in range(-2, 3):
-                    column = int(np.rint(points[j, 0] - depth * ty + aside * b * tx))
-                    row = int(np.rint(points[j, 1] + depth * tx + aside * b * ty))
-                    samples += 1
-                    if not (0 <= row < height and 0 <= column < width):
-                        continue
-                    face = owner[row, column]
-                    if face < 0:
-                        if outline and depth < 1.0:
-                            samples -= 1  # the nearest sample may lie just outside
-                        continue
-                    colour[j, cell] += albedo[face]
-                    for k in range(3):
-                        towards[j, cell, k] += albedo[face] * normals[face, k]
-            if samples > 0:
-                colour[j, cell] /= samples
-            size = 0.0
-            for k in range(3):
-                size += towards[j, cell, k] ** 2
-            if size > 0.0:
-                towards[j, cell] /= np.sqrt(size)
-            else:
-                colour[j, cell] = 0.0
-    return towards, colour

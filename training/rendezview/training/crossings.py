@@ -51,7 +51,7 @@ def face_normals(vertices: Array, faces: npt.NDArray[np.int32]) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _depth_on(vertices, faces, face, normals, rx, ry):  # type: ignore[no-untyped-def]
+def depth_on(vertices, faces, face, normals, rx, ry):  # type: ignore[no-untyped-def]
     """z where the ray (rx, ry, 1) meets the plane of a face; 0 where it runs along it."""
     a = faces[face, 0]
     normal = normals[face]
@@ -111,7 +111,7 @@ def edge_crossings(  # type: ignore[no-untyped-def]
                 kind = 0
                 if beyond >= 0:
                     rx, ry = (x + dx - middle) / focal, (y + dy - middle) / focal
-                    z_here = _depth_on(vertices, faces, face, normals, rx, ry)
+                    z_here = depth_on(vertices, faces, face, normals, rx, ry)
                     z_there = 1.0 / nearness[y + dy, x + dx]
                     z_own = 1.0 / nearness[y, x]
                     if z_there - z_own > step and (z_here <= 0.0 or z_there - z_here > step):
@@ -148,7 +148,7 @@ def edge_crossings(  # type: ignore[no-untyped-def]
                             # … on the same surface
                             rx = (x + dx * leave - middle) / focal
                             ry = (y + dy * leave - middle) / focal
-                            z = _depth_on(vertices, faces, near, normals, rx, ry)
+                            z = depth_on(vertices, faces, near, normals, rx, ry)
                             if abs(z - 1.0 / nearness[y, x]) > step:
                                 continue
                             last, leave, edge, again = near, f, g, True
