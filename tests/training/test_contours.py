@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from rendezview.appearance.contours import NO_POINT, OUTLINE, POINT_UNIT, RUN_UNIT
+from rendezview.appearance.contours import (
+    NO_POINT,
+    OUTLINE,
+    POINT_UNIT,
+    RIM_DEPTH_UNIT,
+    RIM_WIDTH_UNIT,
+    RUN_UNIT,
+)
 from rendezview.training.contours import contour_points
 from rendezview.training.crossings import faces_beside
 from rendezview.training.lit_views import lit_views, sun_maps
@@ -96,6 +103,27 @@ def test_strips_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body(
     spike = outline & (np.abs(points[:, 0]) > 0.9) & (np.abs(points[:, 0]) < 1.25)
     assert spike.sum() > 2
     assert np.all(surfaces[spike, -1, 3] == 0.0)  # the strip has left the thin body
+
+
+def test_a_rim_ends_where_what_stands_before_it_hides_it():
+    """A plate before a wider flange: of the flange a strip thinner than a pixel is seen."""
+    eye_m, depth_m, wide = 5.0, 0.5, 5e-4  # wide: of what is seen of the flange, a tangent
+    half = np.array([1.0, 0.6]) / eye_m + wide
+    plate = trimesh.creation.box((2.0, 1.2, 0.1))
+    flange = trimesh.creation.box((*(2.0 * half * (eye_m + depth_m)), 0.1))
+    plate.apply_translation((0.0, 0.0, -0.05))
+    flange.apply_translation((0.0, 0.0, -0.05 - depth_m))
+    mesh = as_mesh(trimesh.util.concatenate([plate, flange]))
+    centre_m, radius_m = mesh.bounding_sphere
+    range_m = eye_m - centre_m[2]
+    metres, view, geometry = points_of(mesh, [0.0, 0.0, 1.0], range_m / radius_m)
+    outline = (view["kind"] == OUTLINE) & (np.abs(metres[:, 2] + depth_m) < 1e-3)
+    assert outline.sum() > 60
+    scale = np.tan(np.arcsin(radius_m / range_m))
+    widths = view["rim"][outline, 0] * RIM_WIDTH_UNIT * scale
+    assert np.median(widths) == pytest.approx(wide, rel=0.2)
+    deep = view["rim"][outline, 1] * RIM_DEPTH_UNIT * geometry.target_radius_m
+    assert np.median(deep) == pytest.approx(-depth_m, abs=0.02)
 
 
 def test_a_palette_has_every_surface_that_there_are_few_of():

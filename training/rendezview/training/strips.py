@@ -20,6 +20,7 @@ _SAMPLES_PER_PX = 4.0  # along the normal …
 _LEAST_SAMPLES, _MOST_SAMPLES = 4, 8  # … of a cell
 _ON_EDGE_PX = 1e-6
 _SAME_DEPTH = 2e-6
+_STEP_RADII = 0.02  # of the target's radius deeper or nearer is another surface
 _RIM_STEP_PX = 1.0 / 16.0
 _SAME_NORMAL = np.cos(np.deg2rad(12.0))  # within which, and
 _SAME_ALBEDO = 0.05  # within which two facets are one surface
@@ -94,11 +95,12 @@ def _face_at(x, y, vertices, corners, faces, focal, middle, owner, normals):  # 
 
 @njit(cache=True, nogil=True)
 def _rim(  # type: ignore[no-untyped-def]
-    x, y, z, tx, ty, most, vertices, corners, faces, focal, middle, owner, normals, albedo
+    x, y, z, tx, ty, most, step, vertices, corners, faces, focal, middle, owner, normals, albedo
 ):
     """Width, pixels, of the first surface inside an outline, and the depth where it ends.
 
-    0 where it goes on for ``most`` pixels. What ends there is the nearer of the two surfaces.
+    0 where it goes on for ``most`` pixels; ``step`` metres make a step in depth. What ends there
+    is the nearer of the two surfaces.
     """
     height, width = owner.shape
     first = -1
@@ -120,7 +122,8 @@ def _rim(  # type: ignore[no-untyped-def]
         elif face != first:
             n, m = normals[first], normals[face]
             cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
-            if cosine < _SAME_NORMAL or abs(albedo[face] - albedo[first]) > _SAME_ALBEDO:
+            paint = abs(albedo[face] - albedo[first])
+            if cosine < _SAME_NORMAL or paint > _SAME_ALBEDO or abs(here - before) > step:
                 return depth - 0.5 * _RIM_STEP_PX, min(before, here) - z
         before = here
     return 0.0, 0.0
@@ -144,7 +147,7 @@ def _strips(  # type: ignore[no-untyped-def]
         if outline:
             most = OUTLINE_CELLS[RIM_CELLS] * radius_px
             rim[j] = _rim(
-                points[j, 0], points[j, 1], z, tx, ty, most,
+                points[j, 0], points[j, 1], z, tx, ty, most, _STEP_RADII * radius_px * z / focal,
                 vertices, corners, faces, focal, middle, owner, normals, albedo,
             )  # fmt: skip
         for cell in range(CELLS):
