@@ -48,6 +48,7 @@ _EVEN_SLOPE = 12.0  # at which noise and what the model does not know err alike
 _LEAST_SLOPE = 10.0  # grey levels a pixel; the grain of foil stays below
 _INNER_WEIGHT = 0.3  # of creases and steps: two in three of their edges are others
 _INSIDE_PX, _OUTSIDE_PX = 4.2, 3.2  # of an edge: what its strip is fitted to
+_STEP_GREY = 5.0  # of brightness within a strip; smaller ones are left out
 _LEAST_CONTRAST = 4.0  # grey levels; a strip with less has no edge
 _GAIN_SPREAD = 0.3  # of the brightness that is expected
 _TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
@@ -260,7 +261,7 @@ def _outline_strip(  # type: ignore[no-untyped-def]
         level = shade[strip[cell]]
         if cell == 0 and shaded:
             level = 0.0
-        if cell == first or abs(level - before) > 1.5:
+        if cell == first or abs(level - before) > _STEP_GREY:
             at = depth
             thin = strip[cell] == 0 and cell > 0 and inner_px < depth + 2.0
             if thin and not (cell == 1 and rim > 0.0):
@@ -291,7 +292,7 @@ def _inner_strip(  # type: ignore[no-untyped-def]
             depth -= width * _wider(palette[strip[cell]], seen, drawn) * scale
     for cell in range(1, CELLS):
         level = shade[strip[cell]]
-        if abs(level - before) > 1.5:
+        if abs(level - before) > _STEP_GREY:
             at = depth
             if strip[cell] == 0 and inner_px < depth + 2.0:
                 at = inner_px  # of a thin body: known better than to a cell

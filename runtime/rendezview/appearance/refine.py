@@ -54,7 +54,7 @@ _FINE = np.array(
         Stage(8, 3, 3, room_px=2, stop_px=1.0),
         Stage(6, 2, 3, damping=1e-4, relaxation=1.3, stop_px=0.6),
         Stage(5, 1.2, 10, lines=3, fit=1, damping=1e-4, relaxation=1.3, stop_px=0.4),
-        Stage(4, 0.5, 3, lines=3, fit=1, damping=1e-4, relaxation=1.2, stop_px=0.1),
+        Stage(4, 0.5, 2, lines=3, fit=1, damping=1e-4, relaxation=1.2, stop_px=0.1),
     ]
 )
 _CUT_PX = 1.25  # of the last stage
