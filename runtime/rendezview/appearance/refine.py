@@ -58,6 +58,9 @@ _FINE = np.array(
     ]
 )
 _CUT_PX = 1.25  # of the last stage
+# Where the craft may differ from its mesh, no edge is where it should be to half a pixel.
+_INEXACT = _FINE[:-1]
+_INEXACT_CUT_PX = 3.0
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
 _DARK_SKY_GREY = 60.0  # above, the sky is no sky
 _GRAIN_ROWS = 64
@@ -160,6 +163,8 @@ class Refiner:
             self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
         self._lens = (lens_vector(camera), camera.is_distorted)
         self._edges = np.zeros((contours.kind.shape[2], COLUMNS))
+        inexact = model.shape_error > 0.0
+        self._stages, self._cut_px = (_INEXACT, _INEXACT_CUT_PX) if inexact else (_FINE, _CUT_PX)
         # Information of about a radian and a target radius: what no edge shows stays finite.
         self._nothing_known = 1e-4 * np.array([1.0] * 3 + [model.target_radius_m**-2] * 3)
 
@@ -171,7 +176,7 @@ class Refiner:
         ``closely``: only edges a few pixels away are looked for.
         """
         rotation, centre = self._centred(start)
-        frame, stages = sky.vector, _FINE[1:] if closely else _FINE
+        frame, stages = sky.vector, self._stages[1:] if closely else self._stages
         light = align(image, self._lens, frame, stages, self._views, rotation, centre, self._edges)
         return None if light == ASTRAY else self._result(image, frame, rotation, centre, light)
 
@@ -205,7 +210,14 @@ class Refiner:
         found = []
         for k in chosen:
             light = align(
-                image, self._lens, frame, _FINE, self._views, rotations[k], centres[k], self._edges
+                image,
+                self._lens,
+                frame,
+                self._stages,
+                self._views,
+                rotations[k],
+                centres[k],
+                self._edges,
             )
             if light != ASTRAY:
                 found.append(self._result(image, frame, rotations[k], centres[k], light))
@@ -240,11 +252,13 @@ class Refiner:
     ) -> Refined:
         arm = rotation @ self.model.centre_m
         covariance, residual = covariance_of(
-            self._edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm
+            self._edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
         )
         strained = None
         if self.model.shape_error > 0.0:
-            strained = strain_covariance(self._edges, _CUT_PX, self._nothing_known, centre, arm)
+            strained = strain_covariance(
+                self._edges, self._cut_px, self._nothing_known, centre, arm
+            )
         outline, inner, seen = support(
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
         )
