@@ -22,6 +22,8 @@ from rich.console import Console
 from rich.table import Table
 
 from rendezview.appearance import Recognizer, Sighting, ViewModel
+from rendezview.appearance.pose_finder import Found
+from rendezview.appearance.refine import Sky
 from rendezview.evaluation.campaign import pose_error, second_earlier
 from rendezview.pose import Pose
 from rendezview.sequences import open_sequence
@@ -29,6 +31,7 @@ from rendezview.symmetry import angle_between
 from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0
+_LONE_PRIORS = 3  # of a frame
 
 
 def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any]:
@@ -57,6 +60,34 @@ def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any
     return record
 
 
+def lone(
+    recognizer: Recognizer, image: np.ndarray, prior: Pose, truth: Pose
+) -> list[dict[str, Any]]:
+    """What the pose next to a prior looks like if nothing else is tried: for ``pose_confidence``.
+
+    Without a look at the surface, and with one.
+    """
+    assert recognizer.finder is not None
+    refiner, sky = recognizer.finder.refiner, Sky.of(image)
+    refined = refiner.refine(image, sky, prior)
+    if refined is None:
+        return []
+    error = angle_between(refined.pose, truth, recognizer.model.symmetries)
+    looks = [
+        Found(refined, 0.0, 1.0, sky.dark, True),
+        Found(refined, 0.0, 1.0, sky.dark, True, shading=refiner.shading(image, sky, refined.pose)),
+    ]
+    return [
+        {
+            "mode": "lone",
+            "features": found.features.tolist(),
+            "looked": found.shading is not None,
+            "best_deg": float(np.rad2deg(error)),
+        }
+        for found in looks
+    ]
+
+
 def run(
     frames: Path, models: Path, target: str, condition: str, seed: int, sun: bool
 ) -> list[dict[str, Any]]:
@@ -82,6 +113,12 @@ def run(
                 {"target": target, "condition": condition, "frame": k, "mode": mode}
                 | compared(sighting, truth, model)
             )
+        for other in range(_LONE_PRIORS):
+            prior = second_earlier(truth, model.centre_m, np.random.default_rng([seed, k, other]))
+            records += [
+                {"target": target, "condition": condition, "frame": k} | record
+                for record in lone(recognizer, image, prior, truth)
+            ]
     return records
 
 
