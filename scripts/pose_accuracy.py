@@ -6,7 +6,8 @@ MODELS is a folder with a model ``<target>.rvm`` for every folder of FRAMES. Eve
 at twice: on its own without a prior, and from the true pose of a second earlier: off by up to 5°
 about a random axis, 3 % of range and 1 % of range across. A frame without a pose counts as not
 found; an answer more than 5° off (the least over the target's symmetries) is wrong. The normalised
-error squared is that of the answers that are right; wrong ones are counted beside it.
+error squared is that of the answers that are right; wrong ones are counted beside it. The log has
+besides, as ``lone``, the poses next to three more such priors of each frame, nothing else tried.
 """
 
 from __future__ import annotations
