@@ -256,6 +256,10 @@ class Refiner:
         )
         strained = None
         if self.model.shape_error > 0.0:
+            # As of an exact model: what tells right from wrong was fitted to that.
+            _, residual = covariance_of(
+                self._edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm
+            )
             strained = strain_covariance(
                 self._edges, self._cut_px, self._nothing_known, centre, arm
             )
