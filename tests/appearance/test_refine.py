@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
 from rendezview.appearance import Recognizer, Status, Tracker
-from rendezview.appearance.edges import strip_place
 from rendezview.appearance.refine import RefineOptions, Refiner, Sky
+from rendezview.appearance.strip_fit import strip_place
 from rendezview.camera import Camera
 from rendezview.pose import Pose
 from rendezview.simulation import (
