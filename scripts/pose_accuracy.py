@@ -26,7 +26,7 @@ from rendezview.appearance import Recognizer, Sighting, ViewModel
 from rendezview.appearance.pose_finder import Found
 from rendezview.appearance.refine import Sky
 from rendezview.evaluation.campaign import pose_error, second_earlier
-from rendezview.pose import Pose
+from rendezview.pose import Array, Pose
 from rendezview.sequences import open_sequence
 from rendezview.symmetry import angle_between
 from rendezview.training.workers import open_workers
@@ -62,14 +62,14 @@ def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any
 
 
 def lone(
-    recognizer: Recognizer, image: np.ndarray, prior: Pose, truth: Pose
+    recognizer: Recognizer, image: np.ndarray, prior: Pose, truth: Pose, sun_camera: Array | None
 ) -> list[dict[str, Any]]:
     """What the pose next to a prior looks like if nothing else is tried: for ``pose_confidence``.
 
     Without a look at the surface, and with one.
     """
     assert recognizer.finder is not None
-    refiner, sky = recognizer.finder.refiner, Sky.of(image)
+    refiner, sky = recognizer.finder.refiner, Sky.of(image, sun_camera)
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []
@@ -90,7 +90,7 @@ def lone(
 
 
 def run(
-    frames: Path, models: Path, target: str, condition: str, seed: int, sun: bool
+    frames: Path, models: Path, target: str, condition: str, seed: int, sun: bool, log: bool
 ) -> list[dict[str, Any]]:
     """Both looks at every frame of one scene."""
     model = ViewModel.load(models / f"{target}.rvm")
@@ -114,11 +114,11 @@ def run(
                 {"target": target, "condition": condition, "frame": k, "mode": mode}
                 | compared(sighting, truth, model)
             )
-        for other in range(_LONE_PRIORS):
+        for other in range(_LONE_PRIORS if log else 0):
             prior = second_earlier(truth, model.centre_m, np.random.default_rng([seed, k, other]))
             records += [
                 {"target": target, "condition": condition, "frame": k} | record
-                for record in lone(recognizer, image, prior, truth)
+                for record in lone(recognizer, image, prior, truth, light.get("sun_camera"))
             ]
     return records
 
@@ -161,7 +161,9 @@ def main() -> None:
     started = time.perf_counter()
     folders = arguments.frames.resolve(), arguments.models.resolve()
     with open_workers(arguments.jobs, arguments.dask, processes=True) as workers:
-        tasks = [(*scene, arguments.seed, arguments.sun) for scene in scenes]
+        tasks = [
+            (*scene, arguments.seed, arguments.sun, arguments.log is not None) for scene in scenes
+        ]
         parts = dict(workers.results(run, folders, tasks))
     records = [record for k in sorted(parts) for record in parts[k]]
     if arguments.log:

@@ -30,6 +30,7 @@ from rendezview.appearance.strip_fit import (
     in_shadow,
     inner_strip,
     outline_strip,
+    rim_end,
     strip_place,
 )
 from rendezview.lens import distorted
@@ -226,23 +227,19 @@ def measure_edges(  # type: ignore[no-untyped-def]
             body = radius_m * fx * inverse
             across(eye, px, py, pz, tangent[j], seen)
             across(drawn_eye, px, py, pz, tangent[j], drawn)
-            away[0], away[1], away[2] = px - drawn_eye[0], py - drawn_eye[1], pz - drawn_eye[2]
-            away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
             if kind[j] == OUTLINE:
-                rim_wide, rim_deep = rim[j, 0] * RIM_WIDTH_UNIT, rim[j, 1] * RIM_DEPTH_UNIT
-                rim_px, shaded = 0.0, False
+                rim_wide, rim_px, shaded = rim[j, 0] * RIM_WIDTH_UNIT, 0.0, False
                 if rim_wide > 0.0:
-                    o, d = rim_wide * radius_m, rim_deep * radius_m
+                    o, d = rim_wide * radius_m, rim[j, 1] * RIM_DEPTH_UNIT * radius_m
+                    away[0], away[1], away[2] = (
+                        px - drawn_eye[0],
+                        py - drawn_eye[1],
+                        pz - drawn_eye[2],
+                    )
+                    away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
                     shaded = in_shadow(o, d, sunward, drawn, away)
-                    bx = px - o * drawn[3] + d * away[0]
-                    by = py - o * drawn[4] + d * away[1]
-                    bz = pz - o * drawn[5] + d * away[2]
-                    ex = rotation[0, 0] * bx + rotation[0, 1] * by + rotation[0, 2] * bz
-                    ey = rotation[1, 0] * bx + rotation[1, 1] * by + rotation[1, 2] * bz
-                    ez = rotation[2, 0] * bx + rotation[2, 1] * by + rotation[2, 2] * bz
-                    ez = 1.0 / (ez + centre[2])
-                    ex, ey = (ex + centre[0]) * ez - x, (ey + centre[1]) * ez - y
-                    rim_px = max(-(gx * ex + gy * ey), -_RIM_SLACK_PX)
+                    ex, ey = rim_end(px, py, pz, o, d, drawn, away, rotation, centre)
+                    rim_px = max(-(gx * (ex - x) + gy * (ey - y)), -_RIM_SLACK_PX)
                     rim_px = min(rim_px, 4.0 * rim_wide * body + _RIM_SLACK_PX)
                 steps = outline_strip(
                     strip[j], views.palette, shade, seen, drawn, rim_wide, rim_px, shaded,

@@ -134,6 +134,8 @@ def _misfit(levels, which, normals, palette, sun, tolerance, strengths):  # type
 def light_strengths(levels, lit, albedo, tolerance, strengths):  # type: ignore[no-untyped-def]
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 
+    It starts from the bright samples: shadows only darken.
+
     Args:
         levels: (N,) grey levels above black.
         lit: (N,) albedo times the cosine to the Sun, 0 where it does not reach.
@@ -148,7 +150,7 @@ def light_strengths(levels, lit, albedo, tolerance, strengths):  # type: ignore[
         aa, ab, bb, ca, cb, cost = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0
         for i in range(levels.shape[0]):
             x, y = lit[i], albedo[i]
-            weight = max(0.0, levels[i])  # at first: shadows darken what they fall on
+            weight = max(0.0, levels[i])  # at first
             if step > 0:
                 r = levels[i] - a * x - b * y
                 weight = 1.0 / (1.0 + r * r * inverse)

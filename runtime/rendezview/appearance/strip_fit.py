@@ -176,6 +176,26 @@ def _wider(surface, seen, drawn):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
+def rim_end(x, y, z, wide, deep, drawn, away, rotation, centre):  # type: ignore[no-untyped-def]
+    """Where the inner end of a rim is seen, normalised (x, y), which in the model's view lies
+    ``wide`` metres inside the point (x, y, z) and ``deep`` metres beyond it.
+
+    Args:
+        drawn: (6,) of ``across`` from the camera of the model's view.
+        away: (3,) unit, from that camera to the point, target axes.
+        rotation, centre: of the pose, camera frame.
+    """
+    bx = x - wide * drawn[3] + deep * away[0]
+    by = y - wide * drawn[4] + deep * away[1]
+    bz = z - wide * drawn[5] + deep * away[2]
+    u = rotation[0, 0] * bx + rotation[0, 1] * by + rotation[0, 2] * bz + centre[0]
+    v = rotation[1, 0] * bx + rotation[1, 1] * by + rotation[1, 2] * bz + centre[1]
+    w = rotation[2, 0] * bx + rotation[2, 1] * by + rotation[2, 2] * bz + centre[2]
+    inverse = 1.0 / w
+    return u * inverse, v * inverse
+
+
+@njit(cache=True, nogil=True, fastmath=True)
 def in_shadow(wide, deep, sunward, drawn, away):  # type: ignore[no-untyped-def]
     """Whether what rises at the inner end of a rim casts its shadow over all of it."""
     over = -(sunward[0] * drawn[3] + sunward[1] * drawn[4] + sunward[2] * drawn[5])

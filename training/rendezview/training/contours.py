@@ -22,7 +22,13 @@ from rendezview.appearance.contours import (
     RUN_UNIT,
 )
 from rendezview.pose import Array
-from rendezview.training.crossings import KIND, LENGTH, edge_crossings, face_normals
+from rendezview.training.crossings import (
+    KIND,
+    LENGTH,
+    STEP_RADII,
+    edge_crossings,
+    face_normals,
+)
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
@@ -30,7 +36,6 @@ from rendezview.training.strips import strips
 from rendezview.training.surface_palette import packed_surfaces
 
 _BORDER_PX = 4.0  # around the target in the picture
-_STEP_RADII = 0.02  # a surface that lies further behind by so much gives a step
 _CLEAR_PX = 6.0  # a run of so many pixels makes an edge as good as any
 _FREE_PX = 64  # how far the free run along the normal is looked for
 _INNER_SHARE = 0.25  # of the points, for steps and creases inside the outline
@@ -59,7 +64,7 @@ def contour_points(
     focal, middle, nearness, owner = view.focal, view.middle, view.nearness, view.owner
     albedo = mesh.face_albedo
     normals = face_normals(view.vertices, view.faces)
-    step_m = _STEP_RADII * geometry.target_radius_m
+    step_m = STEP_RADII * geometry.target_radius_m
     crossings = edge_crossings(
         view.vertices,
         view.vertices[:, :2] / view.vertices[:, 2:] * focal + middle,

@@ -16,6 +16,7 @@ from numba import njit
 from rendezview.pose import Array
 from rendezview.training.mesh import Mesh
 
+STEP_RADII = 0.02  # of the target's radius: so much deeper lies another surface
 _CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle give a crease
 _FAINT_COLOUR = 0.12  # as do facets whose albedo differs by more
 # Columns of a crossing: u v, point (3), tangent (3), then

@@ -12,7 +12,7 @@ from numba import njit
 
 from rendezview.appearance.contours import CELLS, OUTLINE_CELLS, RIM_CELLS, cell_limits
 from rendezview.pose import Array
-from rendezview.training.crossings import KIND, depth_on
+from rendezview.training.crossings import KIND, STEP_RADII, depth_on
 from rendezview.training.drawn_view import DrawnView
 
 _ASIDE = 1.0 / 196.0  # of the target's radius, apart are five samples of a strip along the edge
@@ -20,7 +20,6 @@ _SAMPLES_PER_PX = 4.0  # along the normal …
 _LEAST_SAMPLES, _MOST_SAMPLES = 4, 8  # … of a cell
 _ON_EDGE_PX = 1e-6
 _SAME_DEPTH = 2e-6
-_STEP_RADII = 0.02  # of the target's radius deeper or nearer is another surface
 _RIM_STEP_PX = 1.0 / 16.0
 _SAME_NORMAL = np.cos(np.deg2rad(12.0))  # within which, and
 _SAME_ALBEDO = 0.05  # within which two facets are one surface
@@ -147,7 +146,7 @@ def _strips(  # type: ignore[no-untyped-def]
         if outline:
             most = OUTLINE_CELLS[RIM_CELLS] * radius_px
             rim[j] = _rim(
-                points[j, 0], points[j, 1], z, tx, ty, most, _STEP_RADII * radius_px * z / focal,
+                points[j, 0], points[j, 1], z, tx, ty, most, STEP_RADII * radius_px * z / focal,
                 vertices, corners, faces, focal, middle, owner, normals, albedo,
             )  # fmt: skip
         for cell in range(CELLS):
