@@ -129,8 +129,9 @@ def show(rows: list[Row]) -> None:
         numbers = name in ("ours", "beside", "ratio")
         table.add_column(name, justify="right" if numbers else "left")
     for row in rows:
+        mine, peer, unit = row.told()
         table.add_row(
-            row.name, f"{row.ours:.3g} {row.unit}", f"{row.peer:.3g} {row.unit}", row.beside,
+            row.name, f"{mine:.3g} {unit}", f"{peer:.3g} {unit}", row.beside,
             f"{row.ratio:.3g}", row.command,
         )  # fmt: skip
     Console(width=170).print(table)
@@ -140,7 +141,7 @@ def draw(rows: list[Row], path: Path) -> None:
     """Bars of the ratios on a logarithmic scale, ours better to the left."""
     from matplotlib.figure import Figure
 
-    drawn = [row for row in rows if row.unit in ("ms", "µs", "°") and 0.0 < row.ratio < 1e6]
+    drawn = [row for row in rows if row.unit in ("s", "°") and 0.0 < row.ratio < 1e6]
     figure = Figure(figsize=(9.0, 0.24 * len(drawn) + 1.0), layout="constrained")
     axes = figure.subplots()
     for k, row in enumerate(drawn):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ class Row:
     ours: float
     beside: str  # the peer or floor
     peer: float
-    unit: str  # "ms", "µs" or what else is counted
+    unit: str  # times: "s"; else what is counted
     command: str  # the script that measures it at length
 
     @property
@@ -32,9 +32,25 @@ class Row:
     def key(self) -> str:
         return f"{self.name} / {self.beside}"
 
+    def told(self) -> tuple[float, float, str]:
+        """Ours, the peer's and their unit, for readers: a time in ms or µs."""
+        if self.unit != "s":
+            return self.ours, self.peer, self.unit
+        unit, scale = ("ms", 1e3) if self.ours >= 1e-3 else ("µs", 1e6)
+        return scale * self.ours, scale * self.peer, unit
+
+
+def times(
+    command: str, spent_s: dict[str, float], rows: dict[str, tuple[str, ...]]
+) -> Iterator[Row]:
+    """A row for every way of ours beside each of its peers."""
+    for ours, beside in rows.items():
+        for peer in beside:
+            yield Row(ours, spent_s[ours], peer, spent_s[peer], "s", command)
+
 
 def best(rows: Iterable[Row]) -> dict[str, Row]:
-    """One row a key: the least of ours and the least of the peer's."""
+    """One row a key: the least of ours and the least of the peer's; a key has one unit."""
     found: dict[str, Row] = {}
     for row in rows:
         other = found.get(row.key, row)
@@ -46,13 +62,13 @@ def best(rows: Iterable[Row]) -> dict[str, Row]:
 
 def write(rows: Iterable[Row], path: Path) -> None:
     """Ratios to be kept, and the numbers they came of, for readers."""
-    kept = {
-        row.key: {
-            "ratio": float(f"{row.ratio:.4g}"), "ours": float(f"{row.ours:.4g}"),
-            "peer": float(f"{row.peer:.4g}"), "unit": row.unit,
-        }
-        for row in rows
-    }  # fmt: skip
+    kept = {}
+    for row in rows:
+        ours, peer, unit = row.told()
+        kept[row.key] = {
+            "ratio": float(f"{row.ratio:.4g}"), "ours": float(f"{ours:.4g}"),
+            "peer": float(f"{peer:.4g}"), "unit": unit,
+        }  # fmt: skip
     path.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

@@ -27,7 +27,7 @@ import stereo_speed
 import trajectory_speed
 import visp_driver
 import visp_tracking
-from benchmark_check import Row
+from benchmark_check import Row, times
 from export_c_check import LIMIT_BYTES, perturbed
 from flight_code_driver import FlightCode, build, compiler, object_bytes
 from rendezview.appearance import Recognizer, ViewModel
@@ -65,16 +65,6 @@ class Bench:
     def race(self, ways: dict[str, Callable[[], object] | Way]) -> dict[str, float]:
         entered = {n: w if isinstance(w, Way) else Way(w) for n, w in ways.items()}
         return race(entered, self.seconds)
-
-
-def times(
-    command: str, spent_s: dict[str, float], rows: dict[str, tuple[str, ...]]
-) -> Iterator[Row]:
-    """A row for every way of ours beside each of its peers, in µs or ms."""
-    for ours, beside in rows.items():
-        for peer in beside:
-            unit, scale = ("ms", 1e3) if spent_s[ours] >= 1e-3 else ("µs", 1e6)
-            yield Row(ours, scale * spent_s[ours], peer, scale * spent_s[peer], unit, command)
 
 
 def poses(bench: Bench) -> Iterator[Row]:
@@ -170,7 +160,7 @@ def nodes(bench: Bench) -> Iterator[Row]:
         ours = race({pose: Way(lambda: recognizer.recognize(frames[0], priors[0]))}, bench.seconds)
         for templates, ms in json.loads(done.stdout).items():
             name = f"linemod, templates: {templates}"
-            yield Row(pose, 1e3 * ours[pose], name, ms, "ms", "recognition_peers.py")
+            yield Row(pose, ours[pose], name, 1e-3 * ms, "s", "recognition_peers.py")
 
 
 def flight_code(bench: Bench) -> Iterator[Row]:
@@ -278,8 +268,9 @@ def rings(bench: Bench) -> Iterator[Row]:
             theirs = ring_speed.peers(bench.peer_python, frames, 15)
             best, _ = ring_speed.ours(camera, frames, 30)
             for name, values in ring_speed.peers(bench.peer_python, frames, 15).items():
-                peer = float(np.mean(np.minimum(theirs[name], values)))
-                yield Row(ours, float(np.mean(best)), name, peer, "ms", "ring_speed.py")
+                peer_ms = float(np.mean(np.minimum(theirs[name], values)))
+                ours_ms = float(np.mean(best))
+                yield Row(ours, 1e-3 * ours_ms, name, 1e-3 * peer_ms, "s", "ring_speed.py")
 
 
 def stereo(bench: Bench) -> Iterator[Row]:
@@ -351,7 +342,7 @@ def visp(bench: Bench) -> Iterator[Row]:
             for peer, theirs in scores.items():
                 if peer != visp_tracking.EDGES and task not in told:
                     continue  # its other ways: of the sequence only
-                yield Row(f"tracking, {what}", ours.ms, peer, theirs.ms, "ms", command)
+                yield Row(f"tracking, {what}", 1e-3 * ours.ms, peer, 1e-3 * theirs.ms, "s", command)
                 name = f"attitude error, median, {what}"
                 yield Row(name, ours.degrees, peer, theirs.degrees, "°", command)
             wrong = scores[visp_tracking.EDGES].wrong

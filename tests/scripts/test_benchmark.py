@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from scripts.benchmark_check import Row, best, worse, write
+from scripts.benchmark_check import Row, best, times, worse, write
 from scripts.turns import Way, race
 
 
@@ -51,6 +51,26 @@ def test_the_best_of_several_passes_is_that_of_ours_and_of_the_peer() -> None:
     found = best([row(4.0, 3.0), row(5.0, 2.0), row(1.0, 1.0, "ring")])
     assert found["tracking / floor"].ratio == 2.0
     assert found["ring / floor"].ratio == 1.0
+
+
+def test_passes_on_both_sides_of_a_millisecond_are_compared_in_one_unit() -> None:
+    timed = [
+        next(
+            iter(
+                times("pose_speed.py", {"tracking": ours, "floor": 4e-4}, {"tracking": ("floor",)})
+            )
+        )
+        for ours in (1.3e-3, 0.8e-3)
+    ]
+    (found,) = best(timed).values()
+    assert found.ratio == pytest.approx(2.0)
+    assert found.told() == (pytest.approx(800.0), pytest.approx(400.0), "µs")
+
+
+def test_kept_times_are_in_the_unit_that_is_shown(tmp_path: Path) -> None:
+    write([Row("tracking", 1.3e-3, "floor", 4e-4, "s", "pose_speed.py")], tmp_path / "kept.json")
+    (entry,) = json.loads((tmp_path / "kept.json").read_text(encoding="utf-8")).values()
+    assert entry == {"ratio": 3.25, "ours": 1.3, "peer": 0.4, "unit": "ms"}
 
 
 def test_a_failure_where_there_was_none_is_worse(tmp_path: Path) -> None:
