@@ -9,10 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 
-from rendezview.appearance import Recognizer, Status, Tracker
+from rendezview.appearance import Recognizer, Status, Tracker, ViewModel
+from rendezview.appearance.container import read_container, write_container
 from rendezview.appearance.refine import RefineOptions, Refiner, Sky
 from rendezview.appearance.strip_fit import strip_place
 from rendezview.camera import Camera
+from rendezview.errors import RendezviewError
 from rendezview.pose import Pose
 from rendezview.simulation import (
     Earth,
@@ -127,6 +129,33 @@ def test_refinement_finds_the_pose_from_five_degrees_off(refining_model, bumpy_m
     assert np.median(errors) < 0.3
     assert np.median(shares) < 0.004
     assert np.mean(np.array(errors) < 1.0) > 0.8
+
+
+def test_a_model_made_before_strips_had_surfaces_is_read_and_refines(
+    refining_model, bumpy_mesh, camera, tmp_path
+):
+    refining_model.save(tmp_path / "now.rvm")
+    header, arrays = read_container(tmp_path / "now.rvm")
+    strip = arrays["contours.strip"]
+    cells = np.concatenate([strip, strip[..., -1:], strip[..., -1:], strip[..., -1:]], axis=-1)
+    arrays["contours.strip"] = np.ascontiguousarray(cells)
+    start = arrays.pop("contours.start")
+    arrays["contours.rim"] = np.zeros_like(start[..., 0, :])
+    write_container(tmp_path / "before.rvm", header, arrays)
+    refiner = Refiner(ViewModel.load(tmp_path / "before.rvm"), camera)
+    errors = []
+    for seed in range(6):
+        pose = random_pose(seed)
+        image = shaded(bumpy_mesh, camera, pose, seed)
+        found = refiner.refine(image, Sky.of(image), off_by(pose, 3.0, seed))
+        assert found is not None
+        errors.append(found.pose.angle_to(pose))
+    assert np.rad2deg(np.median(errors)) < 1.0
+
+    arrays["contours.strip"] = strip[..., :3]
+    write_container(tmp_path / "wrong.rvm", header, arrays)
+    with pytest.raises(RendezviewError, match="does not hold together"):
+        ViewModel.load(tmp_path / "wrong.rvm")
 
 
 def test_a_distorted_camera_is_refined_through_its_lens(refining_model, bumpy_mesh):

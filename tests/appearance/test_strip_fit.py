@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendezview.appearance.contours import CELLS, OUTLINE, OUTLINE_CELLS, POINT_UNIT
-from rendezview.appearance.strip_fit import across, in_shadow, outline_strip, rim_end
+from rendezview.appearance.contours import OUTLINE, POINT_UNIT, SURFACES
+from rendezview.appearance.strip_fit import across, begins_at, in_shadow, steps_of
 
 # A camera on the z axis looks down on a body whose outline on the side of +x runs along y.
 EYE = np.array([0.0, 0.0, 10.0])
@@ -42,57 +42,76 @@ def test_outwards_is_where_the_model_has_the_sky(outwards):
     assert abs(drawn[:3] @ drawn[3:]) < 1e-9
 
 
-def test_the_end_of_a_rim_is_seen_where_it_stands_in_space(outwards):
-    """0.1 m inside the point and 0.5 m nearer, from straight above and from either side."""
+@pytest.mark.parametrize("place", [(0.9, 0.0, -0.3), (0.97, 0.0, 0.5), (1.02, 0.0, 0.2)])
+def test_a_surface_begins_where_its_place_in_space_is_seen(outwards, place):
+    """From straight above and from either side of a camera whose view told how far it is."""
     drawn = seen_from(EYE, outwards)
-    away = (POINT - EYE) / np.linalg.norm(POINT - EYE)
-    end = POINT - 0.1 * drawn[3:] - 0.5 * away
+    # The ray of the model's camera to the place meets the line across the point …
+    ray = np.array(place) - EYE
+    reach, inside = np.linalg.solve(
+        np.array([ray, drawn[3:], [0.0, 1.0, 0.0]]).T, POINT - EYE
+    )[:2]  # fmt: skip
+    deeper = (1.0 / reach - 1.0) * np.linalg.norm(POINT - EYE)  # … and goes on from there
     looking_down = np.diag([1.0, -1.0, -1.0])
     for aside in (0.0, -1.5, 1.5):
         eye = EYE + np.array([aside, 0.0, 0.0])
-        found = rim_end(
-            *POINT, 0.1, -0.5, drawn, away, looking_down, looking_down @ -eye
+        found = begins_at(
+            *POINT, inside, deeper, EYE, drawn, looking_down, looking_down @ -eye
         )  # fmt: skip
-        place = looking_down @ (end - eye)
-        assert found == pytest.approx(place[:2] / place[2], abs=1e-9)
+        expected = looking_down @ (np.array(place) - eye)
+        assert found == pytest.approx(expected[:2] / expected[2], abs=1e-9)
+
+
+def test_a_facet_that_turns_towards_the_camera_is_seen_wider(outwards):
+    """A facet that lies 0.05 m inwards and 0.5 m down, seen ever less edge-on."""
+    looking_down = np.diag([1.0, -1.0, -1.0])
+    drawn = seen_from(EYE, outwards)
+    far = np.linalg.norm(POINT - EYE)
+    widths = []
+    for aside in (0.0, 1.0, 2.0):
+        eye = EYE + np.array([aside, 0.0, 0.0])
+        u, _ = begins_at(*POINT, 0.05, -0.5, EYE, drawn, looking_down, looking_down @ -eye)
+        widths.append((POINT[0] - aside) / far - u)
+    assert np.all(np.diff(widths) < 0.0) or np.all(np.diff(widths) > 0.0)
+    assert max(widths) > 2.0 * abs(widths[0])
 
 
 def test_a_wall_before_a_rim_shades_it_where_the_sun_stands_behind_the_wall(outwards):
     drawn = seen_from(EYE, outwards)
     away = (POINT - EYE) / np.linalg.norm(POINT - EYE)
     behind, beside = np.array([-0.6, 0.0, 0.8]), np.array([0.6, 0.0, 0.8])
-    assert in_shadow(0.1, -0.5, behind, drawn, away)
-    assert not in_shadow(0.1, -0.5, beside, drawn, away)
-    assert not in_shadow(0.1, -0.05, behind, drawn, away)  # its shadow is too short
-    assert not in_shadow(0.1, 0.5, behind, drawn, away)  # it falls away
+    assert in_shadow(0.1, 0.5, behind, drawn, away)
+    assert not in_shadow(0.1, 0.5, beside, drawn, away)
+    assert not in_shadow(0.1, 0.05, behind, drawn, away)  # its shadow is too short
+    assert not in_shadow(0.1, -0.5, behind, drawn, away)  # it falls away
 
 
-def steps_of(rim: float, rim_px: float, shaded: bool, seen, drawn) -> list[tuple[float, float]]:
-    palette = np.zeros((256, 4), dtype=np.float32)
-    palette[1], palette[2] = (1.0, 0.0, 0.0, 0.8), (0.0, 0.0, 1.0, 0.4)
-    shade = np.zeros(256)
-    shade[1], shade[2] = 200.0, 100.0
-    strip = np.array([1] + [2] * (CELLS - 1), dtype=np.uint8)
-    depths, levels = np.empty(CELLS), np.empty(CELLS)
-    count = outline_strip(
-        strip, palette, shade, seen, drawn, rim, rim_px, shaded, 99.0, 196.0, depths, levels
-    )
+SHADE = np.array([0.0, 200.0, 100.0, 103.0])
+
+
+def steps(outline: bool, kinds: list[int], places: list[float], shaded: bool = False):
+    strip = np.array(kinds + kinds[-1:] * (SURFACES - len(kinds)), dtype=np.uint8)
+    begins = np.array(places + [60.0] * (SURFACES - len(places)))
+    depths, levels = np.empty(SURFACES), np.empty(SURFACES)
+    count = steps_of(outline, strip, SHADE, begins, shaded, depths, levels)
     return list(zip(depths[:count].tolist(), levels[:count].tolist(), strict=True))
 
 
-def test_a_rim_is_as_wide_as_it_is_seen_and_makes_no_edge_where_it_is_hidden(outwards):
-    drawn = seen_from(EYE, outwards)
-    wide = 0.4 * OUTLINE_CELLS[1]
-    assert steps_of(wide, 0.7, False, drawn, drawn) == [(0.0, 200.0), (0.7, -100.0)]
-    assert steps_of(wide, 0.7, True, drawn, drawn) == [(0.0, 0.0), (0.7, 100.0)]
-    assert steps_of(wide, -0.3, False, drawn, drawn) == [(-0.3, 100.0)]
+def test_an_outline_is_a_step_from_the_sky_and_one_at_each_other_surface():
+    assert steps(True, [1, 2], [0.0, 0.7]) == [(0.0, 200.0), (0.7, -100.0)]
+    assert steps(True, [1, 2], [0.0, 0.7], shaded=True) == [(0.0, 0.0), (0.7, 100.0)]
+    assert steps(True, [1, 0, 2], [0.0, 0.7, 2.0]) == [(0.0, 200.0), (0.7, -200.0), (2.0, 100.0)]
 
 
-def test_a_facet_that_turns_towards_the_camera_is_seen_wider(outwards):
-    drawn = seen_from(EYE + np.array([2.0, 0.0, 0.0]), outwards)
-    turned = seen_from(EYE + np.array([4.0, 0.0, 0.0]), outwards)
-    (_, _), (before, _) = steps_of(0.0, 0.0, False, drawn, drawn)
-    (_, _), (after, _) = steps_of(0.0, 0.0, False, turned, drawn)
-    assert before == pytest.approx(1.0)
-    assert after == pytest.approx(turned[0] / drawn[0])
-    assert after > 2.0
+def test_a_surface_that_is_hidden_makes_no_step():
+    assert steps(True, [1, 2], [0.0, -0.3]) == [(-0.3, 100.0)]
+    assert steps(True, [1, 0, 2], [0.0, 0.7, 0.6]) == [(0.0, 200.0), (0.6, -100.0)]
+
+
+def test_what_is_hardly_brighter_makes_no_step():
+    assert steps(True, [2, 3], [0.0, 0.7]) == [(0.0, 100.0)]
+
+
+def test_the_first_surface_of_an_inner_edge_is_its_background():
+    assert steps(False, [2, 1], [-99.0, 0.2]) == [(0.2, 100.0)]
+    assert steps(False, [2, 1, 2], [-99.0, -0.4, 0.5]) == [(-0.4, 100.0), (0.5, -100.0)]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from rendezview.appearance.contours import (
+    DEPTH_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
-    RIM_DEPTH_UNIT,
-    RIM_WIDTH_UNIT,
     RUN_UNIT,
+    START_UNIT,
 )
 from rendezview.training.contours import contour_points
 from rendezview.training.crossings import faces_beside
@@ -119,11 +121,35 @@ def test_a_rim_ends_where_what_stands_before_it_hides_it():
     metres, view, geometry = points_of(mesh, [0.0, 0.0, 1.0], range_m / radius_m)
     outline = (view["kind"] == OUTLINE) & (np.abs(metres[:, 2] + depth_m) < 1e-3)
     assert outline.sum() > 60
-    scale = np.tan(np.arcsin(radius_m / range_m))
-    widths = view["rim"][outline, 0] * RIM_WIDTH_UNIT * scale
-    assert np.median(widths) == pytest.approx(wide, rel=0.2)
-    deep = view["rim"][outline, 1] * RIM_DEPTH_UNIT * geometry.target_radius_m
+    begins = view["start"][outline, 0].astype(float)
+    distance = eye_m + depth_m
+    widths = begins[:, 0] ** 2 * START_UNIT * geometry.target_radius_m / distance
+    assert np.median(widths) == pytest.approx(wide, rel=0.1)
+    deep = begins[:, 1] * DEPTH_UNIT * geometry.target_radius_m
     assert np.median(deep) == pytest.approx(-depth_m, abs=0.02)
+
+
+def test_a_strip_tells_where_paint_changes_along_the_normal():
+    """From the left edge of a plate: 25 mm of dark paint, 35 mm of white, then grey."""
+    borders, paints = [-1.0, -0.975, -0.94, 1.0], [0.1, 0.8, 0.4]
+    bodies, colours = [], []
+    for left, right, paint in zip(borders[:-1], borders[1:], paints, strict=True):
+        body = trimesh.creation.box((right - left, 1.0, 0.05))
+        body.apply_translation((0.5 * (left + right), 0.0, 0.0))
+        bodies.append(body)
+        colours += [paint] * len(body.faces)
+    plate = as_mesh(trimesh.util.concatenate(bodies))
+    mesh = replace(plate, face_rgb=np.repeat(np.float32(colours)[:, None], 3, axis=1))
+    metres, view, geometry = points_of(mesh, [0.0, 0.0, 1.0])
+    at_left = np.isclose(metres[:, 0], -1.0, atol=1e-3) & (np.abs(metres[:, 1]) < 0.4)
+    at_left &= (view["kind"] == OUTLINE) & np.isclose(metres[:, 2], 0.025, atol=1e-3)
+    assert at_left.sum() >= 5
+    begins = view["start"][at_left].astype(float)
+    inside_m = begins[..., 0] ** 2 * START_UNIT * geometry.target_radius_m
+    assert np.median(inside_m[:, 0]) == pytest.approx(0.025, abs=1e-3)
+    assert np.median(inside_m[:, 1]) == pytest.approx(0.060, abs=1.5e-3)
+    albedo = view["surfaces"][at_left, :3, 3] / 255.0
+    assert np.median(albedo, axis=0) == pytest.approx(paints, abs=0.02)
 
 
 def test_a_palette_has_every_surface_that_there_are_few_of():

@@ -241,8 +241,8 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
         if fit:
             explained = light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
-                views.palette, rotation, centre, lens[0][0] * radius_m / centre[2], frame,
-                sun, shade,
+                views.start[shell, view], views.palette, rotation, centre,
+                lens[0][0] * radius_m / centre[2], frame, sun, shade,
             )  # fmt: skip
         for _ in range(int(stage[STEPS])):
             shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)

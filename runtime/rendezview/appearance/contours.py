@@ -17,38 +17,38 @@ POINT_UNIT = 1.0 / 32000.0  # of the target's radius: 6 µm on a body of 20 cm
 RUN_UNIT = 1.0 / 256.0  # of the target's radius
 DIRECTION_UNIT = 1.0 / 127.0
 
-# What lies to both sides of an edge is kept in cells along its normal. Depths inside the edge at
-# which they part, of the target's radius: an outline's strip starts at the edge itself, that of an
-# inner edge outside of it. The last cell goes on, as does the first of an inner edge.
-CELLS = 8
-# Where the first surface inside an outline, its rim, ends within so many cells, the first cell
-# ends there.
-RIM_CELLS = 2
-RIM_WIDTH_UNIT = 1.0 / 12000.0  # of the target's radius
-RIM_DEPTH_UNIT = 1.0 / 127.0
-OUTLINE_CELLS = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0]) / 196.0
-INNER_CELLS = np.array([-7.0, -3.5, -1.5, 0.0, 1.5, 3.5, 7.0]) / 196.0
+# What lies along the normal of an edge is kept as a *strip* of a few surfaces, from outside to
+# inside: its last surface goes on, as does the first of an inner edge; an outline's begins at the
+# point. Where the others begin is kept to the square root, finest at the edge.
+SURFACES = 5
+REACH_RADII = 12.0 / 196.0  # of the target's radius: as far as a strip tells
+START_UNIT = REACH_RADII / 127.0**2
+DEPTH_UNIT = 1.0 / 127.0  # of the target's radius
 KINDS_OF_SURFACE = 256
 
 
-@njit(cache=True, nogil=True)
-def cell_limits(outline, cell):  # type: ignore[no-untyped-def]
-    """Depths inside its edge from which to which a cell of a strip goes, of the target's radius.
+def packed_start(inside: Array) -> Array:
+    """Places along the normal, of the target's radius, as they are kept."""
+    roots: Array = np.sign(inside) * np.sqrt(np.abs(inside) / START_UNIT)
+    return roots.clip(-127.0, 127.0)
 
-    The last goes on without end; it counts as long as the one before, as does the first of an
-    inner edge.
-    """
-    if outline:
-        near = OUTLINE_CELLS[cell]
-        if cell == CELLS - 1:
-            return near, 2.0 * near - OUTLINE_CELLS[cell - 1]
-        return near, OUTLINE_CELLS[cell + 1]
-    if cell == 0:
-        return 2.0 * INNER_CELLS[0] - INNER_CELLS[1], INNER_CELLS[0]
-    near = INNER_CELLS[cell - 1]
-    if cell == CELLS - 1:
-        return near, 2.0 * near - INNER_CELLS[cell - 2]
-    return near, INNER_CELLS[cell]
+
+@njit(cache=True, nogil=True)
+def start_radii(kept):  # type: ignore[no-untyped-def]
+    """A place along the normal inwards, of the target's radius, from how it is kept."""
+    root = float(kept)
+    return root * abs(root) * START_UNIT
+
+
+def surfaces_of_cells(
+    cells: npt.NDArray[np.uint8], kind: npt.NDArray[np.uint8]
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int8]]:
+    """``strip`` and ``start`` of a model made earlier, which has eight cells of fixed depths."""
+    outline = kind[..., None] == OUTLINE
+    strip = np.where(outline, cells[..., [0, 1, 2, 4, 6]], cells[..., 2:7])
+    begins = np.where(outline, [1.0, 2.0, 4.0, 8.0], [-1.5, 0.0, 1.5, 3.5]) / 196.0
+    inside = np.rint(packed_start(begins)).astype(np.int8)
+    return strip, np.stack([inside, np.zeros_like(inside)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,8 +64,9 @@ class Contours:
     tangent: npt.NDArray[np.int8]  # (S, V, N, 3) along the edge, the outside on its right
     kind: npt.NDArray[np.uint8]  # (S, V, N)
     run: npt.NDArray[np.uint8]  # (S, V, N, 2) to the next edge inwards and outwards, RUN_UNIT
-    rim: npt.NDArray[np.int8]  # (S, V, N, 2) width, and depth of its inner end; 0: no rim
-    strip: npt.NDArray[np.uint8]  # (S, V, N, CELLS) kinds of surface along the normal; 0 the sky
+    strip: npt.NDArray[np.uint8]  # (S, V, N, SURFACES) kinds of surface; 0 the sky
+    # (S, V, N, SURFACES − 1, 2) where all but the first begin: inwards of the point, and deeper
+    start: npt.NDArray[np.int8]
     palette: npt.NDArray[np.float32]  # (KINDS_OF_SURFACE, 4) normal, either way, and albedo
 
     def check(self, views: int) -> None:
@@ -79,8 +80,8 @@ class Contours:
             "point": (*shape, 3),
             "tangent": (*shape, 3),
         }
-        wanted |= {"kind": shape, "run": (*shape, 2), "rim": (*shape, 2), "strip": (*shape, CELLS)}
-        wanted |= {"palette": (KINDS_OF_SURFACE, 4)}
+        wanted |= {"kind": shape, "run": (*shape, 2), "strip": (*shape, SURFACES)}
+        wanted |= {"start": (*shape, SURFACES - 1, 2), "palette": (KINDS_OF_SURFACE, 4)}
         for name, size in wanted.items():
             if getattr(self, name).shape != size:
                 found = getattr(self, name).shape

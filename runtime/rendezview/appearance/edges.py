@@ -17,20 +17,19 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.appearance.contours import (
-    CELLS,
+    DEPTH_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
-    RIM_DEPTH_UNIT,
-    RIM_WIDTH_UNIT,
     RUN_UNIT,
+    SURFACES,
+    start_radii,
 )
 from rendezview.appearance.strip_fit import (
     across,
+    begins_at,
     in_shadow,
-    inner_strip,
-    outline_strip,
-    rim_end,
+    steps_of,
     strip_place,
 )
 from rendezview.lens import distorted
@@ -52,7 +51,8 @@ _EVEN_SLOPE = 12.0  # at which noise and what the model does not know err alike
 _LEAST_SLOPE = 10.0  # grey levels a pixel; the grain of foil stays below
 _INNER_WEIGHT = 0.3  # of creases and steps: two in three of their edges are others
 _LEAST_CONTRAST = 4.0  # grey levels; a strip with less has no edge
-_RIM_SLACK_PX = 3.0  # a rim is not believed to be hidden by more, or to be so much wider
+_FAR_PX = 99.0  # where the first surface of an inner edge begins
+_SLACK_PX = 3.0  # more than that no surface is believed to have moved, or four times its place
 _SURE_PX2 = 0.08**2  # an edge this sure weighs half
 _STRAINED = 0.5  # of the target's radius: how far from its middle edges lie
 _UNFITTED_WEIGHT = 0.1  # of an edge that its strip does not fit
@@ -67,8 +67,8 @@ class ViewTables(NamedTuple):
     tangent: npt.NDArray[np.int8]
     kind: npt.NDArray[np.uint8]
     run: npt.NDArray[np.uint8]
-    rim: npt.NDArray[np.int8]
     strip: npt.NDArray[np.uint8]
+    start: npt.NDArray[np.int8]
     palette: npt.NDArray[np.float32]
     radius_m: float
     blur_px: float
@@ -105,7 +105,7 @@ def measure_edges(  # type: ignore[no-untyped-def]
     noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
     point, tangent = views.point[shell, view], views.tangent[shell, view]
     kind, run, strip = views.kind[shell, view], views.run[shell, view], views.strip[shell, view]
-    rim = views.rim[shell, view]
+    start = views.start[shell, view]
     radius_m, blur_px = views.radius_m, views.blur_px
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     unit_m = radius_m * POINT_UNIT
@@ -115,12 +115,13 @@ def measure_edges(  # type: ignore[no-untyped-def]
     # Before a dark sky the outside must be sky, which grain on the target is not.
     least_outline = max(_SIGMAS * noise * 0.75 * np.sqrt(2.0 / (smooth_px * lines)), _DIM_SLOPE)
     margin = smooth_px + 2
-    depths, levels, fitted = np.empty(CELLS), np.empty(CELLS), np.empty(2)
+    places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
+    fitted = np.empty(2)
     grainy = 0.75 * noise / np.sqrt(lines)
-    # Where the camera is, and was in the model's view; target axes at the view centre.
-    eye, drawn_eye = -(rotation.T @ centre), views.directions[view] * views.shells_m[shell]
+    # Where the camera was in the model's view; target axes at the view centre.
+    drawn_eye = views.directions[view] * views.shells_m[shell]
     sunward = rotation.T @ sun
-    seen, drawn, away = np.empty(6), np.empty(6), np.empty(3)
+    drawn, away = np.empty(6), np.empty(3)
     side = 2.0
     total = 0
     for j in range(point.shape[0]):
@@ -225,31 +226,28 @@ def measure_edges(  # type: ignore[no-untyped-def]
         placed = False
         if fit:
             body = radius_m * fx * inverse
-            across(eye, px, py, pz, tangent[j], seen)
             across(drawn_eye, px, py, pz, tangent[j], drawn)
-            if kind[j] == OUTLINE:
-                rim_wide, rim_px, shaded = rim[j, 0] * RIM_WIDTH_UNIT, 0.0, False
-                if rim_wide > 0.0:
-                    o, d = rim_wide * radius_m, rim[j, 1] * RIM_DEPTH_UNIT * radius_m
-                    away[0], away[1], away[2] = (
-                        px - drawn_eye[0],
-                        py - drawn_eye[1],
-                        pz - drawn_eye[2],
-                    )
-                    away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
-                    shaded = in_shadow(o, d, sunward, drawn, away)
-                    ex, ey = rim_end(px, py, pz, o, d, drawn, away, rotation, centre)
-                    rim_px = max(-(gx * (ex - x) + gy * (ey - y)), -_RIM_SLACK_PX)
-                    rim_px = min(rim_px, 4.0 * rim_wide * body + _RIM_SLACK_PX)
-                steps = outline_strip(
-                    strip[j], views.palette, shade, seen, drawn, rim_wide, rim_px, shaded,
-                    inner, body, depths, levels,
+            outline = kind[j] == OUTLINE
+            places[0] = 0.0 if outline else -_FAR_PX
+            for k in range(1, SURFACES):
+                inside = start_radii(start[j, k - 1, 0])
+                deeper = start[j, k - 1, 1] * DEPTH_UNIT
+                ex, ey = begins_at(
+                    px, py, pz, inside * radius_m, deeper * radius_m, drawn_eye, drawn, rotation,
+                    centre,
                 )  # fmt: skip
-            else:
-                steps = inner_strip(
-                    kind[j], strip[j], views.palette, shade, seen, drawn, inner, body,
-                    depths, levels,
-                )  # fmt: skip
+                place = -(gx * (ex - x) + gy * (ey - y))
+                inside *= body
+                far = 3.0 * abs(inside) + _SLACK_PX
+                places[k] = min(max(place, inside - far), inside + far)
+            shaded = False
+            if outline:
+                away[0], away[1], away[2] = px - drawn_eye[0], py - drawn_eye[1], pz - drawn_eye[2]
+                away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
+                shaded = in_shadow(
+                    start_radii(start[j, 0, 0]), -start[j, 0, 1] * DEPTH_UNIT, sunward, drawn, away
+                )
+            steps = steps_of(outline, strip[j], shade, places, shaded, depths, levels)
             contrast = 0.0
             for step in range(steps):
                 contrast = max(contrast, abs(levels[step]))

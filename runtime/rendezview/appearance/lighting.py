@@ -11,13 +11,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.appearance.contours import CELLS, OUTLINE, cell_limits
+from rendezview.appearance.contours import OUTLINE, REACH_RADII, SURFACES, start_radii
 from rendezview.appearance.edges import NX, NY, U, V
 from rendezview.geodesic import Geodesic
 
 _SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)
 _HALVINGS = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # of the way between those directions
-_LEAST_DEPTH_PX = 1.8  # nearer to an edge its blur reaches
+_BLURRED_PX = 1.8  # nearer to an edge its blur reaches
+_BESIDE_PX = 0.5  # of the next surface of a strip: like it, as a rule
+_SAMPLES_EACH = 3  # surface of a strip
 _LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
 _COARSELY = 3  # every so many-th sample says roughly where the Sun is
 _TOLERANCE = 0.1  # of the bright samples' level: what shading leaves unexplained
@@ -26,13 +28,13 @@ _BEHIND = -0.3  # cosine to the camera of the last Sun that is tried
 
 @njit(cache=True, nogil=True)
 def light(  # type: ignore[no-untyped-def]
-    image, edges, count, kind, strip, palette, rotation, centre, scale, frame, sun, shade
+    image, edges, count, kind, strip, start, palette, rotation, centre, scale, frame, sun, shade
 ):
     """Fit the light of a frame; fills ``shade`` (K,), grey levels above black of every kind.
 
     Args:
         edges: (N, COLUMNS) where ``measure_edges`` has put the contour points, ``count`` of them.
-        kind, strip: of the view that is seen, as ``Contours`` has them.
+        kind, strip, start: of the view that is seen, as ``Contours`` has them.
         palette: (K, 4) normals and albedo.
         rotation, centre: of the pose, camera frame.
         scale: pixels of the target's radius.
@@ -46,21 +48,30 @@ def light(  # type: ignore[no-untyped-def]
     height, width = image.shape
     noise, black = frame[0], frame[1] if frame[2] > 0.0 else 0.0
     shade[:] = 0.0
-    levels, which = np.empty(count * CELLS), np.empty(count * CELLS, dtype=np.int64)
+    most = count * SURFACES * _SAMPLES_EACH
+    levels, which = np.empty(most), np.empty(most, dtype=np.int64)
     found = 0
     for j in range(count):
         if edges[j, NX] == 0.0 and edges[j, NY] == 0.0:
             continue
-        for cell in range(CELLS):
-            near, far = cell_limits(kind[j] == OUTLINE, cell)
-            inside = 0.5 * (near + far) * scale
-            if strip[j, cell] == 0 or abs(inside) < _LEAST_DEPTH_PX:
+        near = 0.0 if kind[j] == OUTLINE else -REACH_RADII * scale
+        for k in range(SURFACES):
+            far = REACH_RADII * scale
+            if k + 1 < SURFACES:
+                far = min(far, start_radii(start[j, k, 0]) * scale)
+            middle, half = 0.5 * (near + far), max(0.0, 0.5 * (far - near) - _BESIDE_PX)
+            near = far
+            if strip[j, k] == 0 or half == 0.0:
                 continue
-            column = int(edges[j, U] - inside * edges[j, NX] + 0.5)
-            row = int(edges[j, V] - inside * edges[j, NY] + 0.5)
-            if 0 <= column < width and 0 <= row < height:
-                levels[found], which[found] = image[row, column] - black, strip[j, cell]
-                found += 1
+            for place in range(-1, 2):
+                inside = middle + place * half
+                if abs(inside) < _BLURRED_PX:
+                    continue
+                column = int(edges[j, U] - inside * edges[j, NX] + 0.5)
+                row = int(edges[j, V] - inside * edges[j, NY] + 0.5)
+                if 0 <= column < width and 0 <= row < height:
+                    levels[found], which[found] = image[row, column] - black, strip[j, k]
+                    found += 1
     if found < _LEAST_SAMPLES:
         return -1.0
     every = 1 + found // _MOST_SAMPLES

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.appearance.container import read_container, write_container
-from rendezview.appearance.contours import Contours
+from rendezview.appearance.contours import Contours, surfaces_of_cells
 from rendezview.appearance.lit_views import LitViews
 from rendezview.appearance.surface import Surface
 from rendezview.appearance.tree import Forest
@@ -155,9 +155,12 @@ class ViewModel:
         """
         path = Path(path)
         header, arrays = read_container(path)
-        if "contours.kind" in arrays and "contours.rim" not in arrays:  # of an earlier making
-            arrays["contours.rim"] = np.zeros((*arrays["contours.kind"].shape, 2), dtype=np.int8)
         try:
+            # Of an earlier making: strips of cells.
+            if "contours.strip" in arrays and "contours.start" not in arrays:
+                cells, kind = arrays["contours.strip"], arrays["contours.kind"]
+                arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
+                arrays.pop("contours.rim", None)
             model = cls(
                 name=str(header["name"]),
                 order=int(header["order"]),

@@ -1,7 +1,7 @@
 """Strips of surfaces beside an edge: as they are seen from a pose, and fitted to a profile.
 
-The model keeps what lies beside an edge as one of its views shows it. Seen from elsewhere a facet
-is wider or narrower, and the rim of an outline ends where its inner end is seen, or is hidden.
+The model keeps what lies beside an edge as one of its views shows it, and how deep it lies. Seen
+from elsewhere a surface begins where that place is seen, or is hidden.
 """
 
 from __future__ import annotations
@@ -9,15 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.appearance.contours import CELLS, CREASE, INNER_CELLS, OUTLINE_CELLS
+from rendezview.appearance.contours import SURFACES
 from rendezview.normal_table import DENSITY, PER_UNIT, PHI, REACH, normal_cdf
 
-_INSIDE_PX, _OUTSIDE_PX = 4.2, 3.2  # of an edge: what its strip is fitted to
-_EDGE_ON = 0.05  # cosine below which a facet's width in the model's view says nothing
-_WIDEST = 3.0  # than in that view
-_AT_EDGE = int(np.searchsorted(INNER_CELLS, 0.0)) + 1  # the first cell inside an inner edge
+_INSIDE_PX, _OUTSIDE_PX = 3.2, 2.7  # of an edge: what its strip is fitted to
 _STEP_GREY = 5.0  # of brightness within a strip; smaller ones are left out
-_GAIN_SPREAD = 0.3  # of the brightness that is expected
+_GAIN_SPREAD = 0.5  # of the brightness that is expected
 _TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
 _MODEL_GREY = 3.0  # what the strip leaves unexplained anyway
 
@@ -164,30 +161,22 @@ def across(eye, x, y, z, tangent, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _wider(surface, seen, drawn):  # type: ignore[no-untyped-def]
-    """How much wider a facet beside an edge is seen than in the model's view of it."""
-    if surface[3] == 0.0:
-        return 1.0
-    now = surface[0] * seen[0] + surface[1] * seen[1] + surface[2] * seen[2]
-    then = surface[0] * drawn[0] + surface[1] * drawn[1] + surface[2] * drawn[2]
-    if then < 0.0:
-        now, then = -now, -then
-    return min(max(now / max(then, _EDGE_ON), 0.0), _WIDEST)
+def begins_at(x, y, z, inside, deeper, drawn_eye, drawn, rotation, centre):  # type: ignore[no-untyped-def]
+    """Where a surface beside the point (x, y, z) is seen to begin, normalised (x, y).
 
-
-@njit(cache=True, nogil=True, fastmath=True)
-def rim_end(x, y, z, wide, deep, drawn, away, rotation, centre):  # type: ignore[no-untyped-def]
-    """Where the inner end of a rim is seen, normalised (x, y), which in the model's view lies
-    ``wide`` metres inside the point (x, y, z) and ``deep`` metres beyond it.
+    In the model's view it begins ``inside`` metres inwards of the point and ``deeper`` metres
+    beyond it.
 
     Args:
-        drawn: (6,) of ``across`` from the camera of the model's view.
-        away: (3,) unit, from that camera to the point, target axes.
+        drawn_eye: (3,) the camera of that view, target axes at the view centre.
+        drawn: (6,) of ``across`` from there.
         rotation, centre: of the pose, camera frame.
     """
-    bx = x - wide * drawn[3] + deep * away[0]
-    by = y - wide * drawn[4] + deep * away[1]
-    bz = z - wide * drawn[5] + deep * away[2]
+    ax, ay, az = x - drawn_eye[0], y - drawn_eye[1], z - drawn_eye[2]
+    more = 1.0 + deeper / np.sqrt(ax * ax + ay * ay + az * az)
+    bx = drawn_eye[0] + more * (ax - inside * drawn[3])
+    by = drawn_eye[1] + more * (ay - inside * drawn[4])
+    bz = drawn_eye[2] + more * (az - inside * drawn[5])
     u = rotation[0, 0] * bx + rotation[0, 1] * by + rotation[0, 2] * bz + centre[0]
     v = rotation[1, 0] * bx + rotation[1, 1] * by + rotation[1, 2] * bz + centre[1]
     w = rotation[2, 0] * bx + rotation[2, 1] * by + rotation[2, 2] * bz + centre[2]
@@ -196,75 +185,43 @@ def rim_end(x, y, z, wide, deep, drawn, away, rotation, centre):  # type: ignore
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def in_shadow(wide, deep, sunward, drawn, away):  # type: ignore[no-untyped-def]
-    """Whether what rises at the inner end of a rim casts its shadow over all of it."""
-    over = -(sunward[0] * drawn[3] + sunward[1] * drawn[4] + sunward[2] * drawn[5])
-    up = -(sunward[0] * away[0] + sunward[1] * away[1] + sunward[2] * away[2])
-    return deep < 0.0 and over > 0.0 and -deep * over > wide * max(up, 0.0)
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def outline_strip(  # type: ignore[no-untyped-def]
-    strip, palette, shade, seen, drawn, rim, rim_px, shaded, inner_px, scale, depths, levels
-):
-    """Depths and steps in brightness of an outline's strip; how many.
-
-    The facets' widths are those of the model's view, foreshortened as they are seen from here.
+def in_shadow(wide, rise, sunward, drawn, away):  # type: ignore[no-untyped-def]
+    """Whether what rises at the inner end of a surface casts its shadow over all of it.
 
     Args:
-        rim: width of the rim in the model's view, of the target's radius; 0: none.
-        rim_px: its width as it is seen; where it is hidden, what lies behind is the outline.
-        shaded: whether what rises at the rim's inner end casts its shadow over it.
+        wide, rise: of the surface and of what stands there, any unit.
+        sunward: (3,) to the Sun, or 0.
+        drawn: (6,) of ``across``, and ``away``: (3,) unit, from the camera of the model's view.
     """
-    steps, before, depth = 0, 0.0, 0.0
-    first = 0
-    if rim > 0.0 and rim_px <= 0.0:
-        first, depth = 1, rim_px
-    for cell in range(first, CELLS):
-        level = shade[strip[cell]]
-        if cell == 0 and shaded:
-            level = 0.0
-        if cell == first or abs(level - before) > _STEP_GREY:
-            at = depth
-            thin = strip[cell] == 0 and cell > 0 and inner_px < depth + 2.0
-            if thin and not (cell == 1 and rim > 0.0):
-                at = inner_px  # the width of a thin body is known better than to a cell
-            depths[steps], levels[steps] = at, level - before
-            steps += 1
-            before = level
-        if cell == 0 and rim > 0.0:
-            depth = rim_px
-        elif cell < CELLS - 1:
-            near = rim if cell == 1 and rim > 0.0 else OUTLINE_CELLS[cell]
-            wider = _wider(palette[strip[cell]], seen, drawn)
-            depth += (OUTLINE_CELLS[cell + 1] - near) * wider * scale
-    return steps
+    over = -(sunward[0] * drawn[3] + sunward[1] * drawn[4] + sunward[2] * drawn[5])
+    up = -(sunward[0] * away[0] + sunward[1] * away[1] + sunward[2] * away[2])
+    return rise > 0.0 and over > 0.0 and rise * over > wide * max(up, 0.0)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def inner_strip(  # type: ignore[no-untyped-def]
-    kind, strip, palette, shade, seen, drawn, inner_px, scale, depths, levels
-):
-    """The same of an inner edge; the first level is left out: it is the background."""
-    steps, before = 0, shade[strip[0]]
-    depth = INNER_CELLS[0] * scale
-    if kind == CREASE:
-        depth = 0.0
-        for cell in range(1, _AT_EDGE):
-            width = INNER_CELLS[cell] - INNER_CELLS[cell - 1]
-            depth -= width * _wider(palette[strip[cell]], seen, drawn) * scale
-    for cell in range(1, CELLS):
-        level = shade[strip[cell]]
-        if abs(level - before) > _STEP_GREY:
-            at = depth
-            if strip[cell] == 0 and inner_px < depth + 2.0:
-                at = inner_px  # of a thin body: known better than to a cell
-            depths[steps], levels[steps] = at, level - before
+def steps_of(outline, strip, shade, places, shaded, depths, levels):  # type: ignore[no-untyped-def]
+    """Depths and steps in brightness of a strip; how many.
+
+    A surface that would begin where it has ended is hidden by the next.
+
+    Args:
+        outline: whether it is an outline's; of an inner edge the first level is left out: it is
+            the background.
+        strip: (SURFACES,) kinds, from outside to inside.
+        shade: (K,) brightness of each kind.
+        places: (SURFACES,) where each begins, pixels inwards; an inner edge's first: far outside.
+        shaded: whether the first lies in the shadow of what rises at its end.
+        depths, levels: (SURFACES,) get the steps.
+    """
+    steps, before = 0, 0.0
+    if not outline:
+        before = shade[strip[0]]
+    for k in range(0 if outline else 1, SURFACES):
+        if k + 1 < SURFACES and places[k + 1] <= places[k]:
+            continue
+        level = 0.0 if k == 0 and shaded else shade[strip[k]]
+        if (outline and steps == 0) or abs(level - before) > _STEP_GREY:
+            depths[steps], levels[steps] = places[k], level - before
             steps += 1
             before = level
-        if cell < CELLS - 1:
-            wider = 1.0
-            if kind == CREASE or cell >= _AT_EDGE:
-                wider = _wider(palette[strip[cell]], seen, drawn)
-            depth += (INNER_CELLS[cell] - INNER_CELLS[cell - 1]) * wider * scale
     return steps

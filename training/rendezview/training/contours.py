@@ -13,13 +13,13 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.appearance.contours import (
+    DEPTH_UNIT,
     DIRECTION_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
-    RIM_DEPTH_UNIT,
-    RIM_WIDTH_UNIT,
     RUN_UNIT,
+    packed_start,
 )
 from rendezview.pose import Array
 from rendezview.training.crossings import (
@@ -36,8 +36,9 @@ from rendezview.training.strips import strips
 from rendezview.training.surface_palette import packed_surfaces
 
 _BORDER_PX = 4.0  # around the target in the picture
-_CLEAR_PX = 6.0  # a run of so many pixels makes an edge as good as any
-_FREE_PX = 64  # how far the free run along the normal is looked for
+_THIN_PX = 2.0  # a shorter run makes a bad edge, …
+_CLEAR_RADII = 3.0 / 196.0  # … so much more of the target's radius one as good as any
+_FREE_RADII = 64.0 / 196.0  # how far the free run along the normal is looked for
 _INNER_SHARE = 0.25  # of the points, for steps and creases inside the outline
 
 
@@ -57,7 +58,7 @@ def contour_points(
 
     Returns:
         The fields of ``rendezview.appearance.contours.Contours`` for this one view, but instead
-        of ``strip`` the ``surfaces`` (N, CELLS, 4) for ``surface_palette``.
+        of ``strip`` the ``surfaces`` (N, SURFACES, 4) for ``surface_palette``.
     """
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
@@ -84,26 +85,61 @@ def contour_points(
     inner = round(_INNER_SHARE * count)
     # Runs are looked for at four times as many points as are kept.
     crossings = crossings[_chosen(crossings, 4 * (count - inner), 4 * inner)]
-    runs_px = _free_runs(crossings, focal, edges, nearness, step_m)
+    radius_px = 0.5 * size - _BORDER_PX
+    runs_px = _free_runs(crossings, focal, edges, nearness, step_m, _FREE_RADII * radius_px)
     # A body thinner than the blur shows its edges displaced: such edges only where need be.
-    crossings[:, LENGTH] *= np.clip((runs_px.min(axis=1) - 2.0) / _CLEAR_PX, 0.02, 1.0)
+    clear = (runs_px.min(axis=1) - _THIN_PX) / (_CLEAR_RADII * radius_px)
+    crossings[:, LENGTH] *= np.clip(clear, 0.02, 1.0)
     chosen = _chosen(crossings, count - inner, inner)
     kept = crossings[chosen]
     runs_m = runs_px[chosen] * (kept[:, 4] / focal)[:, None]
-    place = (kept[:, 2:5] - np.array([0.0, 0.0, range_m])) @ view.rotation
     radius_m = geometry.target_radius_m
-    radius_px = 0.5 * size - _BORDER_PX
-    towards, colour, rims = strips(kept, view, normals, albedo, radius_px)
-    rims /= np.array([radius_px * RIM_WIDTH_UNIT, radius_m * RIM_DEPTH_UNIT])
+    towards, colour, starts = strips(kept, view, beside, normals, albedo, radius_px)
+    points = kept[:, 2:5]
+    begins = _inwards(kept, starts[..., 0] * radius_px / focal)
+    inside, deeper = _from_points(points, kept[:, 5:8], begins, starts[..., 1])
+    starts = np.stack([packed_start(inside / radius_m), deeper / (radius_m * DEPTH_UNIT)], axis=-1)
+    place = (points - np.array([0.0, 0.0, range_m])) @ view.rotation
     surfaces = packed_surfaces(towards @ view.rotation, colour)
     return {
         "point": _packed(place / (radius_m * POINT_UNIT), count, np.int16),
         "tangent": _packed(kept[:, 5:8] @ view.rotation / DIRECTION_UNIT, count, np.int8),
         "kind": _packed(kept[:, KIND], count, np.uint8, NO_POINT),
         "run": _packed(np.minimum(runs_m / (radius_m * RUN_UNIT), 255.0), count, np.uint8),
-        "rim": _packed(np.clip(rims, -127, 127), count, np.int8),
+        "start": _packed(np.clip(starts, -127, 127), count, np.int8),
         "surfaces": _packed(surfaces, count, np.uint8),
     }
+
+
+def _inwards(crossings: Array, shift: Array) -> Array:
+    """(N, K, 3) rays, z = 1, that lie normalised (N, K) inwards of N crossings in the picture."""
+    x, y = crossings[:, 2] / crossings[:, 4], crossings[:, 3] / crossings[:, 4]
+    tx, ty = crossings[:, 5] - x * crossings[:, 7], crossings[:, 6] - y * crossings[:, 7]
+    length = np.maximum(np.hypot(tx, ty), 1e-30)
+    u = x[:, None] - shift * (ty / length)[:, None]
+    v = y[:, None] + shift * (tx / length)[:, None]
+    return np.stack([u, v, np.ones_like(u)], axis=-1)
+
+
+def _from_points(points: Array, along: Array, rays: Array, z: Array) -> tuple[Array, Array]:
+    """(N, K) how far inwards of N points, across the ray to each, and how much deeper, m.
+
+    The inverse of ``strip_fit.begins_at``.
+
+    Args:
+        points: (N, 3), camera frame, and ``along``: (N, 3) unit, the edge there.
+        rays: (N, K, 3) to the places, and ``z``: (N, K) of them, 0 where it is that of the point.
+    """
+    outwards = np.cross(along, points)
+    outwards /= np.maximum(np.linalg.norm(outwards, axis=1), 1e-30)[:, None]
+    ahead = points - np.sum(points * along, axis=1)[:, None] * along
+    distance = np.linalg.norm(ahead, axis=1)[:, None]
+    ahead /= distance
+    aside = np.einsum("nkj,nj->nk", rays, outwards)
+    forward = np.einsum("nkj,nj->nk", rays, ahead)
+    inside = -aside / forward * distance
+    farther = np.where(z > 0.0, z * forward / distance - 1.0, 0.0)
+    return inside, farther * np.linalg.norm(points, axis=1)[:, None]
 
 
 def _packed(
@@ -133,8 +169,15 @@ def _spread(crossings: Array, candidates: npt.NDArray[np.intp], count: int) -> n
     x, y = crossings[candidates, 0], crossings[candidates, 1]
     order = candidates[np.argsort(_morton(x, y), kind="stable")]
     length = np.cumsum(crossings[order, LENGTH])
-    places = (np.arange(count) + 0.5) / count * length[-1]
-    return np.unique(order[np.searchsorted(length, places)])
+    found = order[:0]
+    # Those that stand for more than a step are met again: then the steps are too long.
+    for steps in range(count, 4 * count, max(1, count // 20)):
+        places = (np.arange(steps) + 0.5) / steps * length[-1]
+        met = np.unique(order[np.searchsorted(length, places)])
+        if len(met) > count:
+            break
+        found = met
+    return found
 
 
 def _morton(x: Array, y: Array) -> npt.NDArray[np.int64]:
@@ -154,7 +197,7 @@ def _mark(crossings, edges):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _free_runs(points, focal, edges, nearness, step):  # type: ignore[no-untyped-def]
+def _free_runs(points, focal, edges, nearness, step, most):  # type: ignore[no-untyped-def]
     """(N, 2) pixels along the image normal to the next edge, inwards and outwards.
 
     Nearer than 2.5 pixels the marks of an edge's own line are in the way: there a run ends
@@ -172,11 +215,11 @@ def _free_runs(points, focal, edges, nearness, step):  # type: ignore[no-untyped
         for way in range(2):
             sign = 1.0 if way else -1.0
             run = 0.75
-            while run < _FREE_PX:
+            while run < most:
                 column = int(np.rint(points[k, 0] + sign * run * nx))
                 row = int(np.rint(points[k, 1] + sign * run * ny))
                 if not (0 <= row < height and 0 <= column < width):
-                    run = _FREE_PX
+                    run = most
                     break
                 if run >= 2.5:
                     if edges[row, column]:

@@ -45,9 +45,9 @@ class TrainingOptions:
     reach_edges: float = 3.3  # every perturbed view within is a sample of the node …
     far_edges: float = 6.0  # … and out to here only
     far_fraction: float = 0.2  # that share of them: it keeps far nodes off
-    contour_points: int = 180  # a view, for refinement; 0: none, and no refinement
+    contour_points: int = 158  # a view, for refinement; 0: none, and no refinement
     contour_radii: tuple[float, ...] = (1.0, 1.5, 3.0)  # shells, in sphere radii
-    contour_resolution_px: int = 400  # of the views that show which edges are seen
+    contour_resolution_px: int = 800  # of the views that show which edges are seen
     lit_views: bool = True  # what the Sun lights from each side, for first poses in hard light
     surface_points: int = 4096  # whose light and shadow is known, for telling poses; 0: none
     min_samples_split: int = 4  # the paper's "too few samples"

@@ -10,7 +10,9 @@ from rendezview.pose import Array
 
 Bytes = npt.NDArray[np.uint8]
 
-_ALBEDO_WEIGHT = 2.0  # a step in albedo against one in the unit normal
+# Against a step in what the Sun lights, albedo times normal: one in albedo, which the light all
+# around lights, and one in the normal, which tells how wide a facet is seen.
+_ALBEDO_WEIGHT, _NORMAL_WEIGHT = 0.3, 0.1
 
 
 def packed_surfaces(normals: Array, albedo: Array) -> Bytes:
@@ -39,8 +41,8 @@ def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
     packed = np.ascontiguousarray(surfaces).view("<u4")[..., 0]
     distinct, which, count = np.unique(packed, return_inverse=True, return_counts=True)
     parts = distinct.view(np.uint8).reshape(-1, 4).astype(np.float64)
-    features = np.column_stack([(parts[:, :3] - 128.0) / 127.0, parts[:, 3] / 255.0])
-    features[:, 3] *= _ALBEDO_WEIGHT
+    normals, albedo = (parts[:, :3] - 128.0) / 127.0, parts[:, 3:] / 255.0
+    features = np.hstack([albedo * normals, _ALBEDO_WEIGHT * albedo, _NORMAL_WEIGHT * normals])
     kind = (distinct > 0).astype(np.uint8)
     weight = count / max(int(count.sum()), 1)
     spread = {1: _spread(features[kind == 1], weight[kind == 1])}
@@ -57,8 +59,9 @@ def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
             spread[k] = _spread(features[members], weight[members])
     palette = np.zeros((KINDS_OF_SURFACE, 4), dtype=np.float32)
     for k, (_, _, middle) in spread.items():
-        length = max(float(np.linalg.norm(middle[:3])), 1e-9)
-        palette[k] = [*(middle[:3] / length), middle[3] / _ALBEDO_WEIGHT]
+        albedo = middle[3] / _ALBEDO_WEIGHT
+        normal = middle[:3] / max(albedo, 1e-9)
+        palette[k] = [*(normal / max(1.0, float(np.linalg.norm(normal)))), albedo]
     return palette, kind[which].reshape(surfaces.shape[:-1])
 
 
@@ -66,7 +69,7 @@ def _spread(features: Array, weight: Array) -> tuple[float, Array, Array]:
     """Energy of the variation of some surfaces, its longest axis, and their mean."""
     total = float(weight.sum())
     if total <= 0.0:
-        return 0.0, np.zeros(4), np.zeros(4)
+        return 0.0, np.zeros(7), np.zeros(7)
     middle = weight @ features / total
     apart = features - middle
     sizes, axes = np.linalg.eigh((apart * weight[:, None]).T @ apart)
