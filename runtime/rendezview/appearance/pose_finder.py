@@ -266,7 +266,11 @@ class PoseFinder:
         """Half turns of the best pose: many craft look nearly the same from behind or below."""
         rotations = best.pose.rotation @ self._flips
         centres = np.tile(best.pose.apply(self.model.centre_m), (len(rotations), 1))
-        return self.refiner.best(image, sky, rotations, centres, 2)
+        starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
+        # Where they nearly fit a coarse look may move them away.
+        close = [self.refiner.refine(image, sky, start) for start in starts]
+        found = [refined for refined in close if refined is not None]
+        return found + self.refiner.best(image, sky, rotations, centres, 2)
 
     def _candidates(
         self, refined: list[Refined], sky: Sky, bodies: list[Outlines]
