@@ -101,12 +101,12 @@ class Found:
 _LOGISTIC = np.array(
     [
         [
-            [-0.55, 4.64, 4.79, -11.74, 0.0, 11.81, -6.79, 0.0, 0.35, 6.71, 0.0],
-            [-1.23, 7.03, 3.34, -20.87, -6.29, 12.7, -1.41, -1.23, -0.49, 4.83, 0.0],
+            [-1.59, 5.52, 2.71, -13.09, 0.0, 10.67, -3.7, 0.0, -0.28, 5.67, 0.0],
+            [-0.36, 5.46, 3.1, -26.28, -3.43, 11.55, -1.51, -0.36, -0.61, 4.93, 0.0],
         ],
         [
-            [-2.34, 4.3, 2.32, -8.42, 0.0, 9.59, -5.35, 0.0, 0.68, 3.83, 6.39],
-            [-2.05, 6.73, 0.49, -15.49, -6.83, 10.62, -1.52, -2.05, -0.14, 2.57, 6.66],
+            [-3.8, 4.82, 0.86, -9.52, 0.0, 8.43, -1.91, 0.0, 0.05, 3.15, 5.41],
+            [-0.82, 5.03, 0.56, -21.2, -4.94, 8.25, -1.88, -0.82, -0.15, 3.16, 5.6],
         ],
     ]
 )
@@ -183,8 +183,11 @@ class PoseFinder:
             if found is not None and found.confidence >= _PLAIN:
                 return found
         if found is not None:
-            around = self._around(image, sky, found.best)
-            candidates += self._candidates(around, sky, bodies)
+            more = self._around(image, sky, found.best)
+            for pose in (found.best, found.rival):
+                if pose is not None:
+                    more += self._flipped(image, sky, pose)
+            candidates += self._candidates(more, sky, bodies)
             found = self._chosen(candidates, image, sky)
         return found
 
