@@ -19,6 +19,7 @@ from rendezview.symmetry import angle_between
 
 _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the support
 _LIGHT_WEIGHT = 0.25  # grey levels that one light explains speak for a pose
+_RESIDUAL_WEIGHT = 0.25  # a pixel: of a right pose the edges are where they should be
 _SHADING_WEIGHT = 0.4  # and so do bright and dark over all of its surface …
 _IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to the best
 _CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
@@ -101,12 +102,12 @@ class Found:
 _LOGISTIC = np.array(
     [
         [
-            [-1.59, 5.52, 2.71, -13.09, 0.0, 10.67, -3.7, 0.0, -0.28, 5.67, 0.0],
-            [-0.36, 5.46, 3.1, -26.28, -3.43, 11.55, -1.51, -0.36, -0.61, 4.93, 0.0],
+            [-2.2, 5.61, 2.62, -13.53, 0.0, 10.73, -3.07, 0.0, -0.21, 5.64, 0.0],
+            [-0.25, 5.4, 3.37, -26.67, -3.56, 9.97, -1.43, -0.25, -0.46, 5.03, 0.0],
         ],
         [
-            [-3.8, 4.82, 0.86, -9.52, 0.0, 8.43, -1.91, 0.0, 0.05, 3.15, 5.41],
-            [-0.82, 5.03, 0.56, -21.2, -4.94, 8.25, -1.88, -0.82, -0.15, 3.16, 5.6],
+            [-4.11, 4.98, 0.71, -10.09, 0.0, 8.35, -1.48, 0.0, 0.09, 3.1, 5.38],
+            [-0.77, 4.94, 1.35, -21.48, -5.73, 7.13, -1.84, -0.77, -0.09, 3.31, 5.43],
         ],
     ]
 )
@@ -115,6 +116,7 @@ _LOGISTIC = np.array(
 def merit(refined: Refined, excess: float, shading: float | None) -> float:
     """One figure to choose among poses of one frame by."""
     edges = refined.support - _EXCESS_WEIGHT * excess + _LIGHT_WEIGHT * refined.light
+    edges -= _RESIDUAL_WEIGHT * refined.residual_px
     return edges if shading is None else edges + _SHADING_WEIGHT * shading
 
 

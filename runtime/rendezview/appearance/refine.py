@@ -129,7 +129,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
 # less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seeds 1, 88, 99).
-_INFLATION = np.array([1.20, 5.34, 1.46, -1.83])
+_INFLATION = np.array([1.26, 5.34, 1.46, -1.83])
 
 
 class Refiner:
