@@ -251,10 +251,10 @@ class Refiner:
         self, image: Picture, frame: Array, rotation: Array, centre: Array, light: float
     ) -> Refined:
         arm = rotation @ self.model.centre_m
-        covariance, residual = covariance_of(
+        covariance, spread_px = covariance_of(
             self._edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
         )
-        strained = None
+        residual, strained = spread_px, None
         if self.model.shape_error > 0.0:
             # As of an exact model: what tells right from wrong was fitted to that.
             _, residual = covariance_of(
@@ -266,7 +266,7 @@ class Refiner:
         outline, inner, seen = support(
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
         )
-        covariance *= np.exp(inflating(outline, residual, frame[2]) @ _INFLATION)
+        covariance *= np.exp(inflating(outline, spread_px, frame[2]) @ _INFLATION)
         if strained is not None:
             covariance += self.model.shape_error**2 * strained
         pose = Pose(rotation, centre - arm)
