@@ -48,7 +48,7 @@ SMALL = TrainingOptions(
     held_out_views=50,
     contour_points=120,
     contour_radii=(1.0,),
-    contour_resolution_px=200,
+    contour_resolution_px=400,
     lit_views=False,
 )
 LONG = (  # claim, command; {folder}: where the campaign writes and reads
