@@ -67,7 +67,7 @@ class Contours:
     strip: npt.NDArray[np.uint8]  # (S, V, N, SURFACES) kinds of surface; 0 the sky
     # (S, V, N, SURFACES − 1, 2) where all but the first begin: inwards of the point, and deeper
     start: npt.NDArray[np.int8]
-    palette: npt.NDArray[np.float32]  # (KINDS_OF_SURFACE, 4) normal, either way, and albedo
+    palette: npt.NDArray[np.float32]  # (KINDS_OF_SURFACE, 4) mean normal and albedo
 
     def check(self, views: int) -> None:
         """The arrays belong together.

@@ -166,7 +166,8 @@ class PoseFinder:
         first = self.options.hypotheses_first // len(bodies)
         keep = self.options.refined
         candidates: list[_Candidate] = []
-        turned = found = None
+        turned: list[Refined] = []  # whose half turns have been tried
+        found = None
         for part, thorough in (
             (slice(0, first), False),
             (slice(first, None), False),
@@ -177,17 +178,17 @@ class PoseFinder:
             refined = self.refiner.best(image, sky, rotations, centres, keep, thorough=thorough)
             candidates += self._candidates(refined, sky, bodies)
             best = max(candidates, key=lambda c: c.refined.support, default=None)
-            if best is not None and best is not turned:
+            if best is not None and best.refined not in turned:
                 flipped = self._flipped(image, sky, best.refined)
                 candidates += self._candidates(flipped, sky, bodies)
-                turned = best
+                turned.append(best.refined)
             found = self._chosen(candidates, image, sky)
             if found is not None and found.confidence >= _PLAIN:
                 return found
         if found is not None:
             more = self._around(image, sky, found.best)
             for pose in (found.best, found.rival):
-                if pose is not None:
+                if pose is not None and pose not in turned:
                     more += self._flipped(image, sky, pose)
             candidates += self._candidates(more, sky, bodies)
             found = self._chosen(candidates, image, sky)

@@ -16,7 +16,7 @@ _ALBEDO_WEIGHT, _NORMAL_WEIGHT = 0.3, 0.1
 
 
 def packed_surfaces(normals: Array, albedo: Array) -> Bytes:
-    """(…, 4) bytes of unit normals (…, 3), either way round, and albedo (…): 0 is nothing."""
+    """(…, 4) bytes of mean normals (…, 3), either way round, and albedo (…): 0 is nothing."""
     way = np.where(normals @ [0.9, 0.37, 0.23] < 0.0, -1.0, 1.0)
     whole = np.concatenate(
         [normals * way[..., None] * 127.0 + 128.0, np.clip(albedo, 0.0, 1.0)[..., None] * 255.0], -1
@@ -35,7 +35,7 @@ def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
         surfaces: (…, 4) of ``packed_surfaces``.
 
     Returns:
-        (KINDS_OF_SURFACE, 4) unit normal, either way, and albedo of each kind; the first is
+        (KINDS_OF_SURFACE, 4) mean normal, either way, and albedo of each kind; the first is
         nothing at all, albedo 0. (…) the kind of each surface.
     """
     packed = np.ascontiguousarray(surfaces).view("<u4")[..., 0]
