@@ -13,7 +13,7 @@ PHI = ndtr(_PLACES)
 DENSITY = np.exp(-0.5 * _PLACES**2) / np.sqrt(2.0 * np.pi)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def normal_cdf(z):  # type: ignore[no-untyped-def]
     """The normal distribution function, to 1e-6."""
     place = (z + REACH) * PER_UNIT

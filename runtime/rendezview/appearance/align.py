@@ -71,7 +71,7 @@ def turned(w, rotation):  # type: ignore[no-untyped-def]
     return turn @ rotation
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def nearest_view(directions, shells_m, rotation, centre):  # type: ignore[no-untyped-def]
     """Shell and view from which the target is seen most nearly as at a pose."""
     distance = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
@@ -101,7 +101,7 @@ def _weight(edge, cut):  # type: ignore[no-untyped-def]
     return edge[WEIGHT] * (1.0 - q * q) ** 2
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def normal_equations(edges, count, cut, matrix, right):  # type: ignore[no-untyped-def]
     """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
     matrix[:] = 0.0

@@ -75,7 +75,7 @@ class ViewTables(NamedTuple):
     shape_error: float
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def measure_edges(  # type: ignore[no-untyped-def]
     image, lens, frame, views, shell, view, rotation, centre, shade, sun, reach_px, spread_px,
     smooth_px, room_px, lines, stride, fit, out,

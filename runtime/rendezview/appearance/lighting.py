@@ -127,7 +127,7 @@ def light(  # type: ignore[no-untyped-def]
     return 1.0 - cost / len(levels)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _misfit(levels, which, normals, palette, sun, tolerance, strengths):  # type: ignore[no-untyped-def]
     """Robust misfit of one Sun, by kinds; see ``light_strengths``."""
     kinds = normals.shape[0]
@@ -141,7 +141,7 @@ def _misfit(levels, which, normals, palette, sun, tolerance, strengths):  # type
     return light_strengths(levels, lit, albedo, tolerance, strengths)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def light_strengths(levels, lit, albedo, tolerance, strengths):  # type: ignore[no-untyped-def]
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 

@@ -12,7 +12,7 @@ from rendezview.pose import Array
 Indices = npt.NDArray[np.intp]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def roll_and_distance(
     view: Readings, node: Readings, guess_rad: float, reach_rad: float
 ) -> tuple[float, float]:

@@ -19,7 +19,7 @@ _TILT_SPREAD = 0.1  # a pixel, of the strip's contrast
 _MODEL_GREY = 3.0  # what the strip leaves unexplained anyway
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def strip_place(  # type: ignore[no-untyped-def]
     profile, count, zero, start, depths, levels, steps, background, held, sigma, noise, result,
 ):  # fmt: skip
@@ -144,7 +144,7 @@ def strip_place(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def across(eye, x, y, z, tangent, out):  # type: ignore[no-untyped-def]
     """Directions at a point that is seen from ``eye``, target axes: to the camera without what
     runs along the edge there (3,), and outwards in the picture (3,).
@@ -160,7 +160,7 @@ def across(eye, x, y, z, tangent, out):  # type: ignore[no-untyped-def]
     out[3], out[4], out[5] = o0 * inverse, o1 * inverse, o2 * inverse
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def begins_at(x, y, z, inside, deeper, drawn_eye, drawn, rotation, centre):  # type: ignore[no-untyped-def]
     """Where a surface beside the point (x, y, z) is seen to begin, normalised (x, y).
 
@@ -184,7 +184,7 @@ def begins_at(x, y, z, inside, deeper, drawn_eye, drawn, rotation, centre):  # t
     return u * inverse, v * inverse
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def in_shadow(wide, rise, sunward, drawn, away):  # type: ignore[no-untyped-def]
     """Whether what rises at the inner end of a surface casts its shadow over all of it.
 
@@ -198,7 +198,7 @@ def in_shadow(wide, rise, sunward, drawn, away):  # type: ignore[no-untyped-def]
     return rise > 0.0 and over > 0.0 and rise * over > wide * max(up, 0.0)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def steps_of(outline, strip, shade, places, shaded, depths, levels):  # type: ignore[no-untyped-def]
     """Depths and steps in brightness of a strip; how many.
 

@@ -170,7 +170,7 @@ def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _brightness(surface, node, point, normal, sun):  # type: ignore[no-untyped-def]
     """Albedo times the cosine to the Sun of a point, 0 in shadow."""
     cosine = _dot(normal, sun)
@@ -179,7 +179,7 @@ def _brightness(surface, node, point, normal, sun):  # type: ignore[no-untyped-d
     return surface.albedo[point] * cosine
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _seen_points(  # type: ignore[no-untyped-def]
     image, lens, surface, rotation, centre, which, u, v, facing, levels
 ):
@@ -240,7 +240,7 @@ def _seen_points(  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _correlation(  # type: ignore[no-untyped-def]
     surface, which, u, v, facing, levels, found, node, sun, strengths, side, even
 ):

@@ -128,7 +128,7 @@ def _model(points, normals, diameters, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _hopeless(  # type: ignore[no-untyped-def]
     model, left, centre, right, directions, log_size, log_peak, focal_px, blur_px,
     size_sigma, peak_sigma, beam_sigma, least_facing, window, score_limit,

@@ -161,7 +161,7 @@ def ellipse_of_conic(conic, ellipse):  # type: ignore[no-untyped-def]
     return np.isfinite(ellipse[2]) and np.isfinite(x) and np.isfinite(y)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def sampson(ellipse, x, y):  # type: ignore[no-untyped-def]
     """Distance of a point from an ellipse to first order (Sampson), outside positive, px."""
     c, s = np.cos(ellipse[4]), np.sin(ellipse[4])

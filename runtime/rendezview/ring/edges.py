@@ -58,7 +58,7 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
     return EdgeMap(dx, dy, noise, low, high)  # type: ignore[arg-type]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _powers(dx, dy, line):  # type: ignore[no-untyped-def]
     """Squared gradients of a row."""
     for column in range(line.shape[0]):

@@ -88,7 +88,7 @@ def _crowded(profile, inner, outer, blur_px, solved):  # type: ignore[no-untyped
     return system[2, 6] / system[2, 2]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _step(profile, window):  # type: ignore[no-untyped-def]
     """Level, contrast and contrast × place of a profile by a window of `step_filters`."""
     level, contrast, shifted = 0.0, 0.0, 0.0
@@ -99,14 +99,14 @@ def _step(profile, window):  # type: ignore[no-untyped-def]
     return level, contrast, shifted
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def _allowed(freedom, noise, contrast, place):  # type: ignore[no-untyped-def]
     """Squares that a step may leave: noise, another blur, its bend where it is far."""
     bend_grey = abs(contrast) * (0.02 + 0.2 * place * place)
     return 1.5 * freedom * (noise * noise + 0.1) + bend_grey * bend_grey
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def step_support(  # type: ignore[no-untyped-def]
     image, lens, shape, spacing_px, sense, noise, filters, basis, blur_px, others, samples,
 ):  # fmt: skip

@@ -31,7 +31,7 @@ def bend(x, y, lens):  # type: ignore[no-untyped-def]
     return lens[0] * u + lens[2], lens[1] * v + lens[3]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def frame_at(shape, u0, u1):  # type: ignore[no-untyped-def]
     """Point and outward unit normal of the ellipse at u."""
     a, b, c = shape[2], shape[3], shape[4]
@@ -40,7 +40,7 @@ def frame_at(shape, u0, u1):  # type: ignore[no-untyped-def]
     return shape[0] + a * u0 + b * u1, shape[1] + b * u0 + c * u1, n0 / size, n1 / size
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def distance(shape, x, y):  # type: ignore[no-untyped-def]
     """Distance of a point from an ellipse, outside positive; exact for circles."""
     a, b, c = shape[2], shape[3], shape[4]
@@ -52,7 +52,7 @@ def distance(shape, x, y):  # type: ignore[no-untyped-def]
     return (size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def begin_sample(row, shape, lens, angle, u0, u1, room_px, width, height):  # type: ignore[no-untyped-def]
     """Place and normal of a sample at an angle of the circle, u its cosine and sine.
 

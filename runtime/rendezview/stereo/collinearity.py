@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 _NEAREST = 1e-9  # metres in front of a camera
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
 def normal_equations(
     rotation: Array,
     translation: Array,

@@ -167,7 +167,7 @@ class Lens:
         return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
 def shift(x: float, y: float, c: Array) -> tuple[float, float, float, float, float, float]:
     """Δx, Δy of eq. 6 and its derivatives ∂Δx/∂x, ∂Δx/∂y, ∂Δy/∂x, ∂Δy/∂y."""
     x, y = x - c[6], y - c[7]
@@ -228,7 +228,7 @@ def _slopes(points: Array, c: Array, out: Array) -> None:
         )
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
 def ideal_with_sigma(
     x: float, y: float, sx: float, sy: float, c: Array, corrects: bool
 ) -> tuple[float, float, float, float]:

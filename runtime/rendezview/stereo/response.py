@@ -189,7 +189,7 @@ def place_light(
     return u, v, su, sv
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
 def _curve(x: float, y: float, sx: float, sy: float, b: Array) -> tuple[float, float]:
     """One line of eq. 5, or of its continuation, and its standard deviation."""
     value = (
