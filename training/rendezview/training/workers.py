@@ -10,6 +10,7 @@ import contextlib
 import ctypes
 import functools
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass
@@ -67,9 +68,11 @@ class Cores:
     ) -> Iterator[tuple[int, Any]]:
         """See ``Workers``."""
         threads = cv2.getNumThreads()
-        backend = "loky" if self.processes else "threading"
         try:
-            yield from parallel(backend, self.jobs, compute, task, shared, arguments)
+            if self.processes:
+                yield from parallel("loky", self.jobs, compute, task, shared, arguments)
+            else:
+                yield from _in_threads(self.jobs, task, shared, arguments)
         finally:
             cv2.setNumThreads(threads)
 
@@ -126,6 +129,34 @@ def parallel(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that it was stopped
             results.close()
+
+
+def _in_threads(
+    jobs: int, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
+) -> Generator[tuple[int, Any], None, None]:
+    """As ``parallel``, and no thread is left in a shard.
+
+    joblib abandons what runs when it is stopped. A thread that the end of the interpreter then
+    meets within compiled C++ aborts the process.
+    """
+    at_work, idle = 0, threading.Condition()
+
+    def computed(*shard: Any) -> tuple[int, Any]:
+        nonlocal at_work
+        with idle:
+            at_work += 1
+        try:
+            return compute(*shard)
+        finally:
+            with idle:
+                at_work -= 1
+                idle.notify_all()
+
+    try:
+        yield from parallel("threading", jobs, computed, task, shared, arguments)
+    finally:
+        with idle:
+            idle.wait_for(lambda: at_work == 0)
 
 
 def compute(task: Task, k: int, shared: Shared, own: tuple[Any, ...]) -> tuple[int, Any]:
