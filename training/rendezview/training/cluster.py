@@ -18,7 +18,7 @@ import logging
 import os
 import platform
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -124,7 +124,7 @@ class Cluster:
 
     def results(
         self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
+    ) -> Generator[tuple[int, Any], None, None]:
         """See ``Workers``.
 
         Raises:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
 import json
@@ -76,11 +77,13 @@ class Shards:
             progress(stage, len(results), len(arguments))
         if not todo:
             return [results[k] for k in range(len(arguments))]
-        for i, result in workers.results(task, shared, [arguments[k] for k in todo]):
-            self._write(stage, todo[i], result)
-            results[todo[i]] = result
-            if progress:
-                progress(stage, len(results), len(arguments))
+        computed = workers.results(task, shared, [arguments[k] for k in todo])
+        with contextlib.closing(computed):
+            for i, result in computed:
+                self._write(stage, todo[i], result)
+                results[todo[i]] = result
+                if progress:
+                    progress(stage, len(results), len(arguments))
         return [results[k] for k in range(len(arguments))]
 
     def remove(self) -> None:

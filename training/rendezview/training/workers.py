@@ -39,8 +39,8 @@ class Workers(Protocol):
 
     def results(
         self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
-        """``(k, task(*shared, *arguments[k]))`` as each is done.
+    ) -> Generator[tuple[int, Any], None, None]:
+        """``(k, task(*shared, *arguments[k]))`` as each is done; to be closed where left early.
 
         Args:
             task: of a module; what it returns depends on its arguments alone.
@@ -65,7 +65,7 @@ class Cores:
 
     def results(
         self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
-    ) -> Iterator[tuple[int, Any]]:
+    ) -> Generator[tuple[int, Any], None, None]:
         """See ``Workers``."""
         threads = cv2.getNumThreads()
         try:
