@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import resource
 import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -36,6 +38,18 @@ class Served:
 
     def client(self, token: str | None = None) -> Client:
         return Client(self.url, token)
+
+    def states_told(self, message: str, session: str, last: str) -> list[str]:
+        """States in the log's messages on a session, once ``last`` is: lines come in behind."""
+        until_s = time.monotonic() + 10.0
+        while True:
+            said = [json.loads(line) for line in self.lines if line.startswith("{")]
+            told = [line for line in said if line["message"] == message]
+            states = [line["state"] for line in told if line["session"] == session]
+            if last in states:
+                return states
+            assert time.monotonic() < until_s, states
+            time.sleep(0.01)
 
     @contextlib.contextmanager
     def full_disk(self) -> Iterator[None]:

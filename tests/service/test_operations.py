@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import signal
 import subprocess
@@ -278,8 +277,7 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
     info = session.info()["recording"]
     assert info["state"] == "on"
     assert info["name"].endswith("-2.mcap")
-    failed = [json.loads(line) for line in service.lines if '"recording"' in line]
-    assert [line["state"] for line in failed if line.get("session") == "full"] == ["failed", "on"]
+    assert service.states_told("recording", "full", last="on") == ["failed", "on"]
     session.close()
 
 
@@ -315,7 +313,4 @@ def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
 
 def test_the_log_of_the_service_is_json_lines(service, client, camera):
     client.open(camera, name="logged").close()
-    time.sleep(0.1)
-    lines = [json.loads(line) for line in service.lines if line.startswith("{")]
-    opened = [line for line in lines if line.get("session") == "logged"]
-    assert [line["state"] for line in opened] == ["opened", "closed"]
+    assert service.states_told("session", "logged", last="closed") == ["opened", "closed"]
