@@ -11,6 +11,7 @@ from rendezview.appearance.contours import NO_POINT, OUTLINE
 from rendezview.appearance.edges import (
     COLUMNS,
     FOUND,
+    OUTSIDE,
     RESIDUAL,
     STATE,
     WEIGHT,
@@ -30,6 +31,7 @@ class Stage(NamedTuple):
     lines: float = 1.0  # parallel lines read
     stride: float = 1.0  # every so many-th point only
     fit: float = 0.0  # 1: edges are placed by their strips
+    views: float = 1.0  # nearest ones whose points are looked for
     damping: float = 1e-3  # of the normal equations: what the edges do not show stays as it was
     relaxation: float = 1.0  # of a step: weights that fall with the residual make it too short
     stop_px: float = 0.1  # a shorter step is the last; on a small target it is shorter still
@@ -37,7 +39,7 @@ class Stage(NamedTuple):
 
 # Its columns, in the same order.
 (
-    REACH, SPREAD, STEPS, SMOOTH, ROOM, LINES, STRIDE, FIT, DAMPING, RELAXATION, STOP,
+    REACH, SPREAD, STEPS, SMOOTH, ROOM, LINES, STRIDE, FIT, VIEWS, DAMPING, RELAXATION, STOP,
 ) = range(len(Stage._fields))  # fmt: skip
 
 _CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
@@ -72,24 +74,29 @@ def turned(w, rotation):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def nearest_view(directions, shells_m, rotation, centre):  # type: ignore[no-untyped-def]
-    """Shell and view from which the target is seen most nearly as at a pose."""
+def nearest_views(directions, shells_m, rotation, centre, views):  # type: ignore[no-untyped-def]
+    """Shell, and into ``views`` its views, from which a target is seen most nearly as at a pose."""
     distance = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
     x = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
     y = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])
     z = -(rotation[0, 2] * centre[0] + rotation[1, 2] * centre[1] + rotation[2, 2] * centre[2])
-    view, most = 0, -np.inf
+    last = len(views) - 1
+    most = np.full(len(views), -2.0 * distance)
     for i in range(directions.shape[0]):
         along = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
-        if along > most:
-            view, most = i, along
+        if along > most[last]:
+            k = last
+            while k > 0 and along > most[k - 1]:
+                most[k], views[k] = most[k - 1], views[k - 1]
+                k -= 1
+            most[k], views[k] = along, i
     # Perspective goes with the inverse of the distance.
-    shell, least = 0, np.inf
+    shell, least = 0, 1.0 / distance + 1.0 / shells_m[0]
     for i in range(shells_m.shape[0]):
         apart = abs(1.0 / shells_m[i] - 1.0 / distance)
         if apart < least:
             shell, least = i, apart
-    return shell, view
+    return shell
 
 
 @njit(cache=True, nogil=True)
@@ -102,12 +109,12 @@ def _weight(edge, cut):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def normal_equations(edges, count, cut, matrix, right):  # type: ignore[no-untyped-def]
+def normal_equations(edges, cut, matrix, right):  # type: ignore[no-untyped-def]
     """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
     matrix[:] = 0.0
     right[:] = 0.0
     used, weights = 0, 0.0
-    for j in range(count):
+    for j in range(edges.shape[0]):
         if edges[j, STATE] != FOUND:
             continue
         r = edges[j, RESIDUAL]
@@ -222,9 +229,10 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
     Args:
         lens: (12,) camera vector, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
-        stages: (K, 11) from coarse to fine, rows of ``Stage``.
+        stages: (K, 12) from coarse to fine, rows of ``Stage``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
-        edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
+        edges: (M, COLUMNS) scratch, a row for every point of the views of any stage; holds the
+            last measurements afterwards.
 
     Returns:
         How well one light explains the frame, see ``light``, 0 where that was not asked;
@@ -235,9 +243,12 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
     radius_m = views.radius_m
     sun = np.zeros(3)
     explained = 0.0
+    points = views.point.shape[2]
     shell, view, count = 0, 0, 0
     for stage in stages:
         fit = stage[FIT] > 0.0
+        nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
+        edges[len(nearest) * points :, STATE] = OUTSIDE
         if fit:
             explained = light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
@@ -245,15 +256,16 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
                 lens[0][0] * radius_m / centre[2], frame, sun, shade,
             )  # fmt: skip
         for _ in range(int(stage[STEPS])):
-            shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
-            count = measure_edges(
-                image, lens, frame, views, shell, view, rotation, centre, shade, sun,
-                int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
-                int(stage[LINES]), int(stage[STRIDE]), fit, edges,
-            )  # fmt: skip
-            used, weights = normal_equations(
-                edges, count, _CUT_SPREADS * stage[SPREAD], matrix, right
-            )
+            shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
+            view = nearest[0]
+            for k in range(len(nearest) - 1, -1, -1):  # the nearest last: its count is kept
+                rows = edges[k * points : (k + 1) * points]
+                count = measure_edges(
+                    image, lens, frame, views, shell, nearest[k], rotation, centre, shade, sun,
+                    int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
+                    int(stage[LINES]), int(stage[STRIDE]), fit, rows,
+                )  # fmt: skip
+            used, weights = normal_equations(edges, _CUT_SPREADS * stage[SPREAD], matrix, right)
             if used < _LEAST_EDGES:
                 return ASTRAY
             scale = lens[0][0] / centre[2]  # pixels a metre
@@ -287,7 +299,9 @@ def support(  # type: ignore[no-untyped-def]
     An edge within half the spread of its place counts nearly whole; every ``stride``-th point is
     looked at. ``seen`` is the share of the outline's points that lie in the picture.
     """
-    shell, view = nearest_view(views.directions, views.shells_m, rotation, centre)
+    nearest = np.zeros(1, dtype=np.int64)
+    shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
+    view = nearest[0]
     kinds = views.kind[shell, view]
     count = measure_edges(
         image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT, _NO_SUN,

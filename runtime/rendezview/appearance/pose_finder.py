@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -19,7 +20,8 @@ from rendezview.symmetry import angle_between
 
 _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the support
 _LIGHT_WEIGHT = 0.25  # grey levels that one light explains speak for a pose
-_RESIDUAL_WEIGHT = 0.25  # a pixel: of a right pose the edges are where they should be
+_RESIDUAL_WEIGHT = 0.08  # of its logarithm: of a right pose the edges are where they should be …
+_LEAST_RESIDUAL_PX = 0.05  # … and below that all are
 _SHADING_WEIGHT = 0.4  # and so do bright and dark over all of its surface …
 _IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to the best
 _CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
@@ -102,12 +104,12 @@ class Found:
 _LOGISTIC = np.array(
     [
         [
-            [-2.2, 5.61, 2.62, -13.53, 0.0, 10.73, -3.07, 0.0, -0.21, 5.64, 0.0],
-            [-0.25, 5.4, 3.37, -26.67, -3.56, 9.97, -1.43, -0.25, -0.46, 5.03, 0.0],
+            [-1.68, 5.52, 2.91, -10.76, 0.0, 10.44, -3.96, 0.0, -0.19, 5.83, 0.0],
+            [-0.1, 5.37, 2.7, -24.98, -3.18, 10.29, -1.01, -0.1, -0.41, 4.28, 0.0],
         ],
         [
-            [-4.11, 4.98, 0.71, -10.09, 0.0, 8.35, -1.48, 0.0, 0.09, 3.1, 5.38],
-            [-0.77, 4.94, 1.35, -21.48, -5.73, 7.13, -1.84, -0.77, -0.09, 3.31, 5.43],
+            [-3.94, 5.04, 1.33, -7.57, 0.0, 8.76, -2.2, 0.0, 0.12, 3.04, 5.2],
+            [-0.91, 5.32, 0.69, -19.94, -4.09, 8.77, -1.44, -0.91, -0.09, 2.94, 5.16],
         ],
     ]
 )
@@ -116,7 +118,7 @@ _LOGISTIC = np.array(
 def merit(refined: Refined, excess: float, shading: float | None) -> float:
     """One figure to choose among poses of one frame by."""
     edges = refined.support - _EXCESS_WEIGHT * excess + _LIGHT_WEIGHT * refined.light
-    edges -= _RESIDUAL_WEIGHT * refined.residual_px
+    edges -= _RESIDUAL_WEIGHT * math.log(max(refined.residual_px, _LEAST_RESIDUAL_PX))
     return edges if shading is None else edges + _SHADING_WEIGHT * shading
 
 

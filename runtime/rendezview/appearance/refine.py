@@ -16,6 +16,7 @@ import numpy.typing as npt
 from rendezview.appearance.align import (
     ASTRAY,
     CLOSE_PX,
+    VIEWS,
     Stage,
     align,
     align_each,
@@ -54,7 +55,7 @@ _FINE = np.array(
         Stage(8, 3, 3, room_px=2, stop_px=1.0),
         Stage(6, 2, 3, damping=1e-4, relaxation=1.3, stop_px=0.6),
         Stage(5, 1.2, 10, lines=3, fit=1, damping=1e-4, relaxation=1.3, stop_px=0.4),
-        Stage(4, 0.5, 2, lines=3, fit=1, damping=1e-4, relaxation=1.2, stop_px=0.1),
+        Stage(4, 0.5, 1, lines=3, fit=1, views=3, damping=1e-4, relaxation=1.3),
     ]
 )
 _CUT_PX = 1.25  # of the last stage
@@ -130,7 +131,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
 # less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seeds 1, 88, 99),
 # the first raised until the normalised error squared at low Sun phase averages six on these.
-_INFLATION = np.array([1.26, 5.34, 1.46, -1.83])
+_INFLATION = np.array([0.77, 3.13, 4.41, -1.42])
 
 
 class Refiner:
@@ -163,9 +164,10 @@ class Refiner:
         if model.surface is not None:
             self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
         self._lens = (lens_vector(camera), camera.is_distorted)
-        self._edges = np.zeros((contours.kind.shape[2], COLUMNS))
         inexact = model.shape_error > 0.0
         self._stages, self._cut_px = (_INEXACT, _INEXACT_CUT_PX) if inexact else (_FINE, _CUT_PX)
+        most = int(self._stages[:, VIEWS].max())
+        self._edges = np.zeros((most * contours.kind.shape[2], COLUMNS))
         # Information of about a radian and a target radius: what no edge shows stays finite.
         self._nothing_known = 1e-4 * np.array([1.0] * 3 + [model.target_radius_m**-2] * 3)
 
@@ -268,6 +270,7 @@ class Refiner:
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
         )
         covariance *= np.exp(inflating(outline, spread_px, frame[2]) @ _INFLATION)
+        covariance *= self._stages[-1, VIEWS]  # which show the same edges
         if strained is not None:
             covariance += self.model.shape_error**2 * strained
         pose = Pose(rotation, centre - arm)

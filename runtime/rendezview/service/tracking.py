@@ -11,7 +11,7 @@ import numpy.typing as npt
 from numba.core.event import install_recorder
 
 from rendezview.appearance import Recognizer, Sighting, Tracker, ViewModel
-from rendezview.appearance.align import nearest_view
+from rendezview.appearance.align import nearest_views
 from rendezview.appearance.contours import NO_POINT, POINT_UNIT
 from rendezview.appearance.refine import Sky
 from rendezview.camera import Camera
@@ -229,7 +229,9 @@ def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
     if contours is None:
         return None
     centre = pose.apply(model.centre_m)
-    shell, view = nearest_view(model.lattice.nodes, contours.shells_m, pose.rotation, centre)
+    nearest = np.zeros(1, dtype=np.int64)
+    shell = nearest_views(model.lattice.nodes, contours.shells_m, pose.rotation, centre, nearest)
+    view = nearest[0]
     kinds = contours.kind[shell, view]
     used = kinds != NO_POINT
     points_m = contours.point[shell, view][used] * (POINT_UNIT * model.target_radius_m)
