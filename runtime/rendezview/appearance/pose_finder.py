@@ -25,9 +25,10 @@ _LEAST_RESIDUAL_PX = 0.05  # … and below that all are
 _SHADING_WEIGHT = 0.4  # and so do bright and dark over all of its surface …
 _IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to the best
 _CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
-_PLAIN = 0.95  # confidence that needs no look around
+_PLAIN = 0.98  # confidence that needs no look around
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _CLOSE_RAD = np.deg2rad(3.0)  # a good prior is that near
+_ROUNDS = 3  # of looks around the best two poses, where none is sure
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
 
@@ -187,13 +188,24 @@ class PoseFinder:
             found = self._chosen(candidates, image, sky)
             if found is not None and found.confidence >= _PLAIN:
                 return found
-        if found is not None:
-            more = self._around(image, sky, found.best)
-            for pose in (found.best, found.rival):
-                if pose is not None and pose not in turned:
+        looked: list[Refined] = []  # around which all has been tried
+        for _ in range(_ROUNDS):
+            poses = [] if found is None else [found.best, found.rival]
+            more = []
+            for pose in poses:
+                if pose is None or pose in looked:
+                    continue
+                looked.append(pose)
+                more += self._around(image, sky, pose)
+                if pose not in turned:
+                    turned.append(pose)
                     more += self._flipped(image, sky, pose)
+            if not more:
+                break
             candidates += self._candidates(more, sky, bodies)
             found = self._chosen(candidates, image, sky)
+            if found is not None and found.confidence >= _PLAIN:
+                break
         return found
 
     def at(
