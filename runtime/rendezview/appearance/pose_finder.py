@@ -28,7 +28,7 @@ _CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
 _PLAIN = 0.98  # confidence that needs no look around
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _CLOSE_RAD = np.deg2rad(3.0)  # a good prior is that near
-_ROUNDS = 3  # of looks around the best two poses, where none is sure
+_ROUNDS = 2  # of looks around the best two poses, where none is sure
 _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
 
@@ -196,7 +196,7 @@ class PoseFinder:
                 if pose is None or pose in looked:
                     continue
                 looked.append(pose)
-                more += self._around(image, sky, pose)
+                more += self._around(image, sky, pose) + self._beside(image, sky, pose.pose)
                 if pose not in turned:
                     turned.append(pose)
                     more += self._flipped(image, sky, pose)
