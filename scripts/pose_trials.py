@@ -220,6 +220,8 @@ def main() -> None:
         inexact(arguments.models, arguments.seed)
         return
     models, targets = Path(arguments.models), arguments.targets
+    if not targets:
+        parser.error("name the targets whose models are in the folder")
     if arguments.part == "sequences":
         tasks = [(t, kind) for t in targets for kind in ("approach", "fly-around")]
         with open_workers(2, arguments.dask, processes=True) as workers:
