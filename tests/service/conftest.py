@@ -39,13 +39,13 @@ class Served:
     def client(self, token: str | None = None) -> Client:
         return Client(self.url, token)
 
-    def states_told(self, message: str, session: str, last: str) -> list[str]:
-        """States in the log's messages on a session, once ``last`` is: lines come in behind."""
+    def states_told(self, session: str, last: str, message: str | None = None) -> list[str]:
+        """States in the log's lines on a session, once ``last`` is: lines come in behind."""
         until_s = time.monotonic() + 10.0
         while True:
             said = [json.loads(line) for line in self.lines if line.startswith("{")]
-            told = [line for line in said if line["message"] == message]
-            states = [line["state"] for line in told if line["session"] == session]
+            told = [line for line in said if message is None or line["message"] == message]
+            states = [line["state"] for line in told if line.get("session") == session]
             if last in states:
                 return states
             assert time.monotonic() < until_s, states
