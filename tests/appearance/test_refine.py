@@ -254,6 +254,23 @@ def test_first_poses_without_a_prior_are_right_or_not_given(refining_model, bump
     assert np.max(np.array(errors)[found]) < 5.0
 
 
+def test_the_trees_of_a_sure_first_pose_are_asked_around_it(refining_model, bumpy_mesh, camera):
+    recognizer = Recognizer(refining_model, camera)
+    asked = 0
+    for seed in range(40, 52):
+        sighting = recognizer.recognize(shaded(bumpy_mesh, camera, random_pose(seed), seed))
+        if sighting.pose is None or len(sighting.on_nodes) == 0:
+            continue
+        centred = sighting.signature.centred_from_camera @ sighting.pose.rotation
+        cosines = refining_model.geodesic.nodes[sighting.on_nodes] @ -centred[2]
+        options = recognizer.matcher.options
+        reach = (options.margin_edges + 2.0) * refining_model.geodesic.mean_edge_rad
+        assert np.all(cosines >= np.cos(reach) - 1e-9)
+        assert set(sighting.stage_ms) >= {"silhouette", "signature", "refine", "trees"}
+        asked += 1
+    assert asked >= 8
+
+
 def test_hard_light_is_told_apart_with_lit_silhouettes(refining_model, bumpy_mesh, camera):
     recognizer = Recognizer(refining_model, camera)
     found = 0

@@ -170,23 +170,26 @@ class Recognizer:
                 return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)
         bodies = self._bodies(frame, sky, prior)
         clock.lap("silhouette")
+        outlines = [] if isinstance(bodies, Missing) else self._outlines(bodies)
+        clock.lap("signature")
+        if prior is None and outlines:
+            found = self.finder.anywhere(frame, sky, outlines, sun)
+            clock.lap("refine")
+        sure = found if found is not None and self._trusted(found) else None
         if isinstance(bodies, Missing):
             seen = Sighting(bodies.status, bodies.reason, stage_ms=clock.stages)
-            outlines = []
         else:
-            outlines = self._outlines(bodies)
-            clock.lap("signature")
-            seen = self._by_trees(bodies, outlines, prior, prior_error_rad, clock, found)
-        if found is None:
-            if prior is not None:
-                also = [] if seen.pose is None else [seen.pose]
-                found = self.finder.near(frame, sky, prior, error, outlines, also)
-            elif outlines:
-                found = self.finder.anywhere(frame, sky, outlines, sun)
-            else:
-                return seen  # nothing stands out, and nobody says where to look
+            seen = self._by_trees(bodies, outlines, prior, prior_error_rad, clock, sure)
+        if found is None and prior is not None:
+            also = [] if seen.pose is None else [seen.pose]
+            found = self.finder.near(frame, sky, prior, error, outlines, also)
             clock.lap("refine")
         return self._judged(seen, found)
+
+    def _trusted(self, found: Found) -> bool:
+        """Whether a pose is given: it is likely right, and without a prior no other one is."""
+        close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
+        return found.confidence >= self.least_confidence and not close
 
     def _judged(self, seen: Sighting, found: Found | None) -> Sighting:
         """The sighting with the refined pose, or with the reason why there is none."""
@@ -199,8 +202,7 @@ class Recognizer:
                     reason="no pose of the target fits the edges",
                 )
             return nothing
-        close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
-        if found.confidence >= self.least_confidence and not close:
+        if self._trusted(found):
             return _sighting(seen, found)
         if found.rival is not None and found.margin < _CLOSE_MARGIN:
             apart = found.best.pose.angle_to(found.rival.pose)
@@ -336,7 +338,7 @@ def _sighting(seen: Sighting, found: Found) -> Sighting:
 
 
 class _Clock:
-    """Milliseconds of each stage."""
+    """Milliseconds of each stage, over all its turns."""
 
     def __init__(self) -> None:
         self.stages: dict[str, float] = {}
@@ -344,5 +346,5 @@ class _Clock:
 
     def lap(self, name: str) -> None:
         now = time.perf_counter()
-        self.stages[name] = 1e3 * (now - self._last)
+        self.stages[name] = self.stages.get(name, 0.0) + 1e3 * (now - self._last)
         self._last = now
