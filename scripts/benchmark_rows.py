@@ -6,9 +6,7 @@ the same inputs and come out alike in every run.
 
 from __future__ import annotations
 
-import json
 import math
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ import numpy as np
 
 import fusion_speed
 import pose_speed
+import recognition_peers
 import recognition_speed
 import reflector_solvers
 import reflector_speed
@@ -146,19 +145,11 @@ def nodes(bench: Bench) -> Iterator[Row]:
     )
     yield from times(command, spent, {trees: ("scikit-learn, a call a tree",)})
     if bench.peer_python is not None:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "frames.npy"
-            np.save(path, np.array(frames))
-            script = Path(__file__).with_name("recognition_peers.py")
-            done = subprocess.run(
-                [str(bench.peer_python), str(script), str(path)],
-                check=False, capture_output=True, text=True,
-            )  # fmt: skip
-        if done.returncode != 0:
-            print(f"absent: linemod: its process ended with {done.returncode}")
+        peer = recognition_peers.linemod_ms(bench.peer_python, frames)
+        if peer is None:
             return
         ours = race({pose: Way(lambda: recognizer.recognize(frames[0], priors[0]))}, bench.seconds)
-        for templates, ms in json.loads(done.stdout).items():
+        for templates, ms in peer.items():
             name = f"linemod, templates: {templates}"
             yield Row(pose, ours[pose], name, 1e-3 * ms, "s", "recognition_peers.py")
 

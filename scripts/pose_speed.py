@@ -1,9 +1,10 @@
 """How long a pose takes at 1024 × 1024 on one core, beside what it could be done with.
 
-    python scripts/pose_speed.py models_cad/hubble [--model FILE]
+    python scripts/pose_speed.py models_cad/hubble [--model FILE] [--peer-python PYTHON]
 
 Frames of our own simulator, Sun phase 20°, medians of single calls. In the same run: the floor
-(threshold, contours, contour → bins), nearest of all views by FFT, scikit-learn's trees in a loop.
+(threshold, contours, contour → bins), nearest of all views by FFT, scikit-learn's trees in a loop,
+and OpenCV's linemod by an interpreter that has opencv-contrib.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.tree import DecisionTreeClassifier
 from threadpoolctl import threadpool_limits
 
+from recognition_peers import linemod_ms
 from rendezview.appearance import Recognizer, ViewModel
 from rendezview.appearance.signature import Signature
 from rendezview.appearance.silhouette import outer_borders, outlines_of_mask
@@ -52,6 +54,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("target")
     parser.add_argument("--model", type=Path)
+    parser.add_argument("--peer-python", type=Path)
     parser.add_argument("--frames", type=int, default=12)
     parser.add_argument("--seed", type=int, default=77)
     arguments = parser.parse_args()
@@ -67,12 +70,15 @@ def main() -> None:
         model, size = ViewModel.load(path), path.stat().st_size
     full, fast = recognizers(model)
     rows: dict[str, list[float]] = {}
-    for frame, prior, _ in frames(mesh, full.camera, arguments.frames, arguments.seed):
+    seen = list(frames(mesh, full.camera, arguments.frames, arguments.seed))
+    for frame, prior, _ in seen:
         for name, call in calls(full, fast, frame, prior).items():
             rows.setdefault(name, []).append(median_ms(call, REPEATS[name]))
     rows[SKLEARN] = [median_ms(looped_trees(model), 5)]
-    if hasattr(cv2, "linemod"):
-        print("cv2.linemod is here: time it beside these")
+    if arguments.peer_python is not None:
+        images = [frame for frame, _, _ in seen]
+        for templates, ms in (linemod_ms(arguments.peer_python, images) or {}).items():
+            rows[f"cv2.linemod, templates: {templates}"] = [ms]
     floor_ms = float(np.median(rows["floor: threshold, contours, bins"]))
     print(f"model {size / 1e6:.1f} MB, loaded in {load:.1f} ms")
     for name, times in rows.items():

@@ -1,4 +1,4 @@
-"""OpenCV's linemod on frames in a file, for benchmark.py.
+"""OpenCV's linemod on frames, for the scripts that time it beside ours.
 
     python scripts/recognition_peers.py frames.npy
 
@@ -11,12 +11,28 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import tempfile
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 ROUNDS = 15
+
+
+def linemod_ms(python: Path, frames: list[np.ndarray]) -> dict[int, float] | None:
+    """Milliseconds of a match by the number of templates; None where that interpreter fails."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "frames.npy"
+        np.save(path, np.array(frames))
+        command = [str(python), str(Path(__file__)), str(path)]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+    if done.returncode != 0:
+        print(f"absent: linemod: its process ended with {done.returncode}")
+        return None
+    return {int(templates): ms for templates, ms in json.loads(done.stdout).items()}
 
 
 def match_ms(frames: list[np.ndarray], templates: int) -> float:

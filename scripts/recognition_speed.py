@@ -5,8 +5,8 @@
 Without ``--model`` a small model of ``models_cad/hubble`` is trained first (the time of a
 frame does not depend on how many views it learned from). The floor is what reading the
 frame must cost: OpenCV's threshold, its external contours, and the readings of their
-outline. Peers: the same trees in scikit-learn, looped and flat, and OpenCV's linemod where
-this OpenCV has it. One thread, medians; compare the ratios, not the milliseconds.
+outline. Peer: OpenCV's linemod, by the interpreter that ``--peer-python`` names. One thread,
+medians; compare the ratios, not the milliseconds.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from recognition_peers import linemod_ms
 from rendezview.appearance import Recognizer, ViewModel
 from rendezview.appearance.outline import crack_outline, radial_maxima, spokes_of
 from rendezview.appearance.signature import Signature, twist
@@ -51,17 +52,6 @@ def median_ms(call: Callable[[], object], seconds: float = 1.0) -> float:
         call()
         spent.append(time.perf_counter() - before)
     return 1e3 * float(np.median(spent))
-
-
-def linemod_ms(frame: np.ndarray) -> float | None:
-    """One match of OpenCV's linemod with a single template, where it is built in."""
-    if not hasattr(cv2, "linemod"):
-        return None
-    detector = cv2.linemod.getDefaultLINE()
-    frame = np.ascontiguousarray(frame[32:-32, 32:-32])  # it crashes on sides such as 1024
-    colour = cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR)
-    detector.addTemplate([colour], "target", np.where(frame > 40, 255, 0).astype(np.uint8))
-    return median_ms(lambda: detector.match([colour], 80.0))
 
 
 def scene(mesh: Mesh, model: ViewModel, count: int) -> tuple[Camera, list[np.ndarray], list[Pose]]:
@@ -113,6 +103,7 @@ def all_trees(model: ViewModel, signature: Signature, prior: Pose) -> Callable[[
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", type=Path, help="model of models_cad/hubble")
+    parser.add_argument("--peer-python", type=Path, help="an interpreter with opencv-contrib")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     target = Target.load(FOLDER)
@@ -163,9 +154,9 @@ def main() -> None:
     row("recognizer: frame to on nodes", to_nodes)
     row("recognizer: frame to pose", float(np.median(whole)))
     row(f"all {len(model.forest)} trees", trees_ms)
-    linemod = linemod_ms(frames[0])
-    if linemod is not None:
-        row("peer: cv2.linemod, one template", linemod)
+    if arguments.peer_python is not None:
+        for templates, ms in (linemod_ms(arguments.peer_python, frames) or {}).items():
+            row(f"peer: cv2.linemod, templates: {templates}", ms)
     Console(width=100).print(table)
     print(f"frame to on nodes / floor: {to_nodes / base:.2f}; all trees {1e3 * trees_ms:.1f} µs")
 
