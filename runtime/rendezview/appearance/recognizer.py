@@ -170,8 +170,10 @@ class Recognizer:
                 return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)
         bodies = self._bodies(frame, sky, prior)
         clock.lap("silhouette")
-        outlines = [] if isinstance(bodies, Missing) else self._outlines(bodies)
-        clock.lap("signature")
+        outlines = []
+        if not isinstance(bodies, Missing):
+            outlines = self._outlines(bodies)
+            clock.lap("signature")
         if prior is None and outlines:
             found = self.finder.anywhere(frame, sky, outlines, sun)
             clock.lap("refine")
