@@ -24,8 +24,7 @@ _RESIDUAL_WEIGHT = 0.08  # of its logarithm: of a right pose the edges are where
 _LEAST_RESIDUAL_PX = 0.05  # … and below that all are
 _SHADING_WEIGHT = 0.4  # and so do bright and dark over all of its surface …
 _IN_DOUBT = 0.35  # … which are looked at where edges leave so much merit to the best
-_CLEAR = 0.98  # confidence by the edges alone that needs no look at the surface
-_PLAIN = 0.98  # confidence that needs no look around
+_PLAIN = 0.98  # confidence that needs no look around, and by the edges alone none at the surface
 _ASIDE_RAD = np.deg2rad(9.0)  # a local best is that far from the right one
 _CLOSE_RAD = np.deg2rad(3.0)  # a good prior is that near
 _ROUNDS = 2  # of looks around the best two poses, where none is sure
@@ -228,9 +227,9 @@ class PoseFinder:
         lone = self._candidates([refined], sky, [])
         usual = refined.support >= self._sure(sky)
         found = self._chosen(lone, image, sky, prior=True, look=not usual)
-        if usual and found is not None and found.confidence < _CLEAR:
+        if usual and found is not None and found.confidence < _PLAIN:
             found = self._chosen(lone, image, sky, prior=True)
-        if found is None or found.confidence < (_PLAIN if usual else _CLEAR):
+        if found is None or found.confidence < _PLAIN:
             return None
         return replace(found, alone=True)
 
