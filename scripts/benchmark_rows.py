@@ -29,15 +29,15 @@ import visp_tracking
 from benchmark_check import Row, times
 from export_c_check import LIMIT_BYTES, perturbed
 from flight_code_driver import FlightCode, build, compiler, object_bytes
-from rendezview.appearance import Recognizer, ViewModel
-from rendezview.appearance.match import Matcher
-from rendezview.camera import Camera
-from rendezview.pose import Pose
-from rendezview.reflectors import Acquirer, find_spots, patterns_of, solve_p3p_batch
-from rendezview.ring import RingDetector
-from rendezview.stereo import StereoTracker, TrackerOptions, reprocess
-from rendezview.symmetry import angle_between
-from rendezview.target import Target
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import angle_between
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.outline.votes import Matcher
+from rendezview.sensors.reflectors import Acquirer, find_spots, patterns_of, solve_p3p_batch
+from rendezview.sensors.ring import RingDetector
+from rendezview.sensors.stereo import StereoTracker, TrackerOptions, reprocess
 from rendezview.training.mesh import Mesh
 from rendezview.trajectory import Shape
 from turns import Way, race

@@ -28,10 +28,10 @@ import numpy as np
 from rendezview.evaluation import evaluate
 from rendezview.evaluation.scores import MSPD_640_PX, MSSD_FRACTIONS, scores
 from rendezview.evaluation.surface import Surface, alike_of
-from rendezview.pose import Array
-from rendezview.results import read_results
-from rendezview.sequences import Sequence, open_sequence
-from rendezview.target import Target
+from rendezview.geometry.pose import Array
+from rendezview.io.results import read_results
+from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.target import Target
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
 

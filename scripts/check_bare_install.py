@@ -68,7 +68,7 @@ def _check(work: Path) -> int:
 
 def _import_program() -> str:
     return (
-        "import importlib.util as u, rendezview.appearance\n"
+        "import importlib.util as u, rendezview.sensors.appearance\n"
         f"there = [n for n in {GROUND!r} if u.find_spec(n)]\n"
         "assert not there, f'this environment is not bare: {there}'\n"
     )

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Recognizer, Tracker, ViewModel
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.closed_loop import Flight, FlightErrors, Look, Seen, fly
 from rendezview.simulation.command import default_camera

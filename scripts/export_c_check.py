@@ -39,15 +39,15 @@ from flight_code_driver import (
     same_search,
 )
 from recognition_accuracy import flight_camera, frame_of, random_pose
-from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Matcher, MatchOptions
-from rendezview.appearance.signature import Readings, Signature, twist
-from rendezview.appearance.silhouette import Missing, Silhouette, find_silhouette
-from rendezview.appearance.status import Status
-from rendezview.camera import Camera
 from rendezview.flight_code import write_onnx
-from rendezview.pose import Array
-from rendezview.target import Target
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.signature import Readings, Signature, twist
+from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
+from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
+from rendezview.sensors.observation import Status
 from rendezview.training.mesh import load_mesh
 
 PERTURBED = 9  # signatures for each that a frame gave

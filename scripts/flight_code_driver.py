@@ -12,12 +12,12 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Matcher
-from rendezview.appearance.signature import Readings, Signature
-from rendezview.appearance.status import Status
-from rendezview.camera import Camera
 from rendezview.flight_code import write_c
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.signature import Readings, Signature
+from rendezview.sensors.appearance.outline.votes import Matcher
+from rendezview.sensors.observation import Status
 
 Array = npt.NDArray[np.float64]
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]

@@ -24,13 +24,13 @@ from scipy.spatial.transform import Rotation
 
 from flight_code_driver import FlightCode, OnNodes, build
 from recognition_accuracy import WRONG_DEG, flight_camera, frame_of, random_pose
-from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Match, Matcher, MatchOptions
-from rendezview.appearance.signature import Signature
-from rendezview.appearance.status import Status
-from rendezview.geodesic import angle_between
-from rendezview.pose import Array
-from rendezview.target import Target
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Array
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.votes import Match, Matcher, MatchOptions
+from rendezview.sensors.observation import Status
 from rendezview.training.mesh import load_mesh
 
 ERRORS_DEG = (0.0, 2.0, 5.0, 10.0, 20.0)

@@ -20,7 +20,7 @@ import optax
 from joblib import Parallel, delayed
 from onnx import TensorProto, helper, numpy_helper
 
-from rendezview.appearance.foreground import SQUARE_PX
+from rendezview.sensors.appearance.outline.foreground import SQUARE_PX
 from rendezview.simulation.foreground_frames import foreground_frame
 
 BATCH = 8

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from fusion_trials import OPTIONS, Flight, fly, load_run, make_run
-from rendezview.appearance import ViewModel
+from rendezview.sensors.appearance import ViewModel
 
 EDGES_M = (60.1, 45.0, 32.0, 22.0, 16.0, 11.0, 7.5, 5.0, 3.0, 2.0, 0.9)
 NAMES = ("ring centre, mm", "depth, mm", "axis, °", "attitude, °")

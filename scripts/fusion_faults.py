@@ -32,7 +32,7 @@ from rendezview.fusion import (
     RingCandidate,
     RingMeasurement,
 )
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
 
 SENSORS = {
     "none": (),

@@ -27,8 +27,8 @@ from rendezview.fusion import (
     SensorOptions,
     Surface,
 )
-from rendezview.pose import Pose
-from rendezview.target import Target
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
 
 CLIENT = Path(__file__).resolve().parents[1] / "models_cad" / "client"
 STEPS = 400

@@ -15,9 +15,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Status, ViewModel
-from rendezview.appearance.following import follow, record
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
     Fusion,
@@ -36,16 +33,19 @@ from rendezview.fusion import (
 from rendezview.fusion.kernels import rotation_vector
 from rendezview.fusion.logs import LogContext, merged, read_log
 from rendezview.fusion.models import tangents
-from rendezview.pose import Array, Pose
-from rendezview.results import JsonLinesWriter, read_json_lines
-from rendezview.ring import RingPrior
-from rendezview.ring.run import follow as follow_ring
-from rendezview.ring.run import record as ring_record
-from rendezview.sequences import BopSceneWriter, Frame, Sequence, open_sequence
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.results import JsonLinesWriter, read_json_lines
+from rendezview.io.sequences import BopSceneWriter, Frame, Sequence, open_sequence
+from rendezview.io.target import DockingRing, Target
+from rendezview.sensors.appearance import Status, ViewModel
+from rendezview.sensors.appearance.following import follow, record
+from rendezview.sensors.ring import RingPrior
+from rendezview.sensors.ring.run import follow as follow_ring
+from rendezview.sensors.ring.run import record as ring_record
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.approach import ApproachOptions, approach, echo
 from rendezview.simulation.shading import ShadingOptions
-from rendezview.target import DockingRing, Target
 from rendezview.training.mesh import load_mesh
 
 CLIENT = Path(__file__).resolve().parents[1] / "models_cad" / "client"

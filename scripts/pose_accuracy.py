@@ -22,13 +22,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.appearance import Recognizer, Sighting, ViewModel
-from rendezview.appearance.pose_finder import Found
-from rendezview.appearance.refine import Sky
 from rendezview.evaluation.campaign import pose_error, second_earlier
-from rendezview.pose import Array, Pose
-from rendezview.sequences import open_sequence
-from rendezview.symmetry import angle_between
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import Recognizer, Sighting, ViewModel
+from rendezview.sensors.appearance.edges.refinement import Sky
+from rendezview.sensors.appearance.edges.search import Found
 from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0

@@ -2,8 +2,8 @@
 
     python scripts/pose_confidence.py LOG.jsonl [LOG.jsonl …]
 
-Prints the coefficients of ``rendezview.appearance.pose_finder`` (confidence) and of
-``rendezview.appearance.refine`` (inflation of the covariance, to multiply what it has), and, each
+Prints the coefficients of ``rendezview.sensors.appearance.edges.search`` (confidence) and of
+``rendezview.sensors.appearance.edges.refinement`` (inflation of the covariance, to multiply what it has), and, each
 target left out in turn, how many answers would be given and wrong at several least confidences.
 """
 
@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import minimize
 from sklearn.linear_model import LogisticRegression
 
-from rendezview.appearance.refine import inflating
+from rendezview.sensors.appearance.edges.refinement import inflating
 
 WRONG_DEG = 5.0
 _DARK = 7  # the feature that tells dark skies

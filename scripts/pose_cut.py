@@ -21,10 +21,10 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from pose_accuracy import WRONG_DEG, compared
-from rendezview.appearance import Recognizer, ViewModel
-from rendezview.camera import Camera
 from rendezview.evaluation.campaign import second_earlier
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh

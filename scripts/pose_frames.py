@@ -21,9 +21,9 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
-from rendezview.pose import Array, Pose
-from rendezview.sequences import BopSceneWriter
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.sequences import BopSceneWriter
 from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target

@@ -23,11 +23,11 @@ from sklearn.tree import DecisionTreeClassifier
 from threadpoolctl import threadpool_limits
 
 from recognition_peers import linemod_ms
-from rendezview.appearance import Recognizer, ViewModel
-from rendezview.appearance.signature import Signature
-from rendezview.appearance.silhouette import outer_borders, outlines_of_mask
-from rendezview.camera import Camera
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.bundled import find_target
 from rendezview.training.job import train

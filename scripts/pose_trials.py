@@ -22,9 +22,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Recognizer, Tracker, ViewModel
-from rendezview.camera import Camera
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import (
     Earth,
     SceneOptions,
@@ -34,7 +35,6 @@ from rendezview.simulation import (
     sun_at_phase,
 )
 from rendezview.simulation.command import default_camera
-from rendezview.symmetry import angle_between
 from rendezview.training.bundled import find_target
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh

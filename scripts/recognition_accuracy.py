@@ -29,16 +29,16 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Recognizer, SilhouetteOptions, ViewModel
-from rendezview.appearance.match import Matcher
-from rendezview.appearance.signature import Signature, twist
-from rendezview.appearance.silhouette import Missing, find_silhouette
-from rendezview.camera import Camera
-from rendezview.geodesic import angle_between
-from rendezview.pose import Array, Pose, rotation_angle
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Array, Pose, rotation_angle
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, SilhouetteOptions, ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.outline.silhouette import Missing, find_silhouette
+from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.simulation import SceneOptions, SensorOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
-from rendezview.target import Target
 from rendezview.training.job import train
 from rendezview.training.learn import IN_EDGES, OUT_EDGES
 from rendezview.training.mesh import Mesh, load_mesh

@@ -24,15 +24,15 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from recognition_peers import linemod_ms
-from rendezview.appearance import Recognizer, ViewModel
-from rendezview.appearance.outline import crack_outline, radial_maxima, spokes_of
-from rendezview.appearance.signature import Signature, twist
-from rendezview.appearance.silhouette import outer_borders
-from rendezview.camera import Camera
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.outline.silhouette import outer_borders
+from rendezview.sensors.appearance.outline.tracing import crack_outline, radial_maxima, spokes_of
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
-from rendezview.target import Target
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions

@@ -22,8 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from reflector_run import CAMERA, CLIENT
-from rendezview.pose import Pose, minimal_rotation
-from rendezview.reflectors import (
+from rendezview.geometry.pose import Pose, minimal_rotation
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import (
     Acquirer,
     LitDark,
     SixNumbers,
@@ -35,15 +36,14 @@ from rendezview.reflectors import (
     predict_spots,
     six_numbers,
 )
-from rendezview.reflectors.pattern import Face, ReflectorPattern
-from rendezview.reflectors.refinement import refine
+from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
+from rendezview.sensors.reflectors.refinement import refine
 from rendezview.simulation.reflector_frames import (
     ReflectorFrameOptions,
     exposure,
     paint_reflector,
     render_pair,
 )
-from rendezview.target import Target
 
 RANGES_M = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
 NAMES = ("range", "azimuth", "elevation", "roll", "pitch", "yaw")

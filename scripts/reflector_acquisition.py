@@ -30,8 +30,16 @@ from scipy.spatial.transform import Rotation
 
 from reflector_accuracy import random_pose
 from reflector_run import CAMERA, CLIENT
-from rendezview.pose import Pose
-from rendezview.reflectors import Acquirer, LitDark, Status, find_spots, patterns_of, predict_spots
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import (
+    Acquirer,
+    LitDark,
+    Status,
+    find_spots,
+    patterns_of,
+    predict_spots,
+)
 from rendezview.simulation.reflector_frames import (
     Clutter,
     ReflectorFrameOptions,
@@ -40,7 +48,6 @@ from rendezview.simulation.reflector_frames import (
     render_pair,
     sky,
 )
-from rendezview.target import Target
 
 
 def clear_of(places: np.ndarray, clutter: tuple[Clutter, ...], radius_px: float) -> bool:

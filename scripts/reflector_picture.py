@@ -20,8 +20,9 @@ import numpy as np
 from matplotlib.patches import Circle, Rectangle
 
 from reflector_run import CAMERA, CLIENT
-from rendezview.pose import Pose
-from rendezview.reflectors import (
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import (
     LitDark,
     ReflectorSensor,
     SixNumbers,
@@ -36,7 +37,6 @@ from rendezview.simulation.reflector_frames import (
     glints,
     render_pair,
 )
-from rendezview.target import Target
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs" / "pictures" / "reflectors.png"
 ORANGE, GREY = "#f0922b", "#9a9a9a"

@@ -18,9 +18,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.reflectors import LitDark, find_spots
-from rendezview.reflectors.difference import ThresholdOptions
-from rendezview.reflectors.spots import Centroid
+from rendezview.sensors.reflectors import LitDark, find_spots
+from rendezview.sensors.reflectors.difference import ThresholdOptions
+from rendezview.sensors.reflectors.spots import Centroid
 
 BLOCK, CARD = 2880, 80  # bytes, of a FITS header
 SKY_GREY = 20.0

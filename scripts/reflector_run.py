@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from rendezview.camera import Camera
-from rendezview.reflectors import SixNumbers, patterns_of, pose_of
-from rendezview.reflectors.acquisition import merged
-from rendezview.sequences import BopSceneWriter
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences import BopSceneWriter
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
+from rendezview.sensors.reflectors.acquisition import merged
 from rendezview.simulation.reflector_frames import (
     ReflectorFrameOptions,
     foil,
     glints,
     render_pair,
 )
-from rendezview.target import Target
 
 CAMERA = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
 CLIENT = Path(__file__).resolve().parents[1] / "models_cad" / "client"

@@ -20,7 +20,8 @@ from rich.table import Table
 
 from reflector_accuracy import OPTIONS, random_pose
 from reflector_run import CAMERA, CLIENT
-from rendezview.reflectors import (
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import (
     Acquirer,
     LitDark,
     ReflectorPattern,
@@ -29,7 +30,7 @@ from rendezview.reflectors import (
     patterns_of,
     solve_p3p_batch,
 )
-from rendezview.reflectors.spots import (
+from rendezview.sensors.reflectors.spots import (
     AMPLITUDE,
     BOTTOM,
     COLUMNS,
@@ -41,7 +42,6 @@ from rendezview.reflectors.spots import (
     Spots,
 )
 from rendezview.simulation.reflector_frames import render_pair
-from rendezview.target import Target
 
 
 def median_ms(call: Callable[[], object], rounds: int = 7, each: int = 60) -> float:

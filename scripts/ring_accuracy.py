@@ -25,8 +25,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.camera import Camera
-from rendezview.ring import (
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring import (
     Ellipse,
     RingDetector,
     RingPrior,

@@ -17,11 +17,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.camera import Camera
-from rendezview.pose import Pose
-from rendezview.ring.circle_pose import shape_of_circle
-from rendezview.ring.ellipse import Ellipse
-from rendezview.ring.ring_size import RingSight, ring_size, ring_size_of_pass
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.ring.circle_pose import shape_of_circle
+from rendezview.sensors.ring.ellipse import Ellipse
+from rendezview.sensors.ring.ring_size import RingSight, ring_size, ring_size_of_pass
 
 RADIUS_M, DISTANCE_M = 0.597, 1.68
 PANEL_M = (8.0, 2.4)  # not told to the method

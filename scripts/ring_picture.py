@@ -12,11 +12,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rendezview.camera import Camera
-from rendezview.ring import RingPrior, RingSensor
-from rendezview.ring.overlay import draw_reading
+from rendezview.geometry.camera import Camera
+from rendezview.io.target import Target
+from rendezview.sensors.ring import RingPrior, RingSensor
+from rendezview.sensors.ring.overlay import draw_reading
 from rendezview.simulation import SceneOptions, TrajectoryOptions, render_frame, trajectory
-from rendezview.target import Target
 from rendezview.training.mesh import load_mesh
 
 CLIENT = Path(__file__).resolve().parents[1] / "models_cad" / "client"

@@ -23,8 +23,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.camera import Camera
-from rendezview.ring import RingDetector
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring import RingDetector
 from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 
 SIZES = ((640, 480), (1280, 960))

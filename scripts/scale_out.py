@@ -29,9 +29,9 @@ import dask
 import distributed
 import psutil
 
-from rendezview.appearance import ViewModel
 from rendezview.evaluation.campaign import CampaignOptions, campaign
-from rendezview.geodesic import Geodesic
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.cluster import Cluster

@@ -29,8 +29,8 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from rendezview.camera import Camera
 from rendezview.client import Client, ServiceError
+from rendezview.geometry.camera import Camera
 from service_speed import Served
 
 CAMERA = Camera.from_fov(160, 120, np.deg2rad(40.0))

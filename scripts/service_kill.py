@@ -28,7 +28,7 @@ from mcap.reader import make_reader
 
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
-from rendezview.sequences import open_sequence
+from rendezview.io.sequences import open_sequence
 from rendezview.service.log_file import mend
 from rendezview.service.replay import read_log
 

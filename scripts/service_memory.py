@@ -18,8 +18,8 @@ from pathlib import Path
 
 import cv2
 
-from rendezview.camera import Camera
 from rendezview.client import Client
+from rendezview.geometry.camera import Camera
 from service_speed import Loop, Served
 
 _POINTS = 10

@@ -25,9 +25,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from rendezview.appearance import Recognizer, Tracker, ViewModel
 from rendezview.client import Client, ServiceError
-from rendezview.sequences import open_sequence
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 
 _BLOCK = 50
 

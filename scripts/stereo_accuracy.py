@@ -26,10 +26,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Pose
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
-from rendezview.stereo import (
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.stereo import (
     MotionOptions,
     Normalisation,
     Rig,
@@ -39,10 +38,11 @@ from rendezview.stereo import (
     TrackerOptions,
     yaw_pitch_roll,
 )
-from rendezview.stereo.agreement import Disagreement, Fit, distance, iterate
-from rendezview.stereo.laboratory import calibrate_laboratory
-from rendezview.stereo.spots import find_spots
-from rendezview.target import Target
+from rendezview.sensors.stereo.agreement import Disagreement, Fit, distance, iterate
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.sensors.stereo.spots import find_spots
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
 
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not say

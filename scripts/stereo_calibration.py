@@ -24,24 +24,24 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.camera import Camera
-from rendezview.pose import Pose
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.stereo import Rig, RigCamera, Spots, StereoTracker
-from rendezview.stereo.agreement import Fit
-from rendezview.stereo.board import (
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
+from rendezview.sensors.stereo.agreement import Fit
+from rendezview.sensors.stereo.board import (
     BoardViews,
     Chessboard,
     calibrate_board,
     picture_pairs,
     read_board_views,
 )
-from rendezview.stereo.bundle import INTRINSICS, POSE, intrinsics_of
-from rendezview.stereo.laboratory import EVERYTHING, calibrate_laboratory
-from rendezview.stereo.motion import difference
-from rendezview.stereo.response import fit_response
-from rendezview.stereo.start import intersect
-from rendezview.target import Target
+from rendezview.sensors.stereo.bundle import INTRINSICS, POSE, intrinsics_of
+from rendezview.sensors.stereo.laboratory import EVERYTHING, calibrate_laboratory
+from rendezview.sensors.stereo.motion import difference
+from rendezview.sensors.stereo.response import fit_response
+from rendezview.sensors.stereo.start import intersect
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 BOARD = Chessboard(9, 6, 0.025)
 

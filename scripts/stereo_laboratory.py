@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rendezview.files import make_folder
-from rendezview.results import JsonLinesWriter
+from rendezview.io.files import make_folder
+from rendezview.io.results import JsonLinesWriter
+from rendezview.io.target import Target
+from rendezview.sensors.stereo.laboratory_files import save_record
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.stereo.laboratory_files import save_record
-from rendezview.target import Target
 
 
 def main() -> None:

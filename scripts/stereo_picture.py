@@ -18,11 +18,11 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from rendezview.io.target import Target
+from rendezview.sensors.stereo import MotionOptions, Normalisation
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview.simulation.led_pictures import PictureOptions, picture_rig
-from rendezview.stereo import MotionOptions, Normalisation
-from rendezview.stereo.laboratory import calibrate_laboratory
-from rendezview.target import Target
 from stereo_accuracy import (
     AVERAGED,
     POSITIONS,

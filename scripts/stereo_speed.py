@@ -18,10 +18,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.io.target import Target
+from rendezview.sensors.stereo import MotionOptions, Rig, StereoTracker, TrackerOptions, reprocess
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.stereo import MotionOptions, Rig, StereoTracker, TrackerOptions, reprocess
-from rendezview.stereo.laboratory import calibrate_laboratory
-from rendezview.target import Target
 
 READINGS = 4100
 REPEATS = 25

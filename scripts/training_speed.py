@@ -23,7 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.target import Target
+from rendezview.io.target import Target
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
 

@@ -20,11 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.between import Between
-from rendezview.appearance.match import Match
-from rendezview.appearance.signature import Signature
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.interpolation import Between
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
     Nothing,
     PointCloud,

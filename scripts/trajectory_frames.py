@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Recognizer, Sighting, Tracker, ViewModel
-from rendezview.camera import Camera
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance import Recognizer, Sighting, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.trajectories import looking_at, torque_free
 from rendezview.training.bundled import find_target

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory import (
     FitOptions,
     Follower,

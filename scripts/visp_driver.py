@@ -18,8 +18,8 @@ from types import TracebackType
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.camera import Camera
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 
 Array = npt.NDArray[np.float64]
 Frame = npt.NDArray[np.uint8]

@@ -37,11 +37,11 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from rendezview.appearance import Recognizer, Tracker, ViewModel
-from rendezview.camera import Camera
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import nearest_alike
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.symmetry import nearest_alike
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import Mesh, load_mesh
 from visp_cao import cao_of

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import ViewModel
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions

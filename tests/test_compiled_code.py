@@ -10,9 +10,9 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-import rendezview.pose
+import rendezview.geometry.pose
 
-RUNTIME = Path(rendezview.pose.__file__).parent
+RUNTIME = Path(rendezview.geometry.pose.__file__).parent
 
 
 def _compiled(tree: ast.Module) -> dict[str, tuple[ast.FunctionDef, set[str | None]]]:
@@ -46,5 +46,5 @@ def test_fast_code_called_by_compiled_code_is_part_of_it():
                 for call in ast.walk(function)
                 if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
             }
-    assert ("rendezview.appearance.strip_fit", "strip_place") in fast.keys() & called
+    assert ("rendezview.sensors.appearance.edges.profile", "strip_place") in fast.keys() & called
     assert [name for name in fast.keys() & called if not fast[name]] == []

@@ -25,10 +25,10 @@ from urllib.parse import quote, urlencode, urlsplit
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Pose
-from rendezview.results import json_line
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import json_line
 
 Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
 State = dict[str, Any]

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from rendezview.cli.main import main
-from rendezview.sequences import open_sequence
+from rendezview.io.sequences import open_sequence
 from rendezview.training.mesh import Mesh
 
 PROGRAM = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]

@@ -16,7 +16,7 @@ class Blocker:
             if name == refused or name.startswith(refused + "."):
                 raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 sys.meta_path.insert(0, Blocker())
-import rendezview.appearance
+import rendezview.sensors.appearance
 from rendezview.cli.main import main
 main()
 """

@@ -11,10 +11,10 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
-from rendezview.pose import Pose
-from rendezview.results import ResultRow, write_results
-from rendezview.sequences import BopSceneWriter
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import ResultRow, write_results
+from rendezview.io.sequences import BopSceneWriter
 
 CAMERA = Camera.from_fov(64, 48, 1.0)
 

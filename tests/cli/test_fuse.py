@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.fusion.models import tangents
-from rendezview.pose import Pose
-from rendezview.results import JsonLinesWriter, read_json_lines
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import JsonLinesWriter, read_json_lines
 
 SIGMA = np.array([4e-3, 4e-3, 2e-3, 0.01, 0.01, 0.05])
 TARGET = """

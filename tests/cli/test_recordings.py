@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.bags import Shot, write_foxglove, write_ros1, write_ros2
+from tests.io.bags import Shot, write_foxglove, write_ros1, write_ros2
 
-from rendezview.appearance import ViewModel
-from rendezview.sequences import open_sequence
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import ViewModel
 
 
 @pytest.fixture(scope="module")

@@ -9,11 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from rendezview.camera import Camera
-from rendezview.reflectors import SixNumbers, patterns_of, pose_of
-from rendezview.sequences import BopSceneWriter
+from rendezview.geometry.camera import Camera
+from rendezview.io.camera_files import save_camera
+from rendezview.io.sequences import BopSceneWriter
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
 from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
-from rendezview.target import Target
 
 CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"
 
@@ -26,7 +27,7 @@ def reflector_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
     rng = np.random.default_rng(0)
     (folder / "turns").mkdir()
-    camera.save(folder / "turns" / "camera.yaml")
+    save_camera(camera, folder / "turns" / "camera.yaml")
     with (
         BopSceneWriter(folder / "lit", camera) as lit_scene,
         BopSceneWriter(folder / "dark", camera) as dark_scene,

@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rendezview.camera import Camera
+from rendezview.geometry.camera import Camera
+from rendezview.io.camera_files import save_camera
 from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 
 CLIENT = Path(__file__).resolve().parents[2] / "models_cad" / "client"
@@ -21,7 +22,7 @@ def ring_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
     """Three frames of rings, and one that is no image."""
     folder = tmp_path_factory.mktemp("ring")
     camera = Camera.from_fov(640, 480, math.radians(40.0))
-    camera.save(folder / "camera.yaml")
+    save_camera(camera, folder / "camera.yaml")
     scenes = []
     for k in range(3):
         rng = np.random.default_rng([20, k])
@@ -77,6 +78,6 @@ def test_what_cannot_work_is_told_in_a_line(run, ring_run, tmp_path):
     run("ring", folder, "--target", CLIENT.parent / "hubble").says("no docking_ring")
     run("ring", folder, "-o", tmp_path).says("file name")
     small = tmp_path / "small.yaml"
-    Camera.from_fov(320, 240, 0.7).save(small)
+    save_camera(Camera.from_fov(320, 240, 0.7), small)
     ran = run("ring", folder, "--camera", small, "--radius-m", 0.6)
     assert "0 poses in 4 frames (4 unreadable)" in ran.err

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from oem import OrbitEphemerisMessage
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.recognizer import Sighting
-from rendezview.appearance.status import Status
 from rendezview.cli.guide import Guide, chaser_attitudes
 from rendezview.cli.track import track
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.show_command import show
-from rendezview.results import JsonLinesWriter
+from rendezview.io.ccsds import parse_epoch
+from rendezview.io.results import JsonLinesWriter
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.recognizer import Sighting
+from rendezview.sensors.observation import Status
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import Follower, Shape, load_plan
-from rendezview.trajectory.ccsds import parse_epoch
 
 PLAN = """
 [circular]

@@ -12,13 +12,13 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.evaluation import Evaluation, evaluate
-from rendezview.pose import Pose
-from rendezview.results import ResultRow
-from rendezview.sequences import Frame, Sequence
-from rendezview.target import Symmetry
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import ResultRow
+from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.target import Symmetry
 
 TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
 

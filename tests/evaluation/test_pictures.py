@@ -13,8 +13,6 @@ import pytest
 import trimesh
 from matplotlib.figure import Figure
 
-from rendezview.appearance import Recognizer, Sighting, Status, ViewModel
-from rendezview.camera import Camera
 from rendezview.evaluation import (
     Evaluation,
     error_curves,
@@ -32,9 +30,11 @@ from rendezview.evaluation import (
     write_report,
 )
 from rendezview.evaluation.report_frames import shown_frames
-from rendezview.pose import Pose
-from rendezview.results import ResultRow
-from rendezview.sequences import Sequence, open_sequence
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import ResultRow
+from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.sensors.appearance import Recognizer, Sighting, Status, ViewModel
 from rendezview.simulation import (
     SceneOptions,
     ShadingOptions,

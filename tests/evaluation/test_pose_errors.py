@@ -16,8 +16,8 @@ from rendezview.evaluation import (
     pose_errors,
     speed_terms,
 )
-from rendezview.pose import Array, Pose
-from rendezview.target import Symmetry
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import Symmetry
 
 X, Y, Z = np.eye(3)
 

@@ -12,7 +12,6 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
 from rendezview.evaluation import (
     Surface,
     comparison_dict,
@@ -21,9 +20,10 @@ from rendezview.evaluation import (
     scores,
 )
 from rendezview.evaluation.comparison import common_frames, score_table
-from rendezview.pose import Pose
-from rendezview.results import ResultRow
-from rendezview.sequences import Frame, Sequence
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import ResultRow
+from rendezview.io.sequences import Frame, Sequence
 
 RANGE_M = 10.0
 TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, RANGE_M]))

@@ -14,8 +14,8 @@ from rendezview.errors import RendezviewError
 from rendezview.evaluation import Surface, alike_of, surface_errors
 from rendezview.evaluation.bop_models import bop_model
 from rendezview.evaluation.surface import turns_about
-from rendezview.pose import Array, Pose
-from rendezview.target import Symmetry
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import Symmetry
 
 Z = np.array([0.0, 0.0, 1.0])
 K = np.array([[800.0, 0.0, 320.0], [0.0, 790.0, 240.0], [0.0, 0.0, 1.0]])
@@ -67,7 +67,7 @@ def test_the_numbers_are_those_of_the_bop_toolkit(tmp_path: Path) -> None:
     toolkit = pytest.importorskip("bop_toolkit_lib.pose_error", reason="needs the BOP toolkit")
     from bop_toolkit_lib import inout, misc
 
-    from rendezview.results import ResultRow, write_results
+    from rendezview.io.results import ResultRow, write_results
 
     cloud = points()
     info = {

@@ -27,19 +27,19 @@ from scripts.flight_code_driver import (
     same_search,
 )
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Matcher
-from rendezview.appearance.outline import crack_outline
-from rendezview.appearance.signature import Signature
-from rendezview.appearance.silhouette import Missing, find_silhouette, outer_borders
-from rendezview.appearance.status import Status
-from rendezview.appearance.tree import Forest
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.flight_code import write_c
 from rendezview.flight_code.c_code import model_files
 from rendezview.flight_code.tables import pack_forest
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.silhouette import Missing, find_silhouette, outer_borders
+from rendezview.sensors.appearance.outline.tracing import crack_outline
+from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.outline.votes import Matcher
+from rendezview.sensors.observation import Status
 
 SIGNATURES = 10_000
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="there is no C compiler here")

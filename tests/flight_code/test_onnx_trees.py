@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from rendezview.appearance.match import Matcher
 from rendezview.errors import RendezviewError
 from rendezview.flight_code import write_onnx
+from rendezview.sensors.appearance.outline.votes import Matcher
 
 
 def test_the_graph_decides_as_the_runtime(tiny_model, tmp_path):

@@ -14,8 +14,8 @@ from rendezview.fusion import (
     RingMeasurement,
     Surface,
 )
-from rendezview.pose import Array, Pose
-from rendezview.target import DockingRing
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing
 
 RING = DockingRing(np.array([-1.68, 0.1, -0.2]), np.array([-1.0, 0.0, 0.0]), 0.6)
 PLANE = Surface(RING.centre_m, RING.axis)

@@ -25,7 +25,7 @@ from rendezview.fusion import (
 from rendezview.fusion.kernels import turned
 from rendezview.fusion.models import expected
 from rendezview.fusion.state import begin
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
 
 WHITE = SensorOptions(lasting=0.0)
 QUIET = FusionOptions(

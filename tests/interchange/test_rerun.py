@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 from rendezview.interchange.rerun_file import write_rerun
 from rendezview.interchange.runs import Moment, moments
-from rendezview.pose import Pose
-from rendezview.results import JsonLinesWriter
-from rendezview.sequences import BopSceneWriter, open_sequence
+from rendezview.io.results import JsonLinesWriter
+from rendezview.io.sequences import BopSceneWriter, open_sequence
 
 chunk = pytest.importorskip("rerun.chunk", reason="needs rerun-sdk")
 CAMERA = Camera.from_fov(64, 48, 1.0)

@@ -12,8 +12,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scripts.visp_driver import Visp, build, missing
 
-from rendezview.camera import Camera
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 
 CAMERA = Camera(width=320, height=240, fx=400.0, fy=410.0, cx=170.0, cy=115.0)
 CUBE = """V1

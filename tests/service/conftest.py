@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.client import Client
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import ViewModel
 
 TOUR = 24  # frames
 

@@ -20,12 +20,12 @@ from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, PoseMeasurement
 from rendezview.fusion.logs import LogContext, kind_of, read_record
+from rendezview.io.target import DockingRing
 from rendezview.service.fusing import SessionFilter
 from rendezview.service.fusion_messages import FusionRequest, LoggedMeasurement, Marks, Measured
 from rendezview.service.messages import State, WatchState
 from rendezview.service.replay import model_of, read_log, repeat
 from rendezview.service.sensor_lines import split_records
-from rendezview.target import DockingRing
 
 RING = DockingRing(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.6, 0.8]), 0.5)
 SIGMA_M, SIGMA_RAD = 0.01, 0.01
@@ -65,7 +65,7 @@ class Sensors:
 
 
 def _plain(record):
-    from rendezview.results import json_line
+    from rendezview.io.results import json_line
 
     return json.loads(json_line(record))
 
@@ -407,7 +407,7 @@ def test_a_frame_older_than_what_is_remembered_is_late(tour):
 
 
 def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):
-    from rendezview.pose import Pose
+    from rendezview.geometry.pose import Pose
 
     truth = tour[0][1]
     mount = Pose(Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix(), [0.5, 0.1, -0.2])

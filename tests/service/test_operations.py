@@ -17,7 +17,7 @@ import trimesh
 
 from rendezview.client import ServiceError
 from rendezview.errors import RendezviewError
-from rendezview.sequences import BopSceneWriter
+from rendezview.io.sequences import BopSceneWriter
 from rendezview.service.log_file import mend
 from rendezview.service.messages import JobInfo, ModelInfo
 from rendezview.service.replay import read_log

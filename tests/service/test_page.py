@@ -16,9 +16,9 @@ import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
 from rendezview.client import Client, SessionClient
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 
 playwright = pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
 

@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from rendezview.errors import RendezviewError
 from rendezview.interchange.runs import moments
-from rendezview.sequences import open_sequence
+from rendezview.io.sequences import open_sequence
 from rendezview.service.log_file import mend, records, scan
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions

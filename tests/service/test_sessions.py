@@ -11,8 +11,8 @@ import httpx
 import numpy as np
 import pytest
 
-from rendezview.appearance import Recognizer, Tracker
 from rendezview.client import ServiceError, pose_of_state
+from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview.service.messages import Geometry, History, SessionInfo, State
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from tests.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
+from tests.io.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
 from rendezview.service.sources import SourceFrame, open_source
 
 CAMERA = Camera.from_fov(64, 48, 1.0)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
 from rendezview.simulation.background import (
     Earth,
     Stars,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 from rendezview.simulation import MitsubaOptions, SceneOptions, ShadingOptions, render, render_frame
 from rendezview.simulation.mitsuba_renderer import render_mitsuba
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from rendezview.camera import Camera
-from rendezview.ring import shape_of_circle
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring import shape_of_circle
 from rendezview.simulation.ring_frames import (
     Plate,
     RingScene,

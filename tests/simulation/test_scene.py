@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.background import Earth, Stars
 from rendezview.simulation.scene import SceneOptions, render_frame, simulate, sun_at_phase
 from rendezview.simulation.sensor import SensorOptions

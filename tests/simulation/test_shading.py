@@ -9,9 +9,9 @@ import numpy.typing as npt
 import pytest
 import trimesh
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.simulation.shading import ShadingOptions, render
 from rendezview.training.mesh import Mesh

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose, rotation_angle
+from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.simulation.trajectories import (
     TimedPose,
     TrajectoryKind,

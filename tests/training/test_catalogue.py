@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from rendezview.appearance import ViewModel
 from rendezview.errors import RendezviewError
+from rendezview.sensors.appearance import ViewModel
 from rendezview.training.catalogue import read_catalogue, train_catalogue
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh

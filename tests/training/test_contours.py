@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from rendezview.appearance.contours import (
+from rendezview.sensors.appearance.edges.contours import (
     DEPTH_UNIT,
     NO_POINT,
     OUTLINE,
@@ -18,9 +18,9 @@ from rendezview.appearance.contours import (
 )
 from rendezview.training.contours import contour_points
 from rendezview.training.crossings import faces_beside
-from rendezview.training.lit_views import lit_views, sun_maps
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry
+from rendezview.training.shadowed_silhouettes import lit_views, sun_maps
 from rendezview.training.surface_palette import packed_surfaces, surface_palette
 from rendezview.training.symmetries import find_symmetries
 from rendezview.training.views import look_from

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.appearance import ViewModel
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry

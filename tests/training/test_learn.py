@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sklearn.tree import DecisionTreeClassifier
 
-from rendezview.appearance.signature import rolled, twist
-from rendezview.appearance.tree import split_entropy
-from rendezview.geodesic import Geodesic, angle_between
+from rendezview.geometry.geodesic import Geodesic, angle_between
+from rendezview.sensors.appearance.outline.signature import rolled, twist
+from rendezview.sensors.appearance.outline.trees import split_entropy
 from rendezview.training.learn import Samples, TreeSet, _learn, learn_trees
 from rendezview.training.options import TrainingOptions
 from rendezview.training.views import ViewSet, look_from

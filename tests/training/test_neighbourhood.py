@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rendezview.geodesic import Geodesic, angle_between
+from rendezview.geometry.geodesic import Geodesic, angle_between
 from rendezview.training.neighbourhood import neighbourhood
 from rendezview.training.options import Neighbourhood
 

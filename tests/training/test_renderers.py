@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
 from rendezview.training.mesh import Mesh
 from rendezview.training.renderers import (
     NumbaRenderer,

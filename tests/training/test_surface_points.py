@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from rendezview.appearance.contours import POINT_UNIT
-from rendezview.appearance.surface import ALBEDO_UNIT
-from rendezview.geodesic import Geodesic
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.sensors.appearance.edges.contours import POINT_UNIT
+from rendezview.sensors.appearance.edges.shading import ALBEDO_UNIT
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.surface_points import candidate_points, chosen_surface, seen_points

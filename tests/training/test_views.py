@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.geodesic import Geodesic
+from rendezview.geometry.geodesic import Geodesic
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.renderers import NumbaRenderer

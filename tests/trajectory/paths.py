@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.trajectory import PointCloud
 
 RANGE_M = 30.0

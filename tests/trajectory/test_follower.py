@@ -8,7 +8,8 @@ from oem import OrbitEphemerisMessage
 from scipy.spatial.transform import Rotation
 from tests.trajectory.paths import circle, off
 
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
+from rendezview.io.ccsds import attitude_message, orbit_message
 from rendezview.simulation.closed_loop import FlightErrors, fly
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import (
@@ -22,7 +23,6 @@ from rendezview.trajectory import (
     Shape,
     Spin,
 )
-from rendezview.trajectory.ccsds import attitude_message, orbit_message
 from rendezview.trajectory.follower import record
 
 CENTRE = np.array([0.5, -1.0, 2.0])

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from tests.trajectory.paths import RANGE_M, SPAN_S, TIMES, circle, nodes, off, refined
 
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
 from rendezview.trajectory import (
     FitOptions,
     Nothing,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.trajectories import torque_free
 from rendezview.trajectory import Nothing, Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
 from rendezview.trajectory.rotation import rotations

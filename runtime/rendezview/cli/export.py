@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from rendezview.appearance import ViewModel
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write_text
 from rendezview.flight_code import write_c, write_onnx
+from rendezview.io.files import atomic_write_text
+from rendezview.sensors.appearance import ViewModel
 
 
 def export(

@@ -12,7 +12,6 @@ from rich.console import Console
 
 from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import check_place
 from rendezview.fusion import Fusion, FusionOptions
 from rendezview.fusion.fusion import Estimate, Status
 from rendezview.fusion.logs import (
@@ -25,9 +24,10 @@ from rendezview.fusion.logs import (
     sensor_name,
 )
 from rendezview.fusion.trust import Verdict
-from rendezview.pose import Pose
-from rendezview.results import JsonLinesWriter
-from rendezview.target import Target
+from rendezview.geometry.pose import Pose
+from rendezview.io.files import check_place
+from rendezview.io.results import JsonLinesWriter
+from rendezview.io.target import Target
 
 
 def fuse(

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from rendezview.appearance import Sighting, ViewModel
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write_text, read_text
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
+from rendezview.io.ccsds import Names, attitude_message, orbit_message
+from rendezview.io.files import atomic_write_text, read_text
+from rendezview.sensors.appearance import Sighting, ViewModel
 from rendezview.trajectory import (
     Correction,
     Follower,
@@ -26,7 +27,6 @@ from rendezview.trajectory import (
     Spin,
     load_plan,
 )
-from rendezview.trajectory.ccsds import Names, attitude_message, orbit_message
 from rendezview.trajectory.follower import record
 
 _HEADER = ["time_s", "qw", "qx", "qy", "qz"]

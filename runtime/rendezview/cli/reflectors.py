@@ -10,21 +10,28 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import check_place, make_folder
-from rendezview.reflectors.acquisition import AcquisitionOptions
-from rendezview.reflectors.closed_form import Calibration
-from rendezview.reflectors.difference import LitDark, Opening, ThresholdOptions, registered
-from rendezview.reflectors.overlay import draw_reading
-from rendezview.reflectors.pattern import patterns_of
-from rendezview.reflectors.run import FramePair, Mode, calibrate_run, follow, pair_up, record
-from rendezview.reflectors.status import Status
-from rendezview.results import JsonLinesWriter
-from rendezview.sequences import open_sequence
-from rendezview.sequences.images import write_png
-from rendezview.target import Target
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import check_place, make_folder
+from rendezview.io.results import JsonLinesWriter
+from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences.images import write_png
+from rendezview.io.target import Target
+from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
+from rendezview.sensors.reflectors.closed_form import Calibration
+from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions, registered
+from rendezview.sensors.reflectors.overlay import draw_reading
+from rendezview.sensors.reflectors.pattern import patterns_of
+from rendezview.sensors.reflectors.run import (
+    FramePair,
+    Mode,
+    calibrate_run,
+    follow,
+    pair_up,
+    record,
+)
 
 _CALIBRATE = "calibrate"
 
@@ -90,7 +97,7 @@ def reflectors(
     acquisition = AcquisitionOptions(blur_px=blur)
     affine = _affine(lit_from_dark)
     chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
-    seen_by = Camera.load(camera) if camera else None
+    seen_by = load_camera(camera) if camera else None
     pairs = pair_up([open_sequence(place, seen_by) for place in places], chosen)
     if calibrating:
         if output is None:

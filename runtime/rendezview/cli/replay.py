@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from rendezview.errors import RendezviewError
-from rendezview.results import JsonLinesWriter
+from rendezview.io.results import JsonLinesWriter
 
 _AGAIN = "RENDEZVIEW_REPLAY_AGAIN"
 

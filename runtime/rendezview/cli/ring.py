@@ -12,18 +12,18 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import check_place, make_folder
-from rendezview.results import JsonLinesWriter, json_line
-from rendezview.ring import RingOptions, RingPrior, Status
-from rendezview.ring.overlay import draw_reading
-from rendezview.ring.run import follow, record
-from rendezview.sequences import open_sequence
-from rendezview.sequences.frame import Frame
-from rendezview.sequences.images import write_png
-from rendezview.target import DockingRing, Target
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import check_place, make_folder
+from rendezview.io.results import JsonLinesWriter, json_line
+from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences.frame import Frame
+from rendezview.io.sequences.images import write_png
+from rendezview.io.target import DockingRing, Target
+from rendezview.sensors.ring import RingOptions, RingPrior, Status
+from rendezview.sensors.ring.overlay import draw_reading
+from rendezview.sensors.ring.run import follow, record
 
 
 def ring(
@@ -73,7 +73,7 @@ def ring(
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise RendezviewError(f"{name} must be a positive number of metres, not {value}")
     prior = _prior(prior_axis, range_m, known)
-    sequence = open_sequence(frames, Camera.load(camera) if camera else None)
+    sequence = open_sequence(frames, load_camera(camera) if camera else None)
     if overlay:
         make_folder(overlay)
     writer = JsonLinesWriter(output) if output else None

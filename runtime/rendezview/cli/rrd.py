@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.interchange.rerun_file import write_rerun
 from rendezview.interchange.runs import moments
-from rendezview.sequences import open_sequence
+from rendezview.io.camera_files import load_camera
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import ViewModel
 
 
 def rrd(
@@ -45,7 +45,7 @@ def rrd(
         raise RendezviewError(f"{log}: holds its own pictures: leave out --scene")
     sequence = None
     if scene is not None:
-        sequence = open_sequence(scene, Camera.load(camera) if camera else None)
+        sequence = open_sequence(scene, load_camera(camera) if camera else None)
     loaded = ViewModel.load(model) if model else None
     count = write_rerun(output, moments(log, sequence), loaded)
     Console(stderr=True).print(f"{output}: {count} frames", highlight=False, soft_wrap=True)

@@ -15,23 +15,30 @@ from rich.table import Table
 
 from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import check_place
-from rendezview.results import JsonLinesWriter, ResultRow, write_results
-from rendezview.stereo import MotionOptions, Rig, Sighting, Status, StereoTracker, TrackerOptions
-from rendezview.stereo.board import (
+from rendezview.io.files import check_place
+from rendezview.io.results import JsonLinesWriter, ResultRow, write_results
+from rendezview.io.target import Target
+from rendezview.sensors.stereo import (
+    MotionOptions,
+    Rig,
+    Sighting,
+    Status,
+    StereoTracker,
+    TrackerOptions,
+)
+from rendezview.sensors.stereo.board import (
     OPENCV_FIVE,
     Chessboard,
     calibrate_board,
     picture_pairs,
     read_board_views,
 )
-from rendezview.stereo.bundle import INTRINSICS
-from rendezview.stereo.laboratory import calibrate_laboratory
-from rendezview.stereo.laboratory_files import load_record
-from rendezview.stereo.readings import Reading, open_readings
-from rendezview.stereo.rig_files import load_rig, save_opencv, save_rig
-from rendezview.stereo.spots import SpotOptions
-from rendezview.target import Target
+from rendezview.sensors.stereo.bundle import INTRINSICS
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.sensors.stereo.laboratory_files import load_record
+from rendezview.sensors.stereo.readings import Reading, open_readings
+from rendezview.sensors.stereo.rig_files import load_rig, save_opencv, save_rig
+from rendezview.sensors.stereo.spots import SpotOptions
 
 stereo = typer.Typer(
     help="Track a target's lights with two or more cameras.",

@@ -10,17 +10,17 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.appearance import SilhouetteOptions, Status, Threshold, ViewModel
-from rendezview.appearance.following import follow, record, result_row
-from rendezview.camera import Camera
 from rendezview.cli.guide import Guide, describe
 from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
-from rendezview.files import check_place, read_json
-from rendezview.pose import Pose
-from rendezview.results import JsonLinesWriter, ResultRow, write_results
-from rendezview.sequences import Sequence, open_sequence
-from rendezview.trajectory.ccsds import parse_epoch
+from rendezview.geometry.pose import Pose
+from rendezview.io.camera_files import load_camera
+from rendezview.io.ccsds import parse_epoch
+from rendezview.io.files import check_place, read_json
+from rendezview.io.results import JsonLinesWriter, ResultRow, write_results
+from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.sensors.appearance import SilhouetteOptions, Status, Threshold, ViewModel
+from rendezview.sensors.appearance.following import follow, record, result_row
 
 
 def track(
@@ -86,7 +86,7 @@ def track(
     _check_places(output, log, model, oem, aem, plan, chaser)
     moment = parse_epoch(epoch)
     loaded = ViewModel.load(model)
-    sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
+    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
     first = _prior(prior, sequence, loaded)
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)

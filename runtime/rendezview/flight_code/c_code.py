@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance import MatchOptions, ViewModel
-from rendezview.appearance.outline import spokes_of
-from rendezview.files import atomic_write_text, make_folder
 from rendezview.flight_code.tables import MOST_16_BIT, PackedForest, pack_forest
-from rendezview.geodesic import Geodesic
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.io.files import atomic_write_text, make_folder
+from rendezview.sensors.appearance import MatchOptions, ViewModel
+from rendezview.sensors.appearance.outline.tracing import spokes_of
 
 SOURCES = (
     "rendezview_flight.h",

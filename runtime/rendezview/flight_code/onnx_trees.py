@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Matcher
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write
+from rendezview.io.files import atomic_write
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.votes import Matcher
 
 _OPSET, _ML_OPSET = 17, 3  # read by every runtime of the last years
 _IR_VERSION = 8
@@ -26,7 +26,7 @@ def write_onnx(model: ViewModel, path: Path) -> None:
     """Write the trees as an ONNX graph, atomically.
 
     Inputs: ``readings`` float (N,), a signature; ``rolls_rad`` double (T,), of the view against
-    each node, see `rendezview.appearance.signature.twist`. Outputs: ``trust`` float (T,), how
+    each node, see `rendezview.sensors.appearance.outline.signature.twist`. Outputs: ``trust`` float (T,), how
     surely each node means on; ``on`` bool (T,).
 
     Raises:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.match import Matcher
-from rendezview.appearance.tree import Forest
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.outline.votes import Matcher
 
 MOST_16_BIT = 65535
 

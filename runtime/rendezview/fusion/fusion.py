@@ -5,26 +5,16 @@ from __future__ import annotations
 import bisect
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 from rendezview.fusion.measurements import Measurement
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import State, predict
 from rendezview.fusion.step import Snapshot, step, useless
 from rendezview.fusion.trust import Trust, Verdict
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.observation import Status
 
 _ROUNDING_S = 1e-9
-
-
-class Status(StrEnum):
-    """How an estimate stands; every one but ``TRACKING`` comes with a reason in words."""
-
-    WAITING = "waiting"  # no sensor has given a whole pose yet
-    STARTING = "starting"  # a first pose, not borne out yet
-    TRACKING = "tracking"
-    COASTING = "coasting"  # no sensor is heard, or none is believed: rates go on
-    LOST = "lost"  # the forecast has become too wide to say anything
 
 
 @dataclass(frozen=True, slots=True, eq=False)

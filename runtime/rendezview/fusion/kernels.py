@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

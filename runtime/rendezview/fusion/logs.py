@@ -17,7 +17,6 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
-from rendezview.files import StrPath, checked, read_json
 from rendezview.fusion.measurements import (
     Measurement,
     PoseMeasurement,
@@ -28,9 +27,10 @@ from rendezview.fusion.measurements import (
 )
 from rendezview.fusion.models import tangents
 from rendezview.fusion.options import FusionOptions
-from rendezview.pose import Pose
-from rendezview.results import read_json_lines
-from rendezview.target import DockingRing
+from rendezview.geometry.pose import Pose
+from rendezview.io.files import StrPath, checked, read_json
+from rendezview.io.results import read_json_lines
+from rendezview.io.target import DockingRing
 
 _RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
 _SERVED = "a session of the service: its `fusion`"

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.pose import Array, Pose
-from rendezview.target import DockingRing
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing
 
 _UNIT = 1e-6  # a direction may be this far from unit length
 

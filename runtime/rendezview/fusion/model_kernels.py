@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.fusion.kernels import distance, rotation_vector, square_root
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 _DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
 # Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same

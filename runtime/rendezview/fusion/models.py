@@ -21,7 +21,7 @@ from rendezview.fusion.measurements import (
 )
 from rendezview.fusion.model_kernels import pose_model, ring_expected
 from rendezview.fusion.options import SensorOptions
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 if TYPE_CHECKING:
     from rendezview.fusion.state import State

@@ -20,7 +20,7 @@ from rendezview.fusion.measurements import Measurement, PoseMeasurement
 from rendezview.fusion.model_kernels import pose_covariance
 from rendezview.fusion.models import expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 
 MOTION = 12  # attitude, place, angular rate, velocity
 RADIUS, DEPTH = 12, 13  # of the ring

@@ -25,7 +25,7 @@ from rendezview.fusion.state import (
     sensor_options,
 )
 from rendezview.fusion.trust import Trust, Verdict, is_sharp, judge
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 _VOTES = 2  # sensors that must agree against the state to overrule it
 _DOUBT = 2  # times in a row that a sensor was turned away, or not taken whole, to have a vote

@@ -16,7 +16,7 @@ import numpy as np
 from rendezview.fusion.models import gate_of
 from rendezview.fusion.options import SensorOptions
 from rendezview.fusion.state import Innovation
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 _SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
 _SILENT_S = 5.0  # of a sensor, before its next word

@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import check_place, write_error
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 from rendezview.interchange.runs import Moment, pose_of
-from rendezview.pose import Pose
+from rendezview.io.files import check_place, write_error
+from rendezview.sensors.appearance import ViewModel
 from rendezview.service.geometry import geometry
 from rendezview.service.tracking import contour_at
 

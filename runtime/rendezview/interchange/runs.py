@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Pose
-from rendezview.results import read_json_lines
-from rendezview.sequences import Frame, Sequence
-from rendezview.sequences.frame import GreyImage
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import read_json_lines
+from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.sequences.frame import GreyImage
 
 
 @dataclass(frozen=True, slots=True, eq=False)

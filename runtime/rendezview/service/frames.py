@@ -8,10 +8,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.sequences.decoding import PNG, decode_grey
-from rendezview.sequences.frame import GreyImage
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.decoding import PNG, decode_grey
+from rendezview.io.sequences.frame import GreyImage
 
 _JPEG = b"\xff\xd8\xff"
 _BARE_MARKERS = (0x01, *range(0xD0, 0xDA))  # of JPEG, without a length

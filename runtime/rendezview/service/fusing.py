@@ -18,7 +18,7 @@ from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions, Measurement, PoseMeasurement, Verdict
 from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import kind_of
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
 from rendezview.service.fusion_messages import MOST_REMEMBERED, FusionRequest
 from rendezview.service.message_parts import MOST_TIME_S
 from rendezview.service.sensor_lines import (

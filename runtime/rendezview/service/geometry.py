@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezview.appearance import ViewModel
-from rendezview.appearance.contours import DIRECTION_UNIT, NO_POINT, OUTLINE, POINT_UNIT
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.edges.contours import (
+    DIRECTION_UNIT,
+    NO_POINT,
+    OUTLINE,
+    POINT_UNIT,
+)
 from rendezview.service.messages import Geometry
 
 _CELLS = 48  # of the target's radius: at most one point is kept in each …

@@ -40,7 +40,7 @@ from mcap.records import (
 from mcap.stream_reader import breakup_chunk
 
 from rendezview.errors import RendezviewError
-from rendezview.files import StrPath, write_error
+from rendezview.io.files import StrPath, write_error
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # opcode, length

@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from rendezview.camera import Camera
+from rendezview.geometry.camera import Camera
 from rendezview.service.frames import Bytes, FrameKind
 from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.messages import State

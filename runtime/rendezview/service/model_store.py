@@ -10,9 +10,9 @@ import secrets
 from functools import cached_property
 from pathlib import Path
 
-from rendezview.appearance import ViewModel
 from rendezview.errors import RendezviewError
-from rendezview.files import make_folder, write_error
+from rendezview.io.files import make_folder, write_error
+from rendezview.sensors.appearance import ViewModel
 from rendezview.service.geometry import geometry
 from rendezview.service.messages import ModelInfo
 

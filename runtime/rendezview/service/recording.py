@@ -26,9 +26,9 @@ from mcap.records import Attachment, Channel, Chunk, Header, MessageIndex, Metad
 from mcap.records import Message as McapMessage
 from pydantic_core import to_json
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import write_error
+from rendezview.geometry.camera import Camera
+from rendezview.io.files import write_error
 from rendezview.service import log_schemas
 from rendezview.service.frames import Bytes, kind_of
 from rendezview.service.log_file import MAGIC, Scan, chunk_index, ending, mend, scan, taken

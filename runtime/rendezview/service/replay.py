@@ -18,9 +18,9 @@ from mcap.records import Message as McapMessage
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.appearance import ViewModel
 from rendezview.service.frames import read_frame
 from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.log_file import messages, records

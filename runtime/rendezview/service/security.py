@@ -20,7 +20,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
-from rendezview.files import checked, read_text
+from rendezview.io.files import checked, read_text
 from rendezview.service.messages import Fault
 from rendezview.service.metrics import Metrics
 from rendezview.service.settings import LOOPBACK, Settings

@@ -11,13 +11,13 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.files import describe
 from rendezview.fusion import Measurement, PoseMeasurement, RangeMeasurement, Surface
 from rendezview.fusion.logs import LogContext, read_record
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
+from rendezview.io.files import describe
+from rendezview.io.target import DockingRing
 from rendezview.service.fusion_messages import MOST_MARKS, FusionRequest, Marks, SurfaceMessage
 from rendezview.service.message_parts import PoseMessage
-from rendezview.target import DockingRing
 
 _LEAST, _MOST = 1e-20, 1e12  # variances a filter can work with
 _MOST_M = 1e9

@@ -15,9 +15,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import make_folder
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import make_folder
+from rendezview.io.target import Target
 from rendezview.service.fusion_messages import FusionRequest, RingMessage
 from rendezview.service.jobs import Jobs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
@@ -30,7 +31,6 @@ from rendezview.service.settings import Settings
 from rendezview.service.sources import Feeder, Source, open_source
 from rendezview.service.tracking import camera_message
 from rendezview.service.workers import COMPILING, NotReady, Workers
-from rendezview.target import Target
 
 log = logging.getLogger("rendezview.service")
 
@@ -81,7 +81,7 @@ class Service:
         try:
             self.models = ModelStore(folder)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
-            self.camera = None if settings.camera is None else Camera.load(settings.camera)
+            self.camera = None if settings.camera is None else load_camera(settings.camera)
             self.ring = None if settings.target is None else _ring_of(settings.target)
             self._sources: list[Source] = [open_source(s, self.camera) for s in sources or []]
             if self._sources and self.given is None:

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from rendezview.errors import RendezviewError
-from rendezview.files import describe, read_text
+from rendezview.io.files import describe, read_text
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 

@@ -15,10 +15,10 @@ from pathlib import Path
 
 import cv2
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.sequences import open_sequence
-from rendezview.sequences.decoding import quiet_opencv
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.service.replay import LoggedFrame, read_log
 from rendezview.service.sessions import Answer, Session, Waiting
 

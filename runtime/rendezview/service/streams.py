@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from starlette.websockets import WebSocketDisconnect
 
 from rendezview.errors import RendezviewError
-from rendezview.files import parse_json
+from rendezview.io.files import parse_json
 from rendezview.service.answers import needs, sensor_name, service_of, session_of
 from rendezview.service.message_parts import MOST_TIME_S
 from rendezview.service.messages import Fault, WatchEnd

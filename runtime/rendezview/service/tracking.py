@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from numba.core.event import install_recorder
 
-from rendezview.appearance import Recognizer, Sighting, Tracker, ViewModel
-from rendezview.appearance.align import nearest_views
-from rendezview.appearance.contours import NO_POINT, POINT_UNIT
-from rendezview.appearance.refine import Sky
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Pose
-from rendezview.sequences.frame import GreyImage
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.sensors.appearance import Recognizer, Sighting, Tracker, ViewModel
+from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.edges.refinement import Sky
 from rendezview.service import fusing
 from rendezview.service.fusing import SessionFilter
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage

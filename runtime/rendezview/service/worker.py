@@ -27,9 +27,9 @@ import cv2
 import numpy as np
 from pydantic_core import to_json
 
-from rendezview.appearance import Sighting, ViewModel
 from rendezview.errors import RendezviewError
-from rendezview.sequences.frame import GreyImage
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.sensors.appearance import Sighting, ViewModel
 from rendezview.service.frames import read_frame
 from rendezview.service.logs import set_up_logging
 from rendezview.service.messages import Contour, SessionRequest

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.nothing import Nothing
 
 _LEAST_SIGMA = 1e-5  # of a pose's place over its range: no covariance is as small as that

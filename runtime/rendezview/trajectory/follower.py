@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.cloud import PointCloud, camera_place, centre_place
 from rendezview.trajectory.guidance import Correction, correct
 from rendezview.trajectory.nothing import Nothing

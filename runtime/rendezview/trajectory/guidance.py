@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.plan import Plan
 from rendezview.trajectory.relative_orbit import transition, velocity_to_reach

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from scipy.interpolate import CubicSpline
 
 from rendezview.errors import RendezviewError
-from rendezview.files import StrPath, checked, read_text
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
+from rendezview.io.files import StrPath, checked, read_text
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import Shape, frame_of
 

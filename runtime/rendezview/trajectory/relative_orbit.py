@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 _LEAST_GAIN = 1e-3  # of a thrust on the place, over that of free motion: less reaches nothing
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.trajectory.shapes import HOPS, SIZE, SPIRAL
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.scaling import inverse_of, sigmas_of, solved, typical_sizes

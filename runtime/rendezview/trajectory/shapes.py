@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.trajectory.relative_orbit import response
 
 

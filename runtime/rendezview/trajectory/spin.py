@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose, minimal_rotation
+from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.rotation import rotations
 

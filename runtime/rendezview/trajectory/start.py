@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
 

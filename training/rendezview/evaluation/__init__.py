@@ -29,7 +29,7 @@ from rendezview.evaluation.track_pictures import (
     sighting_curves,
     stage_picture,
 )
-from rendezview.symmetry import discrete_turns, nearest_alike
+from rendezview.geometry.symmetry import discrete_turns, nearest_alike
 
 __all__ = [
     "SPEED_PLUS_ROTATION_RAD",

@@ -16,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance import Recognizer, Sighting, Status, ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write_text, check_place
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import nearest_alike
+from rendezview.io.files import atomic_write_text, check_place
+from rendezview.sensors.appearance import Recognizer, Sighting, Status, ViewModel
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
-from rendezview.symmetry import nearest_alike
 from rendezview.training.mesh import Mesh
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.workers import Workers

@@ -12,12 +12,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.campaign import Answers, CampaignOptions
 from rendezview.evaluation.campaign import campaign as run_campaign
+from rendezview.io.camera_files import load_camera
+from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
@@ -77,7 +77,7 @@ def campaign(
         answers = run_campaign(
             views,
             mesh,
-            Camera.load(camera) if camera else default_camera(),
+            load_camera(camera) if camera else default_camera(),
             output,
             workers,
             options,

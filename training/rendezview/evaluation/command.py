@@ -11,7 +11,6 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.bop_models import bop_model
 from rendezview.evaluation.comparison import (
@@ -24,10 +23,11 @@ from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.scores import scores
 from rendezview.evaluation.surface import Surface, alike_of
-from rendezview.pose import Array
-from rendezview.results import read_results
-from rendezview.sequences import open_sequence
-from rendezview.target import Symmetry
+from rendezview.geometry.pose import Array
+from rendezview.io.camera_files import load_camera
+from rendezview.io.results import read_results
+from rendezview.io.sequences import open_sequence
+from rendezview.io.target import Symmetry
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
 
@@ -67,7 +67,7 @@ def evaluate(
     """
     if not 0.0 <= wrong <= 180.0:
         raise RendezviewError(f"--wrong must be an angle from 0 to 180 degrees, not {wrong}")
-    sequence = open_sequence(scene, Camera.load(camera) if camera else None, obj_id=obj_id)
+    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
     judged = _judged(target, unit)
     evaluations: dict[str, Evaluation] = {}
     for path in results:

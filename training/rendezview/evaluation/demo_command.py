@@ -10,14 +10,14 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.appearance import Status
-from rendezview.appearance.following import follow, record, result_row
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.report import write_report
-from rendezview.files import make_folder
-from rendezview.results import JsonLinesWriter, write_results
-from rendezview.sequences import open_sequence
+from rendezview.io.files import make_folder
+from rendezview.io.results import JsonLinesWriter, write_results
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import Status
+from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.simulation.command import default_camera
 from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory

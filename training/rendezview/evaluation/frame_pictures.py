@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
-from rendezview.appearance import Sighting, ViewModel
-from rendezview.camera import Camera
 from rendezview.evaluation.palette import AXIS_COLOURS, BACKGROUND, ESTIMATE, INK, ON_NODE, PROBLEM
-from rendezview.pose import Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Sighting, ViewModel
 
 _WIDTH_IN = 6.4  # text has the same share of the picture whatever the camera
 _LEAST_PX, _MOST_PX = 640, 960  # frames of other cameras are shown larger or smaller

@@ -9,7 +9,6 @@ from html import escape
 
 import numpy as np
 
-from rendezview.appearance import Sighting, ViewModel
 from rendezview.evaluation.evaluation import Evaluation, summary_rows
 from rendezview.evaluation.palette import (
     BACKGROUND,
@@ -20,7 +19,8 @@ from rendezview.evaluation.palette import (
     PANEL,
     PROBLEM,
 )
-from rendezview.sequences import Sequence
+from rendezview.io.sequences import Sequence
+from rendezview.sensors.appearance import Sighting, ViewModel
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance.signature import twist
-from rendezview.geodesic import angle_between
-from rendezview.pose import Array, Pose, minimal_rotation, rotation_angle
-from rendezview.symmetry import nearest_alike
-from rendezview.target import Symmetry
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Array, Pose, minimal_rotation, rotation_angle
+from rendezview.geometry.symmetry import nearest_alike
+from rendezview.io.target import Symmetry
+from rendezview.sensors.appearance.outline.signature import twist
 
 # SPEED+ forgives what its own truth cannot tell (Park et al. 2023, calibration of the test bed).
 SPEED_PLUS_ROTATION_RAD = float(np.deg2rad(0.169))

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from rendezview.appearance import Sighting, ViewModel
 from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.page import Card, page
 from rendezview.evaluation.palette import png
@@ -20,9 +19,10 @@ from rendezview.evaluation.track_pictures import (
     sighting_curves,
     stage_picture,
 )
-from rendezview.files import StrPath, atomic_write, atomic_write_text, make_folder
-from rendezview.pose import Array, Pose
-from rendezview.sequences import Sequence
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.files import StrPath, atomic_write, atomic_write_text, make_folder
+from rendezview.io.sequences import Sequence
+from rendezview.sensors.appearance import Sighting, ViewModel
 
 
 def write_report(

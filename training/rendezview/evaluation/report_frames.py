@@ -7,8 +7,6 @@ from collections.abc import Sequence as Ordered
 import numpy as np
 from matplotlib.figure import Figure
 
-from rendezview.appearance import Sighting, ViewModel
-from rendezview.appearance.signature import rolled, twist
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.evaluation import Evaluation, FrameResult
 from rendezview.evaluation.frame_pictures import frame_overlay
@@ -16,8 +14,10 @@ from rendezview.evaluation.page import Card
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.signature_pictures import signature_picture, tree_tests
 from rendezview.evaluation.sphere_pictures import sphere_picture
-from rendezview.pose import Array, Pose
-from rendezview.sequences import Sequence
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.sequences import Sequence
+from rendezview.sensors.appearance import Sighting, ViewModel
+from rendezview.sensors.appearance.outline.signature import rolled, twist
 
 _STRIP = 8  # frames shown
 _STRIP_PROBLEMS = 3  # of them without a pose or wrong

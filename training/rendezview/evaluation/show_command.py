@@ -13,19 +13,19 @@ import typer
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from rendezview.appearance import ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.sphere_pictures import model_picture
 from rendezview.evaluation.track_pictures import point_cloud, sighting_curves
 from rendezview.evaluation.trajectory_pictures import path_picture, rate_picture
-from rendezview.files import atomic_write, atomic_write_text, make_folder
-from rendezview.pose import Array, Pose
-from rendezview.results import read_json_lines
-from rendezview.sequences import Frame, Sequence, open_sequence
-from rendezview.sequences.frame import GreyImage
-from rendezview.sequences.images import write_png
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import atomic_write, atomic_write_text, make_folder
+from rendezview.io.results import read_json_lines
+from rendezview.io.sequences import Frame, Sequence, open_sequence
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.sequences.images import write_png
+from rendezview.sensors.appearance import ViewModel
 
 _SHEET = (4, 3)  # frames across and down
 _CELL_PX = 320
@@ -55,7 +55,7 @@ def show(
     elif what.suffix == ".jsonl":
         written = _show_log(what, folder)
     else:
-        sequence = open_sequence(what, Camera.load(camera) if camera else None)
+        sequence = open_sequence(what, load_camera(camera) if camera else None)
         written = [_show_scene(sequence, folder)]
     console = Console(stderr=True)
     for path in written:

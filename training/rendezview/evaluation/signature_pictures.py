@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
-from rendezview.appearance.tree import Forest
 from rendezview.evaluation.palette import (
     ESTIMATE,
     GREEN,
@@ -23,6 +22,7 @@ from rendezview.evaluation.palette import (
     dress_legend,
     new_figure,
 )
+from rendezview.sensors.appearance.outline.trees import Forest
 
 _MARK_RAD = np.deg2rad(3.0)  # half the length of a threshold's bar
 
@@ -59,7 +59,7 @@ def signature_picture(
     """A signature as the silhouette's outer shape, against the node's own and the thresholds.
 
     Args:
-        readings: (N,) of the view, rolled to the node (`rendezview.appearance.signature`).
+        readings: (N,) of the view, rolled to the node (`rendezview.sensors.appearance.outline.signature`).
         node_readings: (N,) of the node's clean view.
         tests: what the node's tree asked; see `tree_tests`.
         node: its number, for the legend.

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator
 
-from rendezview.appearance import ViewModel
 from rendezview.evaluation.palette import (
     ACCURACY,
     BACKGROUND,
@@ -28,8 +27,9 @@ from rendezview.evaluation.palette import (
     dress_legend,
     new_figure,
 )
-from rendezview.geodesic import Geodesic
-from rendezview.pose import Array
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance import ViewModel
 
 _HELD_OUT = "right decisions on held-out views"
 _TRAINING = "right decisions on training views"

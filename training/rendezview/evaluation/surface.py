@@ -16,9 +16,9 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose
-from rendezview.symmetry import discrete_turns
-from rendezview.target import Symmetry
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import discrete_turns
+from rendezview.io.target import Symmetry
 
 # The toolkit's step: the farthest point moves by at most this share of the diameter.
 STEP = 0.01

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
-from rendezview.appearance import Sighting
 from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.palette import (
     AXIS_COLOURS,
@@ -30,7 +29,8 @@ from rendezview.evaluation.palette import (
     dress_legend,
     new_figure,
 )
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance import Sighting
 
 _LOG_ABOVE = 30.0  # largest over median: on a linear axis the rest would be a flat line
 _CURVES: tuple[tuple[str, tuple[tuple[str, str, float, str], ...]], ...] = (

@@ -22,7 +22,7 @@ from rendezview.evaluation.palette import (
     new_figure,
 )
 from rendezview.evaluation.track_pictures import space_axes
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 _ARROW = 0.25  # of the range: length of the arrow of the largest correction
 

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing
 from rendezview.simulation.trajectories import looking_at
-from rendezview.target import DockingRing
 from rendezview.training.mesh import Mesh
 
 

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from numba import njit
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
 from rendezview.simulation.distortion import pixel_rays
 from rendezview.training.zbuffer import Float32s
 

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import Correction, Follower, Plan, Report
 from rendezview.trajectory.relative_orbit import push, transition, velocity_to_reach

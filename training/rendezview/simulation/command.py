@@ -10,9 +10,10 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.camera_files import load_camera
 from rendezview.simulation.background import Earth, Stars
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions
 from rendezview.simulation.scene import SceneOptions
@@ -83,7 +84,7 @@ def simulate(
     """
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
-    seen_by = Camera.load(camera) if camera else default_camera()
+    seen_by = load_camera(camera) if camera else default_camera()
     options = SceneOptions(
         sky_frame="camera" if kind is Kind.TUMBLE else "target",
         sun_phase_rad=float(np.deg2rad(sun_phase)),

@@ -9,9 +9,9 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
 from rendezview.training.zbuffer import Float32s
 
 _AREA_MAX = 9.0  # the wide picture has at most this many times the camera's pixels

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.camera import Camera
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.background import Earth, earth_radiance
 from rendezview.simulation.random_craft import random_craft
 from rendezview.simulation.random_skies import random_sky

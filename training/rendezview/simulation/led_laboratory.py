@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array, Pose
-from rendezview.stereo import Lens, Photodiode, Response, Rig, RigCamera
-from rendezview.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.stereo import Lens, Photodiode, Response, Rig, RigCamera
+from rendezview.sensors.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
 
 _STEP = 1e-6  # rad, m, for the derivatives of the bound
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.stereo import Lens, Rig
 from rendezview.simulation.led_laboratory import Laboratory
-from rendezview.stereo import Lens, Rig
 
 _STEP = 1e-6
 _REACH = 5.0  # of a spot that is drawn, in its σ

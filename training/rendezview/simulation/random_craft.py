@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh import Mesh
 
 Solid = tuple[trimesh.Trimesh, Array]  # and the albedo of its faces (F,)

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
-from rendezview.reflectors.pattern import ReflectorPattern
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.reflectors.pattern import ReflectorPattern
 from rendezview.simulation.background import Earth, Stars, earth_radiance, star_radiance
 
 Grey = npt.NDArray[np.uint8]

@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.camera import Camera
-from rendezview.pose import Array
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
 from rendezview.simulation.sensor import SensorOptions, expose
 
 GreyImage = npt.NDArray[np.uint8]

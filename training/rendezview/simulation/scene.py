@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from joblib import Parallel, delayed
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
-from rendezview.sequences import BopSceneWriter
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.sequences import BopSceneWriter
 from rendezview.simulation.background import (
     Earth,
     Stars,

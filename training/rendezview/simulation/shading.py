@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.distortion import widened
 from rendezview.simulation.lighting import shade_samples
 from rendezview.simulation.shadows import ShadowMap, shadow_map

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _MARGIN_TEXELS = 2.0  # so that the texels beside every point are on the map

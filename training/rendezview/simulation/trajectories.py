@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 
 TrajectoryKind = Literal["circular", "spiral", "vbar", "flyaround", "tumble", "random"]
 TimedPose = tuple[float, Pose]

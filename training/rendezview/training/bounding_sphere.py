@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 _MAX_ROUNDS = 1000  # ten to twenty are usual; the radius grows every round
 

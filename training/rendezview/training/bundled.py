@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview.target import Target
+from rendezview.io.target import Target
 
 _HERE = Path(__file__).resolve()
 # In an installed package the vehicles lie beside this one, in a checkout at its top.

@@ -7,12 +7,12 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rendezview.appearance.match import Matcher
-from rendezview.appearance.model import HeldOut, ViewModel
-from rendezview.appearance.placement import place
-from rendezview.appearance.signature import Signature
-from rendezview.geodesic import angle_between
-from rendezview.pose import Array
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model import HeldOut, ViewModel
+from rendezview.sensors.appearance.outline.placement import place
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.training.views import ViewSet
 
 _LOST_RAD = np.deg2rad(30.0)  # farther off is a wrong answer, which no covariance describes

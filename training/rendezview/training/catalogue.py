@@ -15,10 +15,10 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from rendezview.appearance.model import ViewModel
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.files import make_folder, read_bytes
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import make_folder, read_bytes
+from rendezview.sensors.appearance.model import ViewModel
 from rendezview.training.bundled import find_target
 from rendezview.training.job import provenance, train
 from rendezview.training.mesh import load_mesh
@@ -165,7 +165,7 @@ def train_catalogue(
         try:
             found = find_target(entry.target)
             mesh = load_mesh(found.mesh_path, entry.unit or found.unit)
-            camera = Camera.load(entry.camera) if entry.camera else None
+            camera = load_camera(entry.camera) if entry.camera else None
             if _is_done(path, entry.name, provenance(mesh, entry.options, camera)):
                 there.append(entry.name)
                 return

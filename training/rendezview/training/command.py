@@ -11,9 +11,9 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.camera import Camera
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
+from rendezview.io.camera_files import load_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.job import Trained
 from rendezview.training.job import train as train_model
@@ -103,7 +103,7 @@ def train(
             output,
             name=found.name,
             options=options,
-            camera=Camera.load(camera) if camera else None,
+            camera=load_camera(camera) if camera else None,
             symmetries=found.symmetries or find_symmetries(mesh),
             shape_error=found.shape_error,
             workers=workers,

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.appearance.contours import (
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.contours import (
     DEPTH_UNIT,
     DIRECTION_UNIT,
     NO_POINT,
@@ -21,7 +22,6 @@ from rendezview.appearance.contours import (
     RUN_UNIT,
     packed_start,
 )
-from rendezview.pose import Array
 from rendezview.training.crossings import (
     KIND,
     LENGTH,
@@ -30,9 +30,9 @@ from rendezview.training.crossings import (
     face_normals,
 )
 from rendezview.training.drawn_view import draw_view
+from rendezview.training.edge_profiles import strips
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
-from rendezview.training.strips import strips
 from rendezview.training.surface_palette import packed_surfaces
 
 _BORDER_PX = 4.0  # around the target in the picture
@@ -57,8 +57,7 @@ def contour_points(
         options: for the number of points and the resolution at which the view is drawn.
 
     Returns:
-        The fields of ``rendezview.appearance.contours.Contours`` for this one view, but instead
-        of ``strip`` the ``surfaces`` (N, SURFACES, 4) for ``surface_palette``.
+        The fields of `Contours` for this one view, but instead of ``strip`` the ``surfaces`` (N, SURFACES, 4) for ``surface_palette``.
     """
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)

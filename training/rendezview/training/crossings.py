@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh import Mesh
 
 STEP_RADII = 0.02  # of the target's radius: so much deeper lies another surface

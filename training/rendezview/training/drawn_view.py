@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
 from rendezview.training.views import look_from

@@ -15,27 +15,27 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-import rendezview.appearance.outline
+import rendezview.sensors.appearance.outline.tracing
 import rendezview.training.views
-from rendezview.appearance.contours import Contours
-from rendezview.appearance.lit_views import LitViews
-from rendezview.appearance.model import HeldOut, ViewModel, Views
-from rendezview.appearance.signature import Readings
-from rendezview.appearance.surface import Surface
-from rendezview.appearance.tree import Forest
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.geodesic import Geodesic
-from rendezview.pose import Array
-from rendezview.target import Symmetry
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
+from rendezview.io.target import Symmetry
+from rendezview.sensors.appearance.edges.contours import Contours
+from rendezview.sensors.appearance.edges.shading import Surface
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import LitViews
+from rendezview.sensors.appearance.model import HeldOut, ViewModel, Views
+from rendezview.sensors.appearance.outline.signature import Readings
+from rendezview.sensors.appearance.outline.trees import Forest
 from rendezview.training.calibrate import calibrated, prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
 from rendezview.training.crossings import faces_beside
 from rendezview.training.learn import Decisions, Samples, TreeSet, decide, learn_trees
-from rendezview.training.lit_views import SunMaps, lit_views, sun_maps
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry, view_geometry
 from rendezview.training.renderers import SilhouetteRenderer, make_renderer
+from rendezview.training.shadowed_silhouettes import SunMaps, lit_views, sun_maps
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
 from rendezview.training.surface_points import (
@@ -366,7 +366,7 @@ def _tree_set(arrays: Arrays) -> TreeSet:
 def _code_sha256() -> str:
     """Of the modules that make shards: shards of other code are of no use."""
     digest = hashlib.sha256()
-    for module in (rendezview.training.views, rendezview.appearance.outline):
+    for module in (rendezview.training.views, rendezview.sensors.appearance.outline.tracing):
         for source in sorted(Path(str(module.__file__)).parent.glob("*.py")):
             digest.update(source.read_bytes())
     return digest.hexdigest()

@@ -9,10 +9,10 @@ import numpy.typing as npt
 from numba import njit
 from sklearn.tree import DecisionTreeClassifier
 
-from rendezview.appearance.signature import Readings, rolled, twist
-from rendezview.appearance.tree import Forest
-from rendezview.geodesic import Geodesic, angle_between
-from rendezview.pose import Array
+from rendezview.geometry.geodesic import Geodesic, angle_between
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.outline.signature import Readings, rolled, twist
+from rendezview.sensors.appearance.outline.trees import Forest
 from rendezview.training.neighbourhood import neighbourhood
 from rendezview.training.options import TrainingOptions
 from rendezview.training.views import ViewSet

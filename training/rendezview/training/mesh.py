@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array
-from rendezview.target import METRES_PER_UNIT
+from rendezview.geometry.pose import Array
+from rendezview.io.target import METRES_PER_UNIT
 from rendezview.training.bounding_sphere import smallest_enclosing_sphere
 from rendezview.training.mesh_colours import GREY, Rgb
 from rendezview.training.mesh_files import FORMATS, MeshFile, read_mesh_file

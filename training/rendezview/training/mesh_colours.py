@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 
 Rgb = NDArray[np.float32]
 GREY = 0.6  # linear albedo where a file gives none

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh_colours import Rgb, grey, stl_face_rgb, visual_face_rgb
 from rendezview.training.mesh_containers import colours_of_3mf, file_unit, refers_to_texture
 from rendezview.training.mesh_notes import counted

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh_colours import Rgb, grey, linear_from_srgb, texture_face_rgb
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh_colours import Rgb, grey, linear_from_srgb
 from rendezview.training.mesh_materials import read_materials
 from rendezview.training.mesh_notes import counted

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geodesic import Geodesic, angle_between
+from rendezview.geometry.geodesic import Geodesic, angle_between
 from rendezview.training.options import Neighbourhood
 
 Indices = npt.NDArray[np.intp]

@@ -7,10 +7,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from rendezview.camera import Camera
 from rendezview.errors import RendezviewError
-from rendezview.geodesic import MAX_ORDER
-from rendezview.pose import Array
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.geodesic import MAX_ORDER
+from rendezview.geometry.pose import Array
 from rendezview.training.mesh import Mesh
 from rendezview.training.renderers import Renderer
 

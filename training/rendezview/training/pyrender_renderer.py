@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Pose
+from rendezview.geometry.pose import Pose
 from rendezview.training.mesh import Mesh
 from rendezview.training.renderers import Mask, Window, project_vertices
 

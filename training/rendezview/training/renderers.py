@@ -15,7 +15,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.training.mesh import Mesh
 
 Mask = npt.NDArray[np.uint8]

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.files import atomic_write
+from rendezview.io.files import atomic_write
 from rendezview.training.workers import Shared, Workers
 
 Arrays = dict[str, npt.NDArray[Any]]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.appearance.contours import KINDS_OF_SURFACE
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.contours import KINDS_OF_SURFACE
 
 Bytes = npt.NDArray[np.uint8]
 

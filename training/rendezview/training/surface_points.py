@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.appearance.contours import DIRECTION_UNIT, POINT_UNIT
-from rendezview.appearance.surface import ALBEDO_UNIT, Surface
-from rendezview.pose import Array
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_UNIT
+from rendezview.sensors.appearance.edges.shading import ALBEDO_UNIT, Surface
 from rendezview.training.crossings import face_normals
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh

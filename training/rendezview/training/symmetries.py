@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from rendezview.pose import Array
-from rendezview.target import Symmetry
+from rendezview.geometry.pose import Array
+from rendezview.io.target import Symmetry
 from rendezview.training.mesh import Mesh
 
 _POINTS = 4000  # on the surface

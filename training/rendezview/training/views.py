@@ -9,16 +9,16 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.appearance.model import FAR_RADII
-from rendezview.appearance.signature import Readings, Signature
-from rendezview.appearance.silhouette import (
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.model import FAR_RADII
+from rendezview.sensors.appearance.outline.signature import Readings, Signature
+from rendezview.sensors.appearance.outline.silhouette import (
     Missing,
     SilhouetteOptions,
     find_silhouette,
     outlines_of_mask,
 )
-from rendezview.errors import RendezviewError
-from rendezview.pose import Array, Pose
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.renderers import Mask, SilhouetteRenderer, Window
 

@@ -1,0 +1,156 @@
+"""Fitted path and attitude as flight dynamics teams read them: CCSDS OEM and AEM, KVN.
+
+Orbit Ephemeris Message 2.0 (CCSDS 502.0-B-2) and Attitude Ephemeris Message 1.0 (504.0-B-1). The
+orbit message is of the chaser about the target: ``CENTER_NAME`` is the target. Kilometres in the
+file, as the standard wants them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class Names:
+    """What the headers say."""
+
+    chaser: str = "CHASER"
+    chaser_id: str = "0000-000A"  # international designator; this one says that there is none
+    target: str = "TARGET"
+    target_id: str = "0000-000B"
+    originator: str = "RENDEZVIEW"
+
+
+def parse_epoch(text: str) -> datetime:
+    """The UTC date and time of a sequence's time 0, ISO 8601.
+
+    Raises:
+        RendezviewError: not a date and time.
+    """
+    try:
+        epoch = datetime.fromisoformat(text)
+    except ValueError:
+        raise RendezviewError(
+            f"--epoch must be a UTC date and time such as 2031-05-04T12:00:00, not {text!r}"
+        ) from None
+    return (epoch if epoch.tzinfo else epoch.replace(tzinfo=UTC)).astimezone(UTC)
+
+
+def orbit_message(
+    epoch: datetime,
+    times_s: Sequence[float] | Array,
+    places_m: Array,
+    velocities_m_s: Array,
+    *,
+    frame: str,
+    names: Names | None = None,
+    created: datetime | None = None,
+) -> str:
+    """An OEM of places and velocities (N, 3) about the target.
+
+    Args:
+        frame: ``REF_FRAME``: ``RSW_ROTATING`` for Hill's frame, else a name the reader knows.
+
+    Raises:
+        ValueError: no states, times that do not rise, values not finite.
+    """
+    names = names or Names()
+    times, states = _checked(times_s, np.hstack([places_m, velocities_m_s]))
+    lines = [
+        "CCSDS_OEM_VERS = 2.0",
+        *_head(names, created),
+        "",
+        "META_START",
+        f"OBJECT_NAME = {names.chaser}",
+        f"OBJECT_ID = {names.chaser_id}",
+        f"CENTER_NAME = {names.target}",
+        f"REF_FRAME = {frame}",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {_stamp(epoch, times[0])}",
+        f"STOP_TIME = {_stamp(epoch, times[-1])}",
+        "META_STOP",
+        "",
+    ]
+    for time_s, state in zip(times, states, strict=True):
+        numbers = " ".join(f"{value / 1000.0:.12e}" for value in state)
+        lines.append(f"{_stamp(epoch, time_s)} {numbers}")
+    return "\n".join(lines) + "\n"
+
+
+def attitude_message(
+    epoch: datetime,
+    times_s: Sequence[float] | Array,
+    reference_from_target: Array,
+    *,
+    frame: str,
+    names: Names | None = None,
+    created: datetime | None = None,
+) -> str:
+    """An AEM of the target's attitudes (N, 3, 3), as quaternions, scalar last.
+
+    The quaternion turns the reference frame A into the body frame B, as a change of coordinates:
+    that of ``target_from_reference``. Signs are kept from line to line, as interpolation wants.
+
+    Raises:
+        ValueError: no states, times that do not rise, values not finite.
+    """
+    names = names or Names()
+    times, turned = _checked(times_s, np.asarray(reference_from_target).reshape(-1, 9))
+    # CCSDS: the quaternion of the frame's turn from A to B is that of body axes seen from A.
+    quats = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_quat()
+    for k in range(1, len(quats)):
+        if quats[k] @ quats[k - 1] < 0.0:
+            quats[k] *= -1.0
+    lines = [
+        "CCSDS_AEM_VERS = 1.0",
+        *_head(names, created),
+        "",
+        "META_START",
+        f"OBJECT_NAME = {names.target}",
+        f"OBJECT_ID = {names.target_id}",
+        f"REF_FRAME_A = {frame}",
+        "REF_FRAME_B = SC_BODY_1",
+        "ATTITUDE_DIR = A2B",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {_stamp(epoch, times[0])}",
+        f"STOP_TIME = {_stamp(epoch, times[-1])}",
+        "ATTITUDE_TYPE = QUATERNION",
+        "QUATERNION_TYPE = LAST",
+        "META_STOP",
+        "",
+        "DATA_START",
+    ]
+    for time_s, quat in zip(times, quats, strict=True):
+        numbers = " ".join(f"{value:.12f}" for value in quat)
+        lines.append(f"{_stamp(epoch, time_s)} {numbers}")
+    return "\n".join([*lines, "DATA_STOP"]) + "\n"
+
+
+def _head(names: Names, created: datetime | None) -> list[str]:
+    when = created or datetime.now(UTC)
+    return [f"CREATION_DATE = {_stamp(when, 0.0)}", f"ORIGINATOR = {names.originator}"]
+
+
+def _stamp(epoch: datetime, time_s: float) -> str:
+    moment = epoch + timedelta(seconds=float(time_s))
+    return re.sub(r"\+00:00$", "", moment.isoformat(timespec="microseconds"))
+
+
+def _checked(times_s: Sequence[float] | Array, values: Array) -> tuple[Array, Array]:
+    times = np.asarray(times_s, np.float64)
+    if len(times) == 0 or len(times) != len(values):
+        raise ValueError(f"{len(times)} times and {len(values)} states make no ephemeris")
+    if not (np.isfinite(times).all() and np.isfinite(values).all()):
+        raise ValueError("an ephemeris must be finite")
+    if np.any(np.diff(times) <= 0.0):
+        raise ValueError("the times of an ephemeris must rise")
+    return times, values

@@ -1,0 +1,183 @@
+"""BOP scenes: ``scene_camera.json``, ``scene_gt.json`` and ``gray/`` or ``rgb/``.
+
+Lengths in the files are millimetres, here metres. Our own scenes have a ``camera.json``
+besides, with the image size and the lens distortion, which BOP leaves out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose, nearest_rotation
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import checked, read_json
+from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.sequences.images import list_images, read_grey
+
+Entry = TypeVar("Entry")
+_Nine = Annotated[list[FiniteFloat], Field(min_length=9, max_length=9)]
+_Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+
+
+class _SceneCamera(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    cam_K: _Nine  # row-wise, px
+    timestamp_s: FiniteFloat | None = None
+
+
+class _SceneTruth(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+    cam_R_m2c: _Nine  # row-wise
+    cam_t_m2c: _Three  # mm
+    obj_id: int
+
+
+_SCENE_CAMERA = TypeAdapter(dict[str, _SceneCamera])
+_SCENE_TRUTH = TypeAdapter(dict[str, list[_SceneTruth]])
+_CAMERA_EXTRA = TypeAdapter(dict[str, object])
+
+
+def open_bop_scene(
+    folder: Path, camera: Camera | None = None, obj_id: int | None = None
+) -> Sequence:
+    """A BOP scene, frames in rising number.
+
+    The focal lengths and principal point are those of ``scene_camera.json``; image size and
+    distortion come from the scene's ``camera.json``, else the size is that of the first
+    image and there is no distortion. The scene's number is the folder's name if that is
+    a number, else ``scene_id`` of ``camera.json``, else 1.
+
+    Args:
+        folder: holds ``scene_camera.json``.
+        camera: used for all frames instead of the scene's own.
+        obj_id: which object is the target, where frames show several.
+
+    Raises:
+        RendezviewError: a file is missing or wrong, or frames show several objects
+            and ``obj_id`` does not say which one.
+    """
+    cameras_path, truth_path = folder / "scene_camera.json", folder / "scene_gt.json"
+    cameras = _by_number(
+        checked(_SCENE_CAMERA, read_json(cameras_path, "a BOP scene"), str(cameras_path)),
+        cameras_path,
+    )
+    if not cameras:
+        raise RendezviewError(f"{cameras_path}: lists no frames: write the scene again")
+    truth: dict[int, list[_SceneTruth]] = {}
+    if truth_path.is_file():
+        truth = _by_number(
+            checked(_SCENE_TRUTH, read_json(truth_path, "BOP truth"), str(truth_path)), truth_path
+        )
+    images_folder, images = _images(folder)
+    base = camera if camera is not None else _scene_camera(folder, next(iter(images.values())))
+    frames = []
+    for im_id, entry in sorted(cameras.items()):
+        own = camera
+        if own is None:
+            own = _with_matrix(base, entry.cam_K, f"{cameras_path}: {im_id}.cam_K")
+        target = _chosen(truth.get(im_id, []), obj_id, f"{truth_path}: {im_id}")
+        path = images.get(im_id, images_folder / f"{im_id:06d}.png")
+        frames.append(
+            Frame(
+                im_id=im_id,
+                name=path.name,
+                time_s=entry.timestamp_s,
+                camera=own,
+                camera_from_target=None
+                if target is None
+                else _pose(target, f"{truth_path}: {im_id}"),
+                obj_id=target.obj_id if target is not None else (obj_id or 1),
+                fetch=partial(read_grey, path),
+            )
+        )
+    return Sequence(scene_id=_scene_id(folder), frames=tuple(frames), source=folder)
+
+
+def _by_number(entries: dict[str, Entry], path: Path) -> dict[int, Entry]:
+    numbered: dict[int, Entry] = {}
+    for key, entry in entries.items():
+        if not (key.isascii() and key.isdigit()):
+            raise RendezviewError(f"{path}: {key!r} is no frame number: correct the file")
+        numbered[int(key)] = entry
+    return numbered
+
+
+def _images(folder: Path) -> tuple[Path, dict[int, Path]]:
+    """The folder of the pictures, and those named by a number; grey ones are preferred."""
+    for name in ("gray", "rgb"):
+        if (folder / name).is_dir():
+            images = {
+                int(path.stem): path
+                for path in list_images(folder / name)
+                if path.stem.isascii() and path.stem.isdigit()
+            }
+            if images:
+                return folder / name, images
+    raise RendezviewError(
+        f"{folder}: no images named 000000.png, 000001.png … in gray/ or rgb/: add them"
+    )
+
+
+def _scene_camera(folder: Path, first_image: Path) -> Camera:
+    if (folder / "camera.json").is_file():
+        return load_camera(folder / "camera.json")
+    height, width = read_grey(first_image).shape
+    return Camera(width, height, 1.0, 1.0, 0.0, 0.0)  # its matrix is replaced for every frame
+
+
+def _with_matrix(camera: Camera, values: list[float], where: str) -> Camera:
+    fx, skew, cx, below, fy, cy, *last = values
+    if abs(skew) > 1e-6 * abs(fx) or below != 0.0 or last != [0.0, 0.0, 1.0]:
+        raise RendezviewError(
+            f"{where}: must be [fx 0 cx; 0 fy cy; 0 0 1] row-wise (no skew), not {values}: "
+            f"correct the scene"
+        )
+    if (fx, fy, cx, cy) == (camera.fx, camera.fy, camera.cx, camera.cy):
+        return camera  # one object for all frames of a fixed camera
+    try:
+        return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy)
+    except ValueError as error:
+        raise RendezviewError(f"{where}: {error}: correct the scene") from error
+
+
+def _chosen(entries: list[_SceneTruth], obj_id: int | None, where: str) -> _SceneTruth | None:
+    if obj_id is not None:
+        entries = [entry for entry in entries if entry.obj_id == obj_id]
+    if len(entries) > 1:
+        objects = ", ".join(str(entry.obj_id) for entry in entries)
+        raise RendezviewError(
+            f"{where}: several objects ({objects}) but one target is tracked: choose one "
+            f"by its obj_id, or keep one entry per frame"
+        )
+    return entries[0] if entries else None
+
+
+def _pose(entry: _SceneTruth, where: str) -> Pose:
+    try:
+        rotation = nearest_rotation(np.reshape(entry.cam_R_m2c, (3, 3)))
+    except ValueError as error:
+        raise RendezviewError(f"{where}: cam_R_m2c: {error}: correct the scene") from error
+    return Pose(rotation, np.asarray(entry.cam_t_m2c) / 1000.0)
+
+
+def _scene_id(folder: Path) -> int:
+    name = folder.resolve().name
+    if name.isascii() and name.isdigit():
+        return int(name)
+    camera_path = folder / "camera.json"
+    if camera_path.is_file():
+        extra = checked(_CAMERA_EXTRA, read_json(camera_path, "a camera file"), str(camera_path))
+        scene_id = extra.get("scene_id")
+        if isinstance(scene_id, int) and not isinstance(scene_id, bool):
+            return scene_id
+    return 1

@@ -1,0 +1,69 @@
+"""Packed pictures to grey levels, whoever sent them."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import zlib
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.io.sequences.frame import GreyImage
+
+PNG = b"\x89PNG\r\n\x1a\n"  # a file begins so
+
+# Turned by its EXIF tag, a picture would no longer be the one the camera was calibrated for.
+_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+_ANIMATED = (b"acTL", b"fcTL", b"fdAT")
+
+Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
+
+
+@contextlib.contextmanager
+def quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV's own complaints off the screen: our error says what is wrong."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def decode_grey(content: Bytes) -> GreyImage | None:
+    """A PNG, JPEG … as grey uint8 (height, width), as stored: not turned by its EXIF tag.
+
+    None: damaged, cut short, animated, or no picture. Of a PNG the checksums are looked at first,
+    for OpenCV's decoder can hang over one that is damaged.
+    """
+    if len(content) == 0:
+        return None
+    data = np.frombuffer(content, dtype=np.uint8)
+    if data[: len(PNG)].tobytes() == PNG and not _png_is_whole(data.data):
+        return None
+    try:
+        with quiet_opencv():
+            image = cv2.imdecode(data, _AS_STORED)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image, dtype=np.uint8)
+
+
+def _png_is_whole(view: memoryview) -> bool:
+    """Every chunk with its right checksum up to the last, and a single picture."""
+    place = len(PNG)
+    while place + 12 <= len(view):
+        length, kind = struct.unpack(">I4s", view[place : place + 8])
+        end = place + 12 + length
+        if end > len(view) or kind in _ANIMATED:
+            return False
+        (checksum,) = struct.unpack(">I", view[end - 4 : end])
+        if zlib.crc32(view[place + 4 : end - 4]) != checksum:
+            return False
+        if kind == b"IEND":
+            return True  # what follows is not read
+        place = end
+    return False

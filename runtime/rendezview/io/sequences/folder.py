@@ -1,0 +1,43 @@
+"""A bare folder of images, in natural order, with one camera."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.frame import Frame, Sequence
+from rendezview.io.sequences.images import list_images, read_grey, required_camera
+
+
+def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
+    """The images of a folder: numbered from 0, without times and truth.
+
+    Args:
+        folder: the images, and the camera file if ``camera`` is None.
+        camera: wins over a camera file in the folder.
+
+    Raises:
+        RendezviewError: no images, or no camera.
+    """
+    images = list_images(folder)
+    if not images:
+        raise RendezviewError(
+            f"{folder}: no images in it, and it is no BOP scene (scene_camera.json) and no "
+            f"SPEED folder (camera.json and labels): check the path"
+        )
+    found = required_camera(camera, folder, folder)
+    frames = tuple(
+        Frame(
+            im_id=index,
+            name=path.name,
+            time_s=None,
+            camera=found,
+            camera_from_target=None,
+            obj_id=1,
+            fetch=partial(read_grey, path),
+        )
+        for index, path in enumerate(images)
+    )
+    return Sequence(scene_id=1, frames=frames, source=folder)

@@ -1,0 +1,59 @@
+"""A frame of a sequence, and the sequence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+
+GreyImage = npt.NDArray[np.uint8]  # (height, width)
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One picture, with what the sequence says of it."""
+
+    im_id: int
+    name: str  # of the file, or the frame's number in a video
+    time_s: float | None
+    camera: Camera
+    camera_from_target: Pose | None  # truth, where the sequence has it
+    obj_id: int  # 1 where unknown
+    fetch: Callable[[], GreyImage] = field(repr=False, compare=False)  # see `read`
+
+    def read(self) -> GreyImage:
+        """The grey picture, uint8 (height, width) of the camera.
+
+        Raises:
+            RendezviewError: missing, not an image, or of another size than the camera's.
+        """
+        image = self.fetch()
+        height, width = image.shape
+        if (width, height) != (self.camera.width, self.camera.height):
+            raise RendezviewError(
+                f"{self.name}: the image is {width} × {height} pixels but its camera "
+                f"{self.camera.width} × {self.camera.height}: use the camera file of these images"
+            )
+        return image
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """Frames in order; ``scene_id`` is the number results files give them."""
+
+    scene_id: int
+    frames: tuple[Frame, ...]
+    source: Path
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self.frames)

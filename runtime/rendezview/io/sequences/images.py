@@ -1,0 +1,97 @@
+"""Image files: reading one, listing a folder, finding its camera file."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import atomic_write, read_bytes
+from rendezview.io.sequences.decoding import decode_grey
+from rendezview.io.sequences.frame import GreyImage
+
+IMAGE_SUFFIXES = frozenset(
+    {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp"}
+)
+CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml")
+
+
+def read_grey(path: Path) -> GreyImage:
+    """An image file as grey uint8 (height, width), not turned by its EXIF tag.
+
+    Raises:
+        RendezviewError: missing, unreadable, not an image, or cut short.
+    """
+    content = read_bytes(path, "an image")
+    image = decode_grey(content)
+    if image is None:
+        raise RendezviewError(
+            f"{path}: not an image that can be read (damaged, cut short or of another "
+            f"kind): replace the file"
+        )
+    return image
+
+
+def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
+    """Write a picture, (H, W) grey or (H, W, 3) blue, green, red, as PNG.
+
+    Raises:
+        RendezviewError: it cannot be encoded or written.
+    """
+    encoded, content = cv2.imencode(".png", picture)
+    if not encoded:
+        raise RendezviewError(f"{path}: the picture cannot be encoded as PNG")
+    with atomic_write(path, durable=False) as file:
+        file.write(content.tobytes())
+
+
+def list_images(folder: Path) -> list[Path]:
+    """The image files of a folder in natural order: 2.png before 10.png; hidden files left out."""
+    try:
+        found = [
+            path
+            for path in folder.iterdir()
+            if path.suffix.lower() in IMAGE_SUFFIXES
+            and not path.name.startswith(".")
+            and path.is_file()
+        ]
+    except OSError as error:
+        raise RendezviewError(
+            f"{folder}: this folder cannot be read ({error.strerror}): check its permissions"
+        ) from error
+    return sorted(found, key=lambda path: natural_key(path.name))
+
+
+def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
+    """Sorting key that compares runs of digits as numbers."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name)
+    return [(int(p), "") if p[0] in "0123456789" else (-1, p.lower()) for p in parts], name
+
+
+def camera_beside(folder: Path) -> Camera | None:
+    """The camera of ``camera.json``, ``camera.yaml`` or ``camera.yml`` in a folder, if any."""
+    for name in CAMERA_NAMES:
+        if (folder / name).is_file():
+            return load_camera(folder / name)
+    return None
+
+
+def required_camera(camera: Camera | None, folder: Path, source: Path) -> Camera:
+    """The camera given, else the one found in ``folder``.
+
+    Raises:
+        RendezviewError: there is none.
+    """
+    found = camera if camera is not None else camera_beside(folder)
+    if found is None:
+        raise RendezviewError(
+            f"{source}: no camera: give a camera file, or put one into {folder} "
+            f"as {' or '.join(CAMERA_NAMES)}"
+        )
+    return found

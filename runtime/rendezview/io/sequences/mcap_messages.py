@@ -1,0 +1,161 @@
+"""MCAP files: Foxglove's messages (protobuf or JSON) and ROS's (CDR or ROS 1).
+
+Read record by record, so that a file that was cut off gives what is whole before its end.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from rendezview.errors import RendezviewError
+from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture
+from rendezview.io.sequences.recordings import Content, Message
+from rendezview.io.sequences.ros_messages import CALIBRATIONS, PICTURES, message, short_name
+
+_FOXGLOVE = ("foxglove.RawImage", "foxglove.CompressedImage", "foxglove.CameraCalibration")
+_NEEDED = "pip install 'rendezview[{}]'"
+_MOST_RECORD = 4_000_000_000  # longer ones are no records but damage
+_Decoder = Callable[[str, int, bytes], Message]
+
+
+def mcap_messages(path: Path) -> Iterator[Message]:
+    """Pictures and calibrations, in the order of the file.
+
+    Raises:
+        RendezviewError: a package is not installed, or this is no MCAP file.
+    """
+    try:
+        from mcap.exceptions import EndOfFile
+        from mcap.records import Channel, Schema
+        from mcap.records import Message as Record
+        from mcap.stream_reader import StreamReader
+    except ModuleNotFoundError as error:
+        raise RendezviewError(
+            f"{path}: MCAP files need {error.name}: {_NEEDED.format('service')}"
+        ) from None
+    schemas: dict[int, Any] = {}
+    topics: dict[int, str] = {}
+    decoders: dict[int, _Decoder | None] = {}
+    try:
+        with open(path, "rb") as file:
+            reader = StreamReader(file, validate_crcs=True, record_size_limit=_MOST_RECORD)
+            for record in reader.records:
+                if isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    if record.id not in decoders:
+                        schema = schemas.get(record.schema_id)
+                        decoders[record.id] = _decoder(path, record.message_encoding, schema)
+                        topics[record.id] = record.topic
+                elif isinstance(record, Record):
+                    decoder = decoders.get(record.channel_id)
+                    if decoder is not None:
+                        yield decoder(topics[record.channel_id], record.log_time, record.data)
+    except EndOfFile:
+        return  # it was cut off
+    except RendezviewError:
+        raise
+    except OSError as error:
+        raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
+    except Exception as error:  # a reader of others, over bytes of others
+        raise RendezviewError(
+            f"{path}: not an MCAP file that can be read ({type(error).__name__}: "
+            f"{str(error)[:200]}): check the file, or recover it with the mcap tool"
+        ) from error
+
+
+def _decoder(path: Path, encoding: str, schema: Any) -> _Decoder | None:
+    """What reads a channel's messages; None where they are of no interest."""
+    if schema is None:
+        return None
+    if schema.name in _FOXGLOVE and encoding in ("protobuf", "json"):
+        return _foxglove(path, schema.name, encoding)
+    if short_name(schema.name) in PICTURES + CALIBRATIONS and encoding in ("cdr", "ros1"):
+        return _ros(path, schema, encoding)
+    return None
+
+
+def _ros(path: Path, schema: Any, encoding: str) -> _Decoder:
+    try:
+        from rosbags.typesys import (
+            Stores,
+            get_types_from_idl,
+            get_types_from_msg,
+            get_typestore,
+        )
+    except ModuleNotFoundError as error:
+        raise RendezviewError(
+            f"{path}: ROS's messages need {error.name}: {_NEEDED.format('ros')}"
+        ) from None
+    package, name = short_name(schema.name).split("/")
+    full = f"{package}/msg/{name}"
+    store = get_typestore(Stores.EMPTY)
+    text = schema.data.decode("utf-8")
+    if "idl" in schema.encoding:
+        for part in text.split("=" * 80 + "\n"):
+            body = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
+            if body.strip():
+                store.register(get_types_from_idl(body))
+    else:
+        store.register(get_types_from_msg(text, full))
+    deserialize = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
+    return lambda topic, logged_ns, data: message(topic, full, logged_ns, data, deserialize)
+
+
+def _foxglove(path: Path, name: str, encoding: str) -> _Decoder:
+    if encoding == "json":
+        parse: Callable[[bytes], Any] = json.loads
+        read = _json_content
+    else:
+        try:
+            from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+            from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+            from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+        except ModuleNotFoundError as error:
+            raise RendezviewError(
+                f"{path}: Foxglove's messages need {error.name}: {_NEEDED.format('service')}"
+            ) from None
+        kinds: tuple[Any, ...] = (RawImage, CompressedImage, CameraCalibration)
+        parse = kinds[_FOXGLOVE.index(name)].FromString
+        read = _protobuf_content
+
+    def decoder(topic: str, logged_ns: int, data: bytes) -> Message:
+        return Message(
+            topic, name.endswith("Calibration"), logged_ns, lambda: read(name, parse(data))
+        )
+
+    return decoder
+
+
+def _protobuf_content(name: str, found: Any) -> tuple[float, Content]:
+    stamp_s = found.timestamp.seconds + 1e-9 * found.timestamp.nanos
+    if name == "foxglove.RawImage":
+        return stamp_s, RawPicture(
+            found.width, found.height, found.step, found.encoding, found.data
+        )
+    if name == "foxglove.CompressedImage":
+        return stamp_s, PackedPicture(found.data)
+    return stamp_s, Calibration(
+        found.width, found.height, found.distortion_model, tuple(found.D), tuple(found.K),
+        tuple(found.P),
+    )  # fmt: skip
+
+
+def _json_content(name: str, found: Any) -> tuple[float, Content]:
+    stamp = found.get("timestamp") or {}
+    stamp_s = stamp.get("sec", 0) + 1e-9 * stamp.get("nsec", 0)
+    if name == "foxglove.CameraCalibration":
+        return stamp_s, Calibration(
+            found["width"], found["height"], found.get("distortion_model", ""),
+            tuple(found.get("D", ())), tuple(found["K"]), tuple(found.get("P", ())),
+        )  # fmt: skip
+    data = base64.b64decode(found["data"])
+    if name == "foxglove.CompressedImage":
+        return stamp_s, PackedPicture(data)
+    return stamp_s, RawPicture(
+        found["width"], found["height"], found["step"], found["encoding"], data
+    )

@@ -1,0 +1,88 @@
+"""One function that opens whatever holds pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.files import StrPath
+from rendezview.io.sequences.bop import open_bop_scene
+from rendezview.io.sequences.folder import open_image_folder
+from rendezview.io.sequences.frame import Sequence
+from rendezview.io.sequences.images import IMAGE_SUFFIXES
+from rendezview.io.sequences.mcap_messages import mcap_messages
+from rendezview.io.sequences.recordings import open_recording, split_topic
+from rendezview.io.sequences.ros_messages import BAG_SUFFIXES, bag_messages, is_ros2_folder
+from rendezview.io.sequences.speed import (
+    find_label_files,
+    is_label_file,
+    open_speed,
+    speed_camera_file,
+)
+from rendezview.io.sequences.video import VIDEO_SUFFIXES, open_video
+
+
+def open_sequence(
+    path: StrPath, camera: Camera | None = None, *, obj_id: int | None = None
+) -> Sequence:
+    """Open a BOP scene, a SPEED folder, a folder of images, a video, a ROS bag or an MCAP file.
+
+    Nothing but the first image is read (recordings are passed through once); frames are read
+    when asked for.
+
+    Args:
+        path: the folder; or a video, a ``scene_camera.json``, a SPEED labels file; or a
+            recording, with ``#topic`` behind it where it has pictures of several topics.
+        camera: of all frames; wins over what the sequence itself says. Needed for a folder
+            of images and a video unless a ``camera.json`` or ``camera.yaml`` lies there, and for
+            a recording without calibration messages.
+        obj_id: which object of a BOP scene is the target, where frames show several.
+
+    Raises:
+        RendezviewError: missing, none of these kinds, incomplete, or no camera.
+    """
+    source, topic = Path(path), None
+    if not source.exists():
+        text, topic = split_topic(str(path))
+        source = Path(text)
+    suffix = source.suffix.lower()
+    if suffix == ".mcap" and source.is_file():
+        return open_recording(source, mcap_messages, topic, camera)
+    bag = suffix in BAG_SUFFIXES and source.is_file()
+    if bag or (source.is_dir() and is_ros2_folder(source)):
+        return open_recording(source, bag_messages, topic, camera)
+    if topic is not None and source.exists():
+        raise RendezviewError(f"{path}: only recordings have topics: leave out #{topic}")
+    if source.is_dir():
+        return _open_folder(source, camera, obj_id)
+    if not source.exists():
+        raise RendezviewError(
+            f"{path}: no such file or folder: give a BOP scene, a folder of images, a SPEED "
+            f"folder, a video, a ROS bag or an MCAP file"
+        )
+    if source.name in ("scene_camera.json", "scene_gt.json"):
+        return open_bop_scene(source.parent, camera, obj_id)
+    if suffix == ".json" and is_label_file(source):
+        return open_speed(source, camera)
+    if suffix in VIDEO_SUFFIXES:
+        return open_video(source, camera)
+    if suffix in IMAGE_SUFFIXES:
+        raise RendezviewError(f"{path}: a single image: give the folder it is in")
+    raise RendezviewError(
+        f"{path}: no sequence of images: give a BOP scene, a folder of images, a SPEED folder, a "
+        f"ROS bag (.bag .db3), an .mcap file or a video ({' '.join(sorted(VIDEO_SUFFIXES))})"
+    )
+
+
+def _open_folder(folder: Path, camera: Camera | None, obj_id: int | None) -> Sequence:
+    if (folder / "scene_camera.json").is_file():
+        return open_bop_scene(folder, camera, obj_id)
+    if (camera is not None or speed_camera_file(folder) is not None) and find_label_files(folder):
+        return open_speed(folder, camera)
+    scenes = sorted(child.parent for child in folder.glob("*/scene_camera.json"))
+    if scenes:
+        raise RendezviewError(
+            f"{folder}: holds {len(scenes)} BOP scenes: give one of them, such as {scenes[0]}"
+        )
+    return open_image_folder(folder, camera)

@@ -1,0 +1,204 @@
+"""Recordings of messages as sequences of images: ROS 1 and ROS 2 bags, MCAP files.
+
+Which messages are pictures is told by their type; the topic is named behind the path,
+``flight.bag#/camera/image_raw``, where there are several. The camera is that of the calibration
+messages nearest to the topic, unless one is given.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
+from rendezview.io.sequences.images import camera_beside
+from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture, grey
+
+Content = RawPicture | PackedPicture | Calibration
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A picture or a calibration, not decoded yet."""
+
+    topic: str
+    calibrates: bool
+    logged_ns: int
+    decode: Callable[[], tuple[float, Content]]  # stamp of its header, s (0: none), and content
+
+
+Messages = Callable[[Path], Iterator[Message]]  # those of one pass through a file, in order
+
+
+@dataclass(slots=True)
+class _Found:
+    """What a first pass finds."""
+
+    stamps_s: dict[str, list[float]]  # of the pictures of each topic
+    logged_s: dict[str, list[float]]  # when they were recorded
+    calibrations: dict[str, Calibration]  # the first of each topic
+
+
+def split_topic(text: str) -> tuple[str, str | None]:
+    """Path and topic of ``PATH#TOPIC``; the topic is None where none is named."""
+    path, mark, topic = text.rpartition("#")
+    return (path, topic) if mark and path and topic else (text, None)
+
+
+def open_recording(
+    path: Path, messages: Messages, topic: str | None = None, camera: Camera | None = None
+) -> Sequence:
+    """The pictures of one topic, numbered from 0 in the order of the recording.
+
+    Their times are the stamps of their headers, seconds since 1970 as a rule; where none has a
+    stamp, the times at which they were recorded. The recording is read through once to learn them.
+
+    Args:
+        path: the recording.
+        messages: reads it.
+        topic: of the pictures; may be left out where there is only one.
+        camera: wins over the recording's calibration.
+
+    Raises:
+        RendezviewError: cannot be read, no such topic or several, or no camera.
+    """
+    found = _first_pass(path, messages)
+    chosen = _topic(path, found, topic)
+    own = camera if camera is not None else _camera(path, found, chosen)
+    stamps_s = found.stamps_s[chosen]
+    times_s = stamps_s if any(stamps_s) else found.logged_s[chosen]
+    reader = RecordingReader(path, messages, chosen)
+    frames = tuple(
+        Frame(
+            im_id=index,
+            name=f"{path.name}#{chosen}, frame {index}",
+            time_s=time_s,
+            camera=own,
+            camera_from_target=None,
+            obj_id=1,
+            fetch=partial(reader.read, index),
+        )
+        for index, time_s in enumerate(times_s)
+    )
+    return Sequence(scene_id=1, frames=frames, source=path)
+
+
+class RecordingReader:
+    """Reads pictures of a topic in any order; in rising order it passes the file only once.
+
+    One reader may be used from several threads and sent to another process.
+    """
+
+    def __init__(self, path: Path, messages: Messages, topic: str) -> None:
+        self._source = path, messages, topic
+        self._pass: Iterator[Message] | None = None
+        self._next = 0  # number of the picture that comes next
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[type[RecordingReader], tuple[Path, Messages, str]]:
+        return RecordingReader, self._source
+
+    def read(self, index: int) -> GreyImage:
+        """Picture ``index`` from 0 as grey uint8 (height, width).
+
+        Raises:
+            RendezviewError: the recording has changed, or the picture is damaged.
+        """
+        path, messages, topic = self._source
+        where = f"{path}#{topic}, frame {index}"
+        with self._lock:
+            if self._pass is None or index < self._next:
+                self._pass, self._next = _of_topic(path, messages, topic), 0
+            for message in self._pass:
+                self._next += 1
+                if self._next > index:
+                    content = _decoded(path, message)[1]
+                    if isinstance(content, Calibration):
+                        break
+                    return grey(content, where)
+            self._pass = None
+        raise RendezviewError(f"{where}: is no longer there: the recording has changed")
+
+
+def _first_pass(path: Path, messages: Messages) -> _Found:
+    found = _Found({}, {}, {})
+    for message in messages(path):
+        if message.calibrates:
+            if message.topic not in found.calibrations:
+                content = _decoded(path, message)[1]
+                if isinstance(content, Calibration):
+                    found.calibrations[message.topic] = content
+            continue
+        found.stamps_s.setdefault(message.topic, []).append(_decoded(path, message)[0])
+        found.logged_s.setdefault(message.topic, []).append(1e-9 * message.logged_ns)
+    return found
+
+
+def _of_topic(path: Path, messages: Messages, topic: str) -> Iterator[Message]:
+    return (m for m in messages(path) if m.topic == topic and not m.calibrates)
+
+
+def _decoded(path: Path, message: Message) -> tuple[float, Content]:
+    try:
+        return message.decode()
+    except RendezviewError:
+        raise
+    except Exception as error:  # decoders of others, over bytes of others
+        raise RendezviewError(
+            f"{path}#{message.topic}: a message cannot be read ({type(error).__name__}: {error}): "
+            "the recording is damaged, or its types are not what their names say"
+        ) from error
+
+
+def _topic(path: Path, found: _Found, topic: str | None) -> str:
+    topics = sorted(found.stamps_s)
+    if not topics:
+        raise RendezviewError(
+            f"{path}: holds no pictures (sensor_msgs Image or CompressedImage, foxglove RawImage "
+            "or CompressedImage): record a camera's topic"
+        )
+    listed = ", ".join(f"{name} ({len(found.stamps_s[name])})" for name in topics)
+    if topic is not None:
+        if topic not in found.stamps_s:
+            raise RendezviewError(f"{path}: has no pictures of {topic}; it has {listed}")
+        return topic
+    if len(topics) > 1:
+        raise RendezviewError(
+            f"{path}: has pictures of several topics ({listed}): name one as {path}#{topics[0]}"
+        )
+    return topics[0]
+
+
+def _camera(path: Path, found: _Found, topic: str) -> Camera:
+    """Of the calibration whose topic shares most of its leading words with the picture's."""
+    shared = {name: _shared(name, topic) for name in found.calibrations}
+    nearest = [name for name, count in shared.items() if count == max(shared.values())]
+    if not nearest:
+        beside = camera_beside(path if path.is_dir() else path.parent)
+        if beside is None:
+            raise RendezviewError(
+                f"{path}: no camera: it holds no calibration (sensor_msgs CameraInfo, foxglove "
+                "CameraCalibration): give a camera file"
+            )
+        return beside
+    if len(nearest) > 1:
+        raise RendezviewError(
+            f"{path}: which of the calibrations {', '.join(sorted(nearest))} is that of "
+            f"{topic}? Give a camera file"
+        )
+    rectified = any(part.startswith("image_rect") for part in topic.split("/"))
+    return found.calibrations[nearest[0]].camera(f"{path}#{nearest[0]}", rectified=rectified)
+
+
+def _shared(a: str, b: str) -> int:
+    count = 0
+    for x, y in zip(a.split("/"), b.split("/"), strict=False):
+        if x != y:
+            break
+        count += 1
+    return count

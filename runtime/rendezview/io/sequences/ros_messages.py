@@ -1,0 +1,104 @@
+"""ROS's messages: bags of ROS 1 and ROS 2 through the package ``rosbags``.
+
+No ROS is needed. Types come from the bag; ROS 2 bags that do not hold them (SQLite before Iron) are
+read as of ROS 2 Humble, whose pictures and calibrations are those of all releases.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from rendezview.errors import RendezviewError
+from rendezview.io.sequences.message_images import Calibration, PackedPicture, RawPicture
+from rendezview.io.sequences.recordings import Content, Message
+
+BAG_SUFFIXES = frozenset({".bag", ".db3"})
+
+_NEEDED = "pip install 'rendezview[ros]'"
+# Types by their name without the middle word that ROS 2 has and ROS 1 has not.
+PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+CALIBRATIONS = ("sensor_msgs/CameraInfo",)
+
+
+def is_ros2_folder(folder: Path) -> bool:
+    """Whether a folder is a ROS 2 bag."""
+    return (folder / "metadata.yaml").is_file() and any(
+        path.suffix in (".db3", ".mcap", ".zstd") for path in folder.iterdir()
+    )
+
+
+def short_name(type_name: str) -> str:
+    """``sensor_msgs/Image`` of ``sensor_msgs/msg/Image`` and of ``sensor_msgs/Image``."""
+    return type_name.replace("/msg/", "/")
+
+
+def bag_messages(path: Path) -> Iterator[Message]:
+    """Pictures and calibrations of a ROS 1 bag or a ROS 2 bag (folder or ``.db3``), in order.
+
+    Raises:
+        RendezviewError: rosbags is not installed, or the bag cannot be read.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError as error:
+        raise RendezviewError(f"{path}: ROS bags need {error.name}: {_NEEDED}") from None
+    try:
+        defaults = get_typestore(Stores.ROS2_HUMBLE)
+        with AnyReader([path], default_typestore=defaults) as reader:
+            wanted = [
+                connection
+                for connection in reader.connections
+                if short_name(connection.msgtype) in PICTURES + CALIBRATIONS
+            ]
+            if not wanted:
+                return  # no connections would be all of them
+            for connection, logged_ns, data in reader.messages(connections=wanted):
+                yield message(
+                    connection.topic, connection.msgtype, logged_ns, data, reader.deserialize
+                )
+    except RendezviewError:
+        raise
+    except Exception as error:  # readers of others, over bytes of others
+        raise RendezviewError(
+            f"{path}: not a ROS bag that can be read ({type(error).__name__}: "
+            f"{str(error).strip()[:200]}): check the file, or index or convert it again"
+        ) from error
+
+
+def message(
+    topic: str,
+    type_name: str,
+    logged_ns: int,
+    data: bytes,
+    deserialize: Callable[[bytes, str], Any],
+) -> Message:
+    """A message of ROS's, decoded when asked for."""
+    calibrates = short_name(type_name) in CALIBRATIONS
+
+    def decode() -> tuple[float, Content]:
+        found = deserialize(data, type_name)
+        stamp = found.header.stamp
+        return stamp.sec + 1e-9 * stamp.nanosec, _content(type_name, found)
+
+    return Message(topic, calibrates, logged_ns, decode)
+
+
+def _content(type_name: str, found: Any) -> Content:
+    kind = short_name(type_name)
+    if kind == "sensor_msgs/Image":
+        return RawPicture(found.width, found.height, found.step, found.encoding, found.data)
+    if kind == "sensor_msgs/CompressedImage":
+        return PackedPicture(found.data)
+    ros1 = hasattr(found, "K")  # capitals
+    k, d, p = (found.K, found.D, found.P) if ros1 else (found.k, found.d, found.p)
+    return Calibration(
+        width=int(found.width),
+        height=int(found.height),
+        model=found.distortion_model,
+        distortion=tuple(map(float, d)),
+        matrix=tuple(map(float, k)),
+        projection=tuple(map(float, p)),
+    )

@@ -1,0 +1,226 @@
+"""The target vehicle: its mesh file and what is known of it besides, from ``target.toml``.
+
+Everything but the mesh is in the target frame, in metres, whatever the mesh's own unit.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    StringConstraints,
+    TypeAdapter,
+)
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.files import StrPath, checked, read_text
+
+Array = npt.NDArray[np.float64]
+
+METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
+TARGET_FILE = "target.toml"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DockingRing:
+    """A circular ring (launch adapter, docking port)."""
+
+    centre_m: Array  # (3,)
+    axis: Array  # (3,) unit, outward normal of the ring's plane
+    radius_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflector:
+    """A retro-reflector; those of one ``group`` are looked for together."""
+
+    name: str
+    group: str
+    position_m: Array  # (3,)
+    normal: Array  # (3,) unit, outward
+    diameter_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Led:
+    """A light of the target."""
+
+    name: str
+    position_m: Array  # (3,)
+    normal: Array  # (3,) unit, along the beam
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """A target vehicle; positions and directions are in the target frame, metres."""
+
+    name: str
+    description: str
+    mesh_path: Path
+    unit: str | None  # a key of METRES_PER_UNIT; None: not known, the mesh reader has to ask
+    docking_ring: DockingRing | None = None
+    reflectors: tuple[Reflector, ...] = ()
+    leds: tuple[Led, ...] = ()
+    symmetries: tuple[Symmetry, ...] = ()
+    shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
+
+    @classmethod
+    def load(cls, path: StrPath) -> Target:
+        """Read a ``*.toml`` target file, a folder with a ``target.toml``, or a bare mesh.
+
+        A bare mesh is named by its file name and its unit is None.
+
+        Raises:
+            RendezviewError: missing, not TOML, an unknown or wrong key (named), or
+                the mesh file is not where the target file says.
+        """
+        given = Path(path)
+        if given.is_dir():
+            given = given / TARGET_FILE
+            if not given.is_file():
+                raise RendezviewError(
+                    f"{path}: this folder has no {TARGET_FILE}: give a target file or a mesh file"
+                )
+        if given.suffix.lower() == ".toml":
+            return _read_target(given)
+        if not given.is_file():
+            raise RendezviewError(
+                f"{path}: no such file: give a {TARGET_FILE}, a folder with one, or a mesh file"
+            )
+        return cls(name=given.stem, description="", mesh_path=given, unit=None)
+
+
+def _frozen(values: list[float]) -> Array:
+    array = np.array(values, dtype=np.float64)
+    array.setflags(write=False)
+    return array
+
+
+def _direction(values: list[float]) -> list[float]:
+    scale = max(abs(value) for value in values)
+    if scale == 0.0:
+        raise ValueError("a direction must not be zero")
+    scaled = [value / scale for value in values]
+    norm = math.hypot(*scaled)
+    return [value / norm for value in scaled]
+
+
+_Name = Annotated[str, StringConstraints(min_length=1)]
+_Vector = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
+_Direction = Annotated[_Vector, AfterValidator(_direction)]
+_Length = Annotated[FiniteFloat, Field(gt=0.0)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class _MeshTable(_Table):
+    path: _Name
+    unit: Literal["m", "cm", "mm", "in", "ft"]
+    shape_error: Annotated[FiniteFloat, Field(ge=0.0, le=0.2)] = 0.0
+
+
+class _RingTable(_Table):
+    centre_m: _Vector
+    axis: _Direction
+    radius_m: _Length
+
+
+class _ReflectorTable(_Table):
+    name: _Name
+    group: _Name
+    position_m: _Vector
+    normal: _Direction
+    diameter_m: _Length
+
+
+class _LedTable(_Table):
+    name: _Name
+    position_m: _Vector
+    normal: _Direction
+
+
+class _DiscreteTable(_Table):
+    kind: Literal["discrete"]
+    axis: _Direction
+    angle_rad: Annotated[FiniteFloat, Field(gt=0.0, lt=math.tau)]
+
+
+class _ContinuousTable(_Table):
+    kind: Literal["continuous"]
+    axis: _Direction
+
+
+class _TargetFile(_Table):
+    name: _Name
+    description: str = ""
+    mesh: _MeshTable
+    docking_ring: _RingTable | None = None
+    reflectors: list[_ReflectorTable] = []
+    leds: list[_LedTable] = []
+    symmetries: list[Annotated[_DiscreteTable | _ContinuousTable, Field(discriminator="kind")]] = []
+
+
+_TARGET_FILE = TypeAdapter(_TargetFile)
+
+
+def _read_target(path: Path) -> Target:
+    text = read_text(path, "a target file (TOML)")
+    try:
+        data: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
+    file = checked(_TARGET_FILE, data, str(path))
+    _refuse_twice(path, "reflectors", [reflector.name for reflector in file.reflectors])
+    _refuse_twice(path, "leds", [led.name for led in file.leds])
+    mesh_path = Path(os.path.normpath(path.parent / file.mesh.path))
+    if not mesh_path.is_file():
+        raise RendezviewError(
+            f"{path}: mesh.path: there is no file {mesh_path}: correct the path "
+            f"(relative to the target file) or put the mesh there"
+        )
+    ring = file.docking_ring
+    return Target(
+        name=file.name,
+        description=file.description,
+        mesh_path=mesh_path,
+        unit=file.mesh.unit,
+        shape_error=file.mesh.shape_error,
+        docking_ring=None
+        if ring is None
+        else DockingRing(_frozen(ring.centre_m), _frozen(ring.axis), ring.radius_m),
+        reflectors=tuple(
+            Reflector(r.name, r.group, _frozen(r.position_m), _frozen(r.normal), r.diameter_m)
+            for r in file.reflectors
+        ),
+        leds=tuple(
+            Led(led.name, _frozen(led.position_m), _frozen(led.normal)) for led in file.leds
+        ),
+        symmetries=tuple(
+            Symmetry(s.kind, _frozen(s.axis), getattr(s, "angle_rad", None))
+            for s in file.symmetries
+        ),
+    )
+
+
+def _refuse_twice(path: Path, key: str, names: list[str]) -> None:
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise RendezviewError(
+            f"{path}: {key}: the name {twice[0]!r} is used more than once: give each its own"
+        )

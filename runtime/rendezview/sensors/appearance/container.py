@@ -1,0 +1,153 @@
+"""The bytes of a model file: named arrays and a JSON header, nothing that can execute.
+
+Layout, little-endian: ``RVM\\n``, u32 format version, u64 header length, header (JSON,
+UTF-8, keys sorted), the arrays at multiples of 64 bytes, SHA-256 of everything before
+it. The same content always gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import struct
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import atomic_write
+
+MAGIC = b"RVM\n"
+VERSION = 1
+_PREFIX = struct.Struct("<4sIQ")
+_ALIGN = 64
+_DIGEST_BYTES = hashlib.sha256().digest_size
+_READ_AT_ONCE = 1 << 20
+_DTYPES = ("|u1", "|i1", "<u2", "<i2", "<i4", "<i8", "<f4", "<f8")
+
+
+def write_container(
+    path: Path, header: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]
+) -> None:
+    """Write header and arrays, atomically.
+
+    Raises:
+        RendezviewError: the file cannot be written (the reason is said).
+        ValueError: an array has a type that the format has not.
+    """
+    digest = hashlib.sha256()
+    with atomic_write(path) as file:
+        for chunk in _chunks(header, arrays):
+            digest.update(chunk)
+            file.write(chunk)
+        file.write(digest.digest())
+
+
+def _chunks(header: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> list[bytes]:
+    table, blobs, offset = [], [], 0
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        if array.dtype.str not in _DTYPES:
+            raise ValueError(f"a model file cannot hold {name} of type {array.dtype}")
+        blob = array.tobytes()
+        table.append(
+            {"name": name, "dtype": array.dtype.str, "shape": list(array.shape), "offset": offset}
+        )
+        padded = blob + bytes(-len(blob) % _ALIGN)
+        blobs.append(padded)
+        offset += len(padded)
+    text = json.dumps(
+        {"arrays": table, "bytes": offset, "header": header},
+        sort_keys=True,
+        allow_nan=False,
+        separators=(",", ":"),
+    ).encode()
+    text += b" " * (-(_PREFIX.size + len(text)) % _ALIGN)
+    return [_PREFIX.pack(MAGIC, VERSION, len(text)), text, *blobs]
+
+
+def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+    """Read header and arrays (read-only) and check every byte against the checksum.
+
+    Raises:
+        RendezviewError: no such file, another kind of file, a newer version, cut off,
+            or damaged.
+    """
+    try:
+        data, digest = _read(path)
+    except FileNotFoundError:
+        raise RendezviewError(f"{path}: no such model file") from None
+    except OSError as error:
+        raise RendezviewError(f"{path}: {error.strerror or error}") from None
+    if data[: len(MAGIC)] != MAGIC:
+        raise RendezviewError(f"{path}: not a rendezview model; make one with `rendezview train`")
+    if len(data) < _PREFIX.size:
+        raise RendezviewError(f"{path}: the model file is cut off; train or copy it again")
+    _, version, length = _PREFIX.unpack_from(data)
+    if version > VERSION:
+        raise RendezviewError(
+            f"{path}: the model has format {version}, this program reads up to {VERSION}: "
+            "update rendezview or train again"
+        )
+    body = _PREFIX.size + length
+    try:
+        description = json.loads(bytes(data[_PREFIX.size : body]))
+        total = body + int(description["bytes"])
+        table, header = list(description["arrays"]), dict(description["header"])
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        raise RendezviewError(
+            f"{path}: the model file is cut off or damaged in its header; train or copy it again"
+        ) from None
+    if len(data) != total + _DIGEST_BYTES:
+        raise RendezviewError(
+            f"{path}: the model file has {len(data)} bytes instead of {total + _DIGEST_BYTES}: "
+            "it is cut off; train or copy it again"
+        )
+    if digest != data[total:]:
+        raise RendezviewError(f"{path}: the model file is damaged (checksum); copy it again")
+    try:
+        arrays = {str(entry["name"]): _array(data, body, total, entry) for entry in table}
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        raise RendezviewError(f"{path}: the model file's table is wrong: {error}") from None
+    return header, arrays
+
+
+def _read(path: Path) -> tuple[memoryview, bytes]:
+    """The file, read-only, and the checksum of all of it but the last, its own.
+
+    What is read is summed up while the next is being read.
+    """
+    with path.open("rb", buffering=0) as file, ThreadPoolExecutor(1) as pool:
+        size = os.fstat(file.fileno()).st_size
+        buffer: npt.NDArray[np.uint8] = np.empty(size, dtype=np.uint8)
+        data = buffer.data
+        checksum = hashlib.sha256()
+        end = max(0, size - _DIGEST_BYTES)
+        done, sums = 0, []
+        while done < size:
+            count = file.readinto(data[done : done + _READ_AT_ONCE])
+            if not count:
+                break
+            sums.append(pool.submit(checksum.update, data[min(done, end) : min(done + count, end)]))
+            done += count
+        for each in sums:
+            each.result()
+    buffer.flags.writeable = False
+    return buffer.data[:done], checksum.digest()
+
+
+def _array(data: memoryview, body: int, end: int, entry: dict[str, Any]) -> npt.NDArray[Any]:
+    if entry["dtype"] not in _DTYPES:
+        raise ValueError(entry["dtype"])
+    dtype = np.dtype(entry["dtype"])
+    shape, start = tuple(int(n) for n in entry["shape"]), body + int(entry["offset"])
+    count = math.prod(shape)
+    if min(shape, default=0) < 0 or start < body or start + count * dtype.itemsize > end:
+        raise ValueError(f"{entry['name']} lies outside the file")
+    return np.frombuffer(data, dtype=dtype, count=count, offset=start).reshape(shape)

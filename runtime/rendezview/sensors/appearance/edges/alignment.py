@@ -1,0 +1,354 @@
+"""Gauss–Newton of a pose on the edges of a grey frame: the compiled loops."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
+from rendezview.sensors.appearance.edges.edge_search import (
+    COLUMNS,
+    FOUND,
+    OUTSIDE,
+    RESIDUAL,
+    STATE,
+    WEIGHT,
+    measure_edges,
+)
+from rendezview.sensors.appearance.edges.lighting import light
+
+
+class Stage(NamedTuple):
+    """One stage of the search for a pose, from coarse to fine; a row of numbers for ``align``."""
+
+    reach_px: float  # how far edges are looked for
+    spread_px: float  # σ of the preference for near edges
+    steps: float  # at most
+    smooth_px: float = 1.0
+    room_px: float = 0.0  # points with another edge nearer than this are left out
+    lines: float = 1.0  # parallel lines read
+    stride: float = 1.0  # every so many-th point only
+    fit: float = 0.0  # 1: edges are placed by their strips
+    views: float = 1.0  # nearest ones whose points are looked for
+    damping: float = 1e-3  # of the normal equations: what the edges do not show stays as it was
+    relaxation: float = 1.0  # of a step: weights that fall with the residual make it too short
+    stop_px: float = 0.1  # a shorter step is the last; on a small target it is shorter still
+
+
+# Its columns, in the same order.
+(
+    REACH, SPREAD, STEPS, SMOOTH, ROOM, LINES, STRIDE, FIT, VIEWS, DAMPING, RELAXATION, STOP,
+) = range(len(Stage._fields))  # fmt: skip
+
+_CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
+CLOSE_PX = 1.5  # spread of the edges that support a refined pose …
+_LOOSE_PX = 3.0  # … and one that is roughly aligned
+_LOOSE_STRIDE = 2  # so many points are enough to judge that
+_HOPELESS = 0.65  # of the best loosely judged support: below, one of 200 right poses lies
+_LEAST_EDGES = 12  # found, for six unknowns
+_LONGEST_TURN_RAD = 0.2  # of one step
+_AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
+_SMALL = 0.01  # of the target's radius in pixels: there a step stops as at one pixel
+_NO_LIGHT = np.zeros(1)
+_NO_SUN = np.zeros(3)
+ASTRAY = -9.0  # of ``align``: no pose
+_HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix
+
+
+@njit(cache=True, nogil=True)
+def turned(w, rotation):  # type: ignore[no-untyped-def]
+    """exp(w) rotation, for a rotation vector w (3,) (Rodrigues)."""
+    angle = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+    if angle < 1e-12:
+        return rotation.copy()
+    x, y, z = w[0] / angle, w[1] / angle, w[2] / angle
+    s, c = np.sin(angle), np.cos(angle)
+    k = 1.0 - c
+    turn = np.empty((3, 3))
+    turn[0, 0], turn[0, 1], turn[0, 2] = c + x * x * k, x * y * k - z * s, x * z * k + y * s
+    turn[1, 0], turn[1, 1], turn[1, 2] = y * x * k + z * s, c + y * y * k, y * z * k - x * s
+    turn[2, 0], turn[2, 1], turn[2, 2] = z * x * k - y * s, z * y * k + x * s, c + z * z * k
+    return turn @ rotation
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def nearest_views(directions, shells_m, rotation, centre, views):  # type: ignore[no-untyped-def]
+    """Shell, and into ``views`` its views, from which a target is seen most nearly as at a pose."""
+    distance = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    x = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
+    y = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])
+    z = -(rotation[0, 2] * centre[0] + rotation[1, 2] * centre[1] + rotation[2, 2] * centre[2])
+    last = len(views) - 1
+    most = np.full(len(views), -2.0 * distance)
+    for i in range(directions.shape[0]):
+        along = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
+        if along > most[last]:
+            k = last
+            while k > 0 and along > most[k - 1]:
+                most[k], views[k] = most[k - 1], views[k - 1]
+                k -= 1
+            most[k], views[k] = along, i
+    # Perspective goes with the inverse of the distance.
+    shell, least = 0, 1.0 / distance + 1.0 / shells_m[0]
+    for i in range(shells_m.shape[0]):
+        apart = abs(1.0 / shells_m[i] - 1.0 / distance)
+        if apart < least:
+            shell, least = i, apart
+    return shell
+
+
+@njit(cache=True, nogil=True)
+def _weight(edge, cut):  # type: ignore[no-untyped-def]
+    """Of one edge in the normal equations (Tukey); 0 where it does not count."""
+    q = edge[RESIDUAL] / cut
+    if edge[STATE] != FOUND or q * q >= 1.0:
+        return 0.0
+    return edge[WEIGHT] * (1.0 - q * q) ** 2
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def normal_equations(edges, cut, matrix, right):  # type: ignore[no-untyped-def]
+    """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
+    matrix[:] = 0.0
+    right[:] = 0.0
+    used, weights = 0, 0.0
+    for j in range(edges.shape[0]):
+        if edges[j, STATE] != FOUND:
+            continue
+        r = edges[j, RESIDUAL]
+        q = r / cut
+        if q * q >= 1.0:
+            continue
+        w = edges[j, WEIGHT] * (1.0 - q * q) ** 2
+        used += 1
+        weights += w
+        for a in range(6):
+            wj = w * edges[j, a]
+            right[a] += wj * r
+            for b in range(a + 1):
+                matrix[a, b] += wj * edges[j, b]
+    for a in range(6):
+        for b in range(a):
+            matrix[b, a] = matrix[a, b]
+    return used, weights
+
+
+@njit(cache=True, nogil=True)
+def covariance_of(edges, cut, least_sigma_px, loose, arm):  # type: ignore[no-untyped-def]
+    """(6, 6) of a pose from the edges last measured, and their root mean square, pixels.
+
+    With weights w and independent edges of variance σ² the estimate (ΣwJJᵀ)⁻¹ ΣwJr has
+    covariance σ² (ΣwJJᵀ)⁻¹ Σw²JJᵀ (ΣwJJᵀ)⁻¹.
+
+    Args:
+        edges: (N, COLUMNS); the weight of residuals beyond ``cut`` is zero.
+        loose: (6,) information that there is anyway, so that all stays finite.
+        arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
+            origin's.
+    """
+    matrix, spread, row = np.zeros((6, 6)), np.zeros((6, 6)), np.empty(6)
+    squares, weights = 0.0, 1e-12
+    for j in range(edges.shape[0]):
+        w = _weight(edges[j], cut)
+        if w == 0.0:
+            continue
+        squares += w * edges[j, RESIDUAL] ** 2
+        weights += w
+        for a in range(6):
+            row[a] = w * edges[j, a]
+            for b in range(a + 1):
+                matrix[a, b] += row[a] * edges[j, b]
+                spread[a, b] += row[a] * row[b]
+    for a in range(6):
+        matrix[a, a] += loose[a]
+        spread[a, a] += loose[a]
+        for b in range(a):
+            matrix[b, a], spread[b, a] = matrix[a, b], spread[a, b]
+    residual = np.sqrt(squares / weights)
+    response = _to_origin(arm) @ np.linalg.inv(matrix)
+    covariance = response @ spread @ response.T
+    covariance *= max(residual, least_sigma_px) ** 2
+    return 0.5 * (covariance + covariance.T), residual
+
+
+@njit(cache=True, nogil=True)
+def strain_covariance(edges, cut, loose, centre, arm):  # type: ignore[no-untyped-def]
+    """(6, 6) of a pose where the craft is the model strained: per unit of the strain's variance.
+
+    A strain S (symmetric, its six components independent) moves the edge of a point q from the
+    view centre by j S q along its normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since
+    J = (q × j, j), and j · (q + centre) = 0 as for every projection, q follows from J.
+
+    Args:
+        edges, cut, loose, arm: as for ``covariance_of``.
+        centre: (3,) of the view centre, camera frame.
+    """
+    matrix, moved = np.zeros((6, 6)), np.zeros((6, 6))
+    strains = np.empty(6)
+    for a in range(6):
+        matrix[a, a] = loose[a]
+    for n in range(edges.shape[0]):
+        w = _weight(edges[n], cut)
+        if w == 0.0:
+            continue
+        x, j = edges[n, :3], edges[n, 3:6]
+        along = -(j[0] * centre[0] + j[1] * centre[1] + j[2] * centre[2])
+        square = j[0] * j[0] + j[1] * j[1] + j[2] * j[2]
+        q0 = (j[1] * x[2] - j[2] * x[1] + j[0] * along) / square
+        q1 = (j[2] * x[0] - j[0] * x[2] + j[1] * along) / square
+        q2 = (j[0] * x[1] - j[1] * x[0] + j[2] * along) / square
+        strains[0], strains[1], strains[2] = j[0] * q0, j[1] * q1, j[2] * q2
+        strains[3] = (j[0] * q1 + j[1] * q0) * _HALF_ROOT
+        strains[4] = (j[0] * q2 + j[2] * q0) * _HALF_ROOT
+        strains[5] = (j[1] * q2 + j[2] * q1) * _HALF_ROOT
+        for a in range(6):
+            wj = w * edges[n, a]
+            for b in range(6):
+                matrix[a, b] += wj * edges[n, b]
+                moved[a, b] += wj * strains[b]
+    response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
+    return response @ response.T
+
+
+@njit(cache=True, nogil=True)
+def _to_origin(arm):  # type: ignore[no-untyped-def]
+    """(6, 6) from errors at the view centre to errors at the target's origin: t = centre − arm."""
+    shift = np.eye(6)
+    shift[3, 1], shift[3, 2] = -arm[2], arm[1]
+    shift[4, 0], shift[4, 2] = arm[2], -arm[0]
+    shift[5, 0], shift[5, 1] = -arm[1], arm[0]
+    return shift
+
+
+@njit(cache=True, nogil=True)
+def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: ignore[no-untyped-def]
+    """Move a pose (in place) onto the edges.
+
+    Args:
+        lens: (12,) camera vector, and whether it distorts.
+        frame: (6,) as in ``Sky.vector``.
+        stages: (K, 12) from coarse to fine, rows of ``Stage``.
+        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+        edges: (M, COLUMNS) scratch, a row for every point of the views of any stage; holds the
+            last measurements afterwards.
+
+    Returns:
+        How well one light explains the frame, see ``light``, 0 where that was not asked;
+        ``ASTRAY`` where too few edges are found or the pose runs away.
+    """
+    matrix, right = np.empty((6, 6)), np.empty(6)
+    shade = np.zeros(views.palette.shape[0])
+    radius_m = views.radius_m
+    sun = np.zeros(3)
+    explained = 0.0
+    points = views.point.shape[2]
+    shell, view, count = 0, 0, 0
+    for stage in stages:
+        fit = stage[FIT] > 0.0
+        nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
+        edges[len(nearest) * points :, STATE] = OUTSIDE
+        if fit:
+            explained = light(
+                image, edges, count, views.kind[shell, view], views.strip[shell, view],
+                views.start[shell, view], views.palette, rotation, centre,
+                lens[0][0] * radius_m / centre[2], frame, sun, shade,
+            )  # fmt: skip
+        for _ in range(int(stage[STEPS])):
+            shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
+            view = nearest[0]
+            for k in range(len(nearest) - 1, -1, -1):  # the nearest last: its count is kept
+                rows = edges[k * points : (k + 1) * points]
+                count = measure_edges(
+                    image, lens, frame, views, shell, nearest[k], rotation, centre, shade, sun,
+                    int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
+                    int(stage[LINES]), int(stage[STRIDE]), fit, rows,
+                )  # fmt: skip
+            used, weights = normal_equations(edges, _CUT_SPREADS * stage[SPREAD], matrix, right)
+            if used < _LEAST_EDGES:
+                return ASTRAY
+            scale = lens[0][0] / centre[2]  # pixels a metre
+            held = stage[DAMPING] * weights * scale * scale
+            for a in range(3):
+                matrix[a, a] += held * radius_m * radius_m
+                matrix[3 + a, 3 + a] += held
+            step = np.linalg.solve(matrix, right) * stage[RELAXATION]
+            turn = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+            shorter = min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
+            rotation[:] = turned(step[:3] * shorter, rotation)
+            centre += step[3:] * shorter
+            if not (centre[2] > 1.02 * radius_m and centre[2] < 1e9 * radius_m):
+                return ASTRAY
+            shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
+            # The last step is small in pixels, and beside a target that is small itself.
+            small = stage[STOP] * min(1.0, _SMALL * scale * radius_m)
+            if scale * (turn * radius_m + shift) < small:
+                break
+    # Without the rounding of many small turns: one step towards the nearest rotation.
+    rotation[:] = rotation @ (1.5 * np.eye(3) - 0.5 * (rotation.T @ rotation))
+    return explained
+
+
+@njit(cache=True, nogil=True)
+def support(  # type: ignore[no-untyped-def]
+    image, lens, frame, views, rotation, centre, spread_px, stride, edges
+):
+    """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
+
+    An edge within half the spread of its place counts nearly whole; every ``stride``-th point is
+    looked at. ``seen`` is the share of the outline's points that lie in the picture.
+    """
+    nearest = np.zeros(1, dtype=np.int64)
+    shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
+    view = nearest[0]
+    kinds = views.kind[shell, view]
+    count = measure_edges(
+        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT, _NO_SUN,
+        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
+    )  # fmt: skip
+    outline, inner = 0.0, 0.0
+    outlines, inners, seen = 1e-9, 1e-9, 0.0
+    for j in range(0, count, stride):
+        agrees = 0.0
+        if edges[j, STATE] == FOUND:
+            agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / (_AGREEING * spread_px)) ** 2)
+        if kinds[j] == OUTLINE:
+            outlines += 1.0
+            outline += agrees
+            seen += edges[j, STATE] >= 0.0
+        elif kinds[j] != NO_POINT:
+            inners += 1.0
+            inner += agrees
+    return outline / outlines, inner / inners, seen / outlines
+
+
+@njit(cache=True, nogil=True)
+def align_each(  # type: ignore[no-untyped-def]
+    image, lens, frame, first, then, views, rotations, centres, survivors, supports
+):
+    """``align`` and ``support`` of K hypotheses, in place.
+
+    All go through the stages ``first``; the ``survivors`` best supported, loosely judged, go
+    on through ``then``, but for those far below the best. ``supports`` is (K, 3), 0 for the others
+    and the lost.
+    """
+    edges = np.zeros((views.point.shape[2], COLUMNS))
+    count = rotations.shape[0]
+    rough = np.zeros(count)
+    for k in range(count):
+        supports[k] = 0.0
+        if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != ASTRAY:
+            outline, inner, _ = support(
+                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, _LOOSE_STRIDE, edges
+            )
+            rough[k] = outline + 0.5 * inner
+    order = np.argsort(-rough)
+    for i in range(min(survivors, count)):
+        k = order[i]
+        if rough[k] < _HOPELESS * rough[order[0]] or rough[k] <= 0.0:
+            break
+        if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != ASTRAY:
+            supports[k] = support(
+                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, 1, edges
+            )

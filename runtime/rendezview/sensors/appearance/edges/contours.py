@@ -1,0 +1,90 @@
+"""The sparse view model: for every view the contour points that refinement looks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.pose import Array
+
+OUTLINE, STEP, CREASE = 0, 1, 2  # against the sky, against a far surface, between two facets
+NO_POINT = 255  # kind of the rows that fill up a view with few points
+
+POINT_UNIT = 1.0 / 32000.0  # of the target's radius: 6 µm on a body of 20 cm
+RUN_UNIT = 1.0 / 256.0  # of the target's radius
+DIRECTION_UNIT = 1.0 / 127.0
+
+# What lies along the normal of an edge is kept as a *strip* of a few surfaces, from outside to
+# inside: its last surface goes on, as does the first of an inner edge; an outline's begins at the
+# point. Where the others begin is kept to the square root, finest at the edge.
+SURFACES = 5
+REACH_RADII = 12.0 / 196.0  # of the target's radius: as far as a strip tells
+START_UNIT = REACH_RADII / 127.0**2
+DEPTH_UNIT = 1.0 / 127.0  # of the target's radius
+KINDS_OF_SURFACE = 256
+
+
+def packed_start(inside: Array) -> Array:
+    """Places along the normal, of the target's radius, as they are kept."""
+    roots: Array = np.sign(inside) * np.sqrt(np.abs(inside) / START_UNIT)
+    return roots.clip(-127.0, 127.0)
+
+
+@njit(cache=True, nogil=True)
+def start_radii(kept):  # type: ignore[no-untyped-def]
+    """A place along the normal inwards, of the target's radius, from how it is kept."""
+    root = float(kept)
+    return root * abs(root) * START_UNIT
+
+
+def surfaces_of_cells(
+    cells: npt.NDArray[np.uint8], kind: npt.NDArray[np.uint8]
+) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int8]]:
+    """``strip`` and ``start`` of a model made earlier, which has eight cells of fixed depths."""
+    outline = kind[..., None] == OUTLINE
+    strip = np.where(outline, cells[..., [0, 1, 2, 4, 6]], cells[..., 2:7])
+    begins = np.where(outline, [1.0, 2.0, 4.0, 8.0], [-1.5, 0.0, 1.5, 3.5]) / 196.0
+    inside = np.rint(packed_start(begins)).astype(np.int8)
+    return strip, np.stack([inside, np.zeros_like(inside)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contours:
+    """Contour points of V views from S distances, N each, outline first; compact integers.
+
+    Target frame, the view centre at the origin. The views' directions are those of the
+    model's lattice.
+    """
+
+    shells_m: Array  # (S,) distance of the views from the view centre, rising
+    point: npt.NDArray[np.int16]  # (S, V, N, 3) in POINT_UNIT
+    tangent: npt.NDArray[np.int8]  # (S, V, N, 3) along the edge, the outside on its right
+    kind: npt.NDArray[np.uint8]  # (S, V, N)
+    run: npt.NDArray[np.uint8]  # (S, V, N, 2) to the next edge inwards and outwards, RUN_UNIT
+    strip: npt.NDArray[np.uint8]  # (S, V, N, SURFACES) kinds of surface; 0 the sky
+    # (S, V, N, SURFACES − 1, 2) where all but the first begin: inwards of the point, and deeper
+    start: npt.NDArray[np.int8]
+    palette: npt.NDArray[np.float32]  # (KINDS_OF_SURFACE, 4) mean normal and albedo
+
+    def check(self, views: int) -> None:
+        """The arrays belong together.
+
+        Raises:
+            ValueError: they do not; which one is said.
+        """
+        shape = (len(self.shells_m), views, self.kind.shape[-1])
+        wanted: dict[str, tuple[int, ...]] = {
+            "point": (*shape, 3),
+            "tangent": (*shape, 3),
+        }
+        wanted |= {"kind": shape, "run": (*shape, 2), "strip": (*shape, SURFACES)}
+        wanted |= {"start": (*shape, SURFACES - 1, 2), "palette": (KINDS_OF_SURFACE, 4)}
+        for name, size in wanted.items():
+            if getattr(self, name).shape != size:
+                found = getattr(self, name).shape
+                raise ValueError(f"contours.{name} has shape {found} instead of {size}")
+        if not (len(self.shells_m) and np.all(self.shells_m > 0.0)):
+            raise ValueError("contours.shells_m must hold positive distances")

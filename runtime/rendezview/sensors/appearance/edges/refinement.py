@@ -1,0 +1,280 @@
+"""Refinement: from a recognised view or a prediction to six degrees of freedom.
+
+The contour points of the nearest view of the model are projected, their edges are searched in
+the grey frame, and a robust Gauss–Newton moves the pose onto them, from coarse to fine. How
+many of the edges are where the pose puts them (its *support*) tells a right pose from a wrong
+one, so that among several starting points the best is kept. Neither mesh nor renderer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.grey_frame import grain
+from rendezview.sensors.appearance.edges.alignment import (
+    ASTRAY,
+    CLOSE_PX,
+    VIEWS,
+    Stage,
+    align,
+    align_each,
+    covariance_of,
+    strain_covariance,
+    support,
+)
+from rendezview.sensors.appearance.edges.contours import Contours
+from rendezview.sensors.appearance.edges.edge_search import (
+    COLUMNS,
+    ViewTables,
+)
+from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.sky import sky_level
+
+Picture = npt.NDArray[np.uint8]
+
+# Many starting points are aligned roughly, the better ones coarsely, …
+_QUICK = (
+    np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)]),
+    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)]),
+)
+# … with more points and steps where that leads to no sure pose.
+_THOROUGH = (
+    np.array([Stage(20, 9, 3, smooth_px=4, room_px=4, stride=2)]),
+    np.array([Stage(10, 4, 3, smooth_px=2, room_px=2), Stage(5, 1.5, 2)]),
+)
+# The reach must not close in before the pose has come to rest: views alike are half a pixel apart.
+_FINE = np.array(
+    [
+        Stage(8, 3, 3, room_px=2, stop_px=1.0),
+        Stage(6, 2, 3, damping=1e-4, relaxation=1.3, stop_px=0.6),
+        Stage(5, 1.2, 10, lines=3, fit=1, damping=1e-4, relaxation=1.3, stop_px=0.4),
+        Stage(4, 0.5, 1, lines=3, fit=1, views=3, damping=1e-4, relaxation=1.3),
+    ]
+)
+_CUT_PX = 1.25  # of the last stage
+# Where the craft may differ from its mesh, no edge is where it should be to half a pixel.
+_INEXACT = _FINE[:-1]
+_INEXACT_CUT_PX = 3.0
+_LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
+_DARK_SKY_GREY = 60.0  # above, the sky is no sky
+_GRAIN_ROWS = 64
+_SCATTER_GREY = 3.0  # of the border beyond the grain
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineOptions:
+    """How the edges are searched."""
+
+    blur_px: float = 0.85  # σ of an edge as the camera shows it, with reading between pixels
+
+    def __post_init__(self) -> None:
+        if not 0.3 <= self.blur_px <= 5.0:
+            raise ValueError(f"blur_px must be 0.3 to 5: {self.blur_px}")
+
+
+@dataclass(frozen=True, slots=True)
+class Sky:
+    """What lies behind the target."""
+
+    level_grey: float
+    noise_grey: float  # one σ, of neighbouring pixels
+    dark: bool  # black sky: whatever is brighter is the target
+    sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
+
+    @classmethod
+    def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
+        """Measured along the border and on a sparse grid."""
+        level, spread = sky_level(image)
+        noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
+        border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+        bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
+        dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
+        return cls(level, noise, dark, sun_camera)
+
+    @property
+    def vector(self) -> Array:
+        """(6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown."""
+        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
+        return np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A pose on the edges of a frame."""
+
+    pose: Pose  # camera_from_target
+    covariance: Array  # (6, 6) rotation vector, translation; camera frame, left
+    outline: float  # share of the outline whose edges are where the pose puts them
+    inner: float  # the same of creases and steps
+    seen: float  # share of the outline that lies in the picture
+    residual_px: float  # root mean square of the edges that count
+    light: float  # share of the grey levels beside the edges that one light explains
+
+    @property
+    def support(self) -> float:
+        """One figure of merit, 0 … 1: two thirds the outline's, one third the inner edges'."""
+        return (2.0 * self.outline + self.inner) / 3.0
+
+
+def inflating(outline: float, residual_px: float, dark: float) -> Array:
+    """(4,) what tells how much larger errors are than independent edges would make them."""
+    return np.array([1.0, 1.0 - outline, residual_px, dark])
+
+
+# Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
+# less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seeds 1, 88, 99),
+# the first raised until the normalised error squared at low Sun phase averages six on these.
+_INFLATION = np.array([0.77, 3.13, 4.41, -1.42])
+
+
+class Refiner:
+    """Refines poses of one model in the frames of one camera."""
+
+    def __init__(
+        self, model: ViewModel, camera: Camera, options: RefineOptions | None = None
+    ) -> None:
+        if model.contours is None:
+            raise ValueError("the model has no contour points")
+        self.model = model
+        self.camera = camera
+        self.options = options or RefineOptions()
+        contours: Contours = model.contours
+        self._views = ViewTables(
+            np.ascontiguousarray(model.lattice.nodes),
+            np.ascontiguousarray(contours.shells_m),
+            contours.point,
+            contours.tangent,
+            contours.kind,
+            contours.run,
+            contours.strip,
+            contours.start,
+            contours.palette,
+            model.target_radius_m,
+            self.options.blur_px,
+            model.shape_error,
+        )
+        self._surface = None
+        if model.surface is not None:
+            self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
+        self._lens = (lens_vector(camera), camera.is_distorted)
+        inexact = model.shape_error > 0.0
+        self._stages, self._cut_px = (_INEXACT, _INEXACT_CUT_PX) if inexact else (_FINE, _CUT_PX)
+        most = int(self._stages[:, VIEWS].max())
+        self._edges = np.zeros((most * contours.kind.shape[2], COLUMNS))
+        # Information of about a radian and a target radius: what no edge shows stays finite.
+        self._nothing_known = 1e-4 * np.array([1.0] * 3 + [model.target_radius_m**-2] * 3)
+
+    def refine(
+        self, image: Picture, sky: Sky, start: Pose, *, closely: bool = False
+    ) -> Refined | None:
+        """The pose next to ``start`` that fits the edges; None where it finds no hold.
+
+        ``closely``: only edges a few pixels away are looked for.
+        """
+        rotation, centre = self._centred(start)
+        frame, stages = sky.vector, self._stages[1:] if closely else self._stages
+        light = align(image, self._lens, frame, stages, self._views, rotation, centre, self._edges)
+        return None if light == ASTRAY else self._result(image, frame, rotation, centre, light)
+
+    def best(
+        self,
+        image: Picture,
+        sky: Sky,
+        rotations: Array,
+        centres: Array,
+        keep: int = 4,
+        *,
+        thorough: bool = False,
+    ) -> list[Refined]:
+        """Starting poses aligned coarsely, the ``keep`` best supported refined, best first.
+
+        Args:
+            rotations: (K, 3, 3) camera_from_target, changed in place.
+            centres: (K, 3) of the view centre in the camera frame, changed in place.
+            thorough: align with more points, in more steps.
+        """
+        rough, coarse = _THOROUGH if thorough else _QUICK
+        supports = np.empty((len(rotations), 3))
+        frame = sky.vector
+        survivors = max(2 * keep, len(rotations) * 2 // 5)
+        align_each(
+            image, self._lens, frame, rough, coarse, self._views, rotations, centres,
+            survivors, supports,
+        )  # fmt: skip
+        merit = (2.0 * supports[:, 0] + supports[:, 1]) / 3.0
+        chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
+        found = []
+        for k in chosen:
+            light = align(
+                image,
+                self._lens,
+                frame,
+                self._stages,
+                self._views,
+                rotations[k],
+                centres[k],
+                self._edges,
+            )
+            if light != ASTRAY:
+                found.append(self._result(image, frame, rotations[k], centres[k], light))
+        return sorted(found, key=lambda r: -r.support)
+
+    def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
+        """How well bright and dark agree with a pose, −1 … 1; None where the model cannot tell."""
+        if self._surface is None:
+            return None
+        rotation, centre = self._centred(pose)
+        return float(shading(image, self._lens, sky.vector, self._surface, rotation, centre))
+
+    def _distinct(
+        self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int
+    ) -> list[int]:
+        """The first of the aligned poses, in order, that are not the same again."""
+        chosen: list[int] = []
+        for k in order:
+            if merit[k] <= 0.0 or len(chosen) == most:
+                break
+            cosines = [0.5 * (np.sum(rotations[k] * rotations[j]) - 1.0) for j in chosen]
+            if all(cosine < _SAME_COSINE for cosine in cosines):
+                chosen.append(int(k))
+        return chosen
+
+    def _centred(self, pose: Pose) -> tuple[Array, Array]:
+        """Rotation and view centre of a pose, fresh arrays."""
+        return pose.rotation.copy(), pose.apply(self.model.centre_m)
+
+    def _result(
+        self, image: Picture, frame: Array, rotation: Array, centre: Array, light: float
+    ) -> Refined:
+        arm = rotation @ self.model.centre_m
+        covariance, spread_px = covariance_of(
+            self._edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
+        )
+        residual, strained = spread_px, None
+        if self.model.shape_error > 0.0:
+            # As of an exact model: what tells right from wrong was fitted to that.
+            _, residual = covariance_of(
+                self._edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm
+            )
+            strained = strain_covariance(
+                self._edges, self._cut_px, self._nothing_known, centre, arm
+            )
+        outline, inner, seen = support(
+            image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
+        )
+        covariance *= np.exp(inflating(outline, spread_px, frame[2]) @ _INFLATION)
+        covariance *= self._stages[-1, VIEWS]  # which show the same edges
+        if strained is not None:
+            covariance += self.model.shape_error**2 * strained
+        pose = Pose(rotation, centre - arm)
+        return Refined(pose, covariance, outline, inner, seen, residual, light)
+
+
+_SAME_COSINE = float(np.cos(np.deg2rad(1.5)))

@@ -1,0 +1,277 @@
+"""The surface of the target as points: what of it a frame should show bright, and what dark.
+
+From every node of a sphere it is known which points are seen. So a camera's view of them is
+known, and what the Sun reaches of them: whoever stands at the Sun sees what it lights. The light
+of a frame is fitted to the points that a pose shows, and their brightness, shadows included, is
+compared with the picture's, in small windows by themselves, since no matt surface shines as foil
+does. Half turns and other poses whose edges lie alike are told apart by this.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.geodesic import MAX_ORDER, Geodesic
+from rendezview.geometry.lens import distorted
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_UNIT
+from rendezview.sensors.appearance.edges.lighting import light_strengths
+
+ALBEDO_UNIT = 1.0 / 255.0
+
+_WINDOWS = 18  # across the target
+_LEAST_WINDOW_PX = 5.0
+_LEAST_IN_WINDOW = 5  # points
+_LEAST_POINTS = 60
+_FITTED = 240  # points the light is fitted to
+_EVEN = 0.06  # of the bright points' level: less contrast in both, and they agree
+_TOLERANCE = 0.4  # of the bright points' level: foil glints, and the Sun explains much at once
+_BEHIND = -0.3  # cosine to the camera of the last Sun that is tried
+_SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
+_EDGE_ON = 0.08  # cosine, of surfaces that are hardly seen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """P points of the surface and from which of S directions each is seen; compact integers.
+
+    Target frame, the view centre at the origin. The directions are the nodes of a geodesic
+    sphere; from each the target is seen from afar.
+    """
+
+    point: npt.NDArray[np.int16]  # (P, 3) in POINT_UNIT
+    normal: npt.NDArray[np.int8]  # (P, 3) in DIRECTION_UNIT, either way
+    albedo: npt.NDArray[np.uint8]  # (P,) in ALBEDO_UNIT
+    seen: npt.NDArray[np.uint8]  # (S, P / 8) bits, the first point the lowest
+
+    @property
+    def sphere(self) -> Geodesic:
+        """The directions."""
+        return Geodesic.of_order(_order_of(len(self.seen)))
+
+    def check(self) -> None:
+        """The arrays belong together.
+
+        Raises:
+            ValueError: they do not; which one is said.
+        """
+        count = len(self.albedo)
+        wanted = {
+            "albedo": (count,),
+            "point": (count, 3),
+            "normal": (count, 3),
+            "seen": (len(self.seen), (count + 7) // 8),
+        }
+        for name, size in wanted.items():
+            if getattr(self, name).shape != size:
+                found = getattr(self, name).shape
+                raise ValueError(f"surface.{name} has shape {found} instead of {size}")
+        _order_of(len(self.seen))
+
+
+def _order_of(nodes: int) -> int:
+    for order in range(MAX_ORDER + 1):
+        if 10 * 4**order + 2 == nodes:
+            return order
+    raise ValueError(f"surface.seen has {nodes} directions, which no geodesic sphere has")
+
+
+class SurfaceTables(NamedTuple):
+    """The surface of one model as the compiled loops read it."""
+
+    point: Array  # (P, 3) metres
+    normal: Array  # (P, 3)
+    albedo: Array  # (P,)
+    seen: npt.NDArray[np.uint8]
+    nodes: Array  # (S, 3)
+    radius_m: float
+
+    @classmethod
+    def of(cls, surface: Surface, radius_m: float) -> SurfaceTables:
+        """Unpacked."""
+        return cls(
+            surface.point.astype(np.float64) * (POINT_UNIT * radius_m),
+            surface.normal.astype(np.float64) * DIRECTION_UNIT,
+            surface.albedo.astype(np.float64) * ALBEDO_UNIT,
+            np.ascontiguousarray(surface.seen),
+            np.ascontiguousarray(surface.sphere.nodes),
+            radius_m,
+        )
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def shading(image, lens, frame, surface, rotation, centre):  # type: ignore[no-untyped-def]
+    """How well the bright and dark of a picture agree with a pose, −1 … 1; 0 where few is seen.
+
+    Correlation of the grey levels with what the light that fits best makes of the surface, in
+    windows of an eighteenth of the target, each about its own means.
+
+    Args:
+        image: (H, W) uint8.
+        lens: (12,) camera vector, and whether it distorts.
+        frame: (6,) as in ``Sky.vector``.
+        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+    """
+    most = surface.point.shape[0]
+    which = np.empty(most, dtype=np.int64)
+    u, v = np.empty(most), np.empty(most)
+    facing = np.empty((most, 3))  # normals on the side of the camera, camera frame
+    levels = np.empty(most)
+    found = _seen_points(image, lens, surface, rotation, centre, which, u, v, facing, levels)
+    if found < _LEAST_POINTS:
+        return 0.0
+    black = frame[1] if frame[2] > 0.0 else 0.0
+    for k in range(found):
+        levels[k] -= black
+    every = 1 + found // _FITTED
+    count = (found + every - 1) // every
+    some = levels[:found:every].copy()
+    albedo, lit = np.empty(count), np.empty(count)
+    for k in range(count):
+        albedo[k] = surface.albedo[which[k * every]]
+    tolerance = _TOLERANCE * np.percentile(some, 80) + frame[0]
+    away = centre / np.sqrt(_dot(centre, centre))
+    strengths, chosen = np.empty(2), np.zeros(2)
+    sun, best = np.zeros(3), np.inf
+    node = -1
+    known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
+    for nodes, near in _SUN_LEVELS:
+        middle = sun.copy()
+        for s in range(min(nodes, surface.nodes.shape[0])):
+            d = surface.nodes[s]
+            tried = rotation @ d
+            if known:
+                if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < 0.99:
+                    continue
+            elif _dot(tried, away) > -_BEHIND or (near > -1.0 and _dot(tried, middle) < near):
+                continue
+            for k in range(count):
+                lit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
+            cost = light_strengths(some, lit, albedo, tolerance, strengths)
+            if cost < best:
+                best, node = cost, s
+                sun[:] = tried
+                chosen[:] = strengths
+    if node < 0:
+        return 0.0
+    side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
+    # Before a bright sky, evenness may be the sky's own.
+    even = (_EVEN * np.percentile(some, 80)) ** 2 if frame[2] > 0.0 else 0.0
+    return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _brightness(surface, node, point, normal, sun):  # type: ignore[no-untyped-def]
+    """Albedo times the cosine to the Sun of a point, 0 in shadow."""
+    cosine = _dot(normal, sun)
+    if cosine <= 0.0 or not (surface.seen[node, point >> 3] >> (point & 7)) & 1:
+        return 0.0
+    return surface.albedo[point] * cosine
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _seen_points(  # type: ignore[no-untyped-def]
+    image, lens, surface, rotation, centre, which, u, v, facing, levels
+):
+    """The points that a pose shows in the picture, and its levels there; how many."""
+    height, width = image.shape
+    camera = lens[0]
+    eye = -(rotation.T @ centre)
+    distance = np.sqrt(_dot(eye, eye))
+    # Each point is seen along its own line: one of the nodes near the camera's.
+    reach = np.arcsin(min(1.0, surface.radius_m / distance)) + 0.15
+    cosine = np.cos(min(reach, 3.1)) * distance
+    near = np.empty(surface.nodes.shape[0], dtype=np.int64)
+    nodes = 0
+    for s in range(surface.nodes.shape[0]):
+        if _dot(surface.nodes[s], eye) > cosine:
+            near[nodes] = s
+            nodes += 1
+    found = 0
+    for k in range(surface.point.shape[0]):
+        p = surface.point[k]
+        d0, d1, d2 = eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]
+        best, node = -np.inf, -1
+        for i in range(nodes):
+            n = surface.nodes[near[i]]
+            along = n[0] * d0 + n[1] * d1 + n[2] * d2
+            if along > best:
+                best, node = along, near[i]
+        if node < 0 or not (surface.seen[node, k >> 3] >> (k & 7)) & 1:
+            continue
+        x, y, z = centre
+        x += rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2]
+        y += rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2]
+        z += rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2]
+        if z <= 0.0:
+            continue
+        n = surface.normal[k]
+        n0 = rotation[0, 0] * n[0] + rotation[0, 1] * n[1] + rotation[0, 2] * n[2]
+        n1 = rotation[1, 0] * n[0] + rotation[1, 1] * n[1] + rotation[1, 2] * n[2]
+        n2 = rotation[2, 0] * n[0] + rotation[2, 1] * n[1] + rotation[2, 2] * n[2]
+        towards = -(n0 * x + n1 * y + n2 * z)
+        if towards * towards < _EDGE_ON * _EDGE_ON * (x * x + y * y + z * z):
+            continue
+        way = 1.0 if towards > 0.0 else -1.0
+        a, b = x / z, y / z
+        if lens[1]:
+            a, b = distorted(a, b, camera)
+        pu, pv = camera[0] * a + camera[2], camera[1] * b + camera[3]
+        if not (pu > 1.0 and pv > 1.0 and pu < width - 2.0 and pv < height - 2.0):
+            continue
+        column, row = int(pu + 0.5), int(pv + 0.5)
+        total = 0
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                total += image[row + i, column + j]
+        which[found], u[found], v[found], levels[found] = k, pu, pv, total / 9.0
+        facing[found, 0], facing[found, 1], facing[found, 2] = way * n0, way * n1, way * n2
+        found += 1
+    return found
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _correlation(  # type: ignore[no-untyped-def]
+    surface, which, u, v, facing, levels, found, node, sun, strengths, side, even
+):
+    """Of the levels with the expected ones, within windows of ``side`` pixels.
+
+    ``even``: a variance, grey levels squared, that both have in common: where neither shows any
+    contrast, they agree.
+    """
+    left, top = u[:found].min(), v[:found].min()
+    columns = int((u[:found].max() - left) / side) + 1
+    rows = int((v[:found].max() - top) / side) + 1
+    sums = np.zeros((rows * columns, 6))
+    for k in range(found):
+        window = int((v[k] - top) / side) * columns + int((u[k] - left) / side)
+        point = which[k]
+        bright = strengths[0] * _brightness(surface, node, point, facing[k], sun)
+        bright += strengths[1] * surface.albedo[point]
+        s = sums[window]
+        s[0] += 1.0
+        s[1] += levels[k]
+        s[2] += bright
+        s[3] += levels[k] * levels[k]
+        s[4] += bright * bright
+        s[5] += levels[k] * bright
+    a, b, ab = 1e-6, 1e-6, 0.0
+    count = 0.0
+    for s in sums:
+        if s[0] >= _LEAST_IN_WINDOW:
+            count += s[0]
+            a += s[3] - s[1] * s[1] / s[0]
+            b += s[4] - s[2] * s[2] / s[0]
+            ab += s[5] - s[1] * s[2] / s[0]
+    same = count * even
+    return (ab + same) / np.sqrt((a + same) * (b + same))

@@ -1,0 +1,121 @@
+"""A whole sequence through the tracker, frame by frame, with nothing lost on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import ResultRow
+from rendezview.io.sequences import Frame, Sequence
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
+from rendezview.sensors.appearance.recognizer import Recognizer, Sighting
+from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
+from rendezview.sensors.observation import Status
+
+
+def follow(
+    model: ViewModel,
+    sequence: Sequence,
+    *,
+    prior: Pose | None = None,
+    independent: bool = False,
+    silhouette: SilhouetteOptions | None = None,
+    options: TrackerOptions | None = None,
+    sun_camera: npt.ArrayLike | None = None,
+    refine: bool = True,
+) -> Iterator[tuple[Frame, Sighting]]:
+    """One sighting for each frame, in order.
+
+    Args:
+        model: of the target.
+        sequence: frames; without times they count as one second apart.
+        prior: camera_from_target of the first frame, right to about 20°; ``None`` to look
+            everywhere.
+        independent: every frame on its own, no prior and no memory.
+        silhouette: how to find the target.
+        options: of the tracker.
+        sun_camera: (3,) towards the Sun, camera frame, if it is known.
+        refine: move poses onto the edges, if the model has contour points.
+
+    A frame that cannot be read gives the status ``UNREADABLE``, and the next goes on.
+
+    Raises:
+        RendezviewError: the times of the frames do not rise.
+    """
+    recognizers: dict[Camera, Recognizer] = {}
+    tracker: Tracker | None = None
+    last_s = float("-inf")
+    for index, frame in enumerate(sequence):
+        if frame.camera not in recognizers:
+            recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette, refine=refine)
+        recognizer = recognizers[frame.camera]
+        if tracker is None:
+            tracker = Tracker(recognizer, prior, options)
+        tracker.recognizer = recognizer
+        time_s = float(index) if frame.time_s is None else frame.time_s
+        try:
+            image = frame.read()
+        except RendezviewError as error:
+            yield frame, Sighting(Status.UNREADABLE, str(error))
+            continue
+        if independent:
+            yield frame, recognizer.recognize(image, sun_camera=sun_camera)
+            continue
+        if not time_s > last_s:
+            raise RendezviewError(
+                f"{sequence.source}: the time of frame {frame.im_id} ({time_s} s) is not later "
+                f"than that of the frame before ({last_s} s); use --independent for a set of "
+                "single frames"
+            )
+        last_s = time_s
+        yield frame, tracker.update(time_s, image, sun_camera)
+
+
+def result_row(scene_id: int, frame: Frame, sighting: Sighting) -> ResultRow | None:
+    """One frame as it stands in the results; ``None`` without a pose."""
+    if sighting.pose is None:
+        return None
+    spent_s = 1e-3 * sum(sighting.stage_ms.values())
+    return ResultRow(scene_id, frame.im_id, frame.obj_id, sighting.score, sighting.pose, spent_s)
+
+
+def record(frame: Frame, sighting: Sighting) -> dict[str, Any]:
+    """One frame as it stands in a log of JSON lines."""
+    return {
+        "im_id": frame.im_id,
+        "image": frame.name,
+        "time_s": frame.time_s,
+        "status": str(sighting.status),
+        "reason": sighting.reason,
+        "pose": sighting.pose,
+        "covariance": sighting.covariance,
+        "score": sighting.score,
+        "confidence": sighting.confidence,
+        "candidates": list(sighting.candidates),
+        "refinement": _refinement(sighting),
+        "on_nodes": sighting.on_nodes,
+        "weights": sighting.weights,
+        "points_m": sighting.points_m,
+        "stage_ms": sighting.stage_ms,
+    }
+
+
+def _refinement(sighting: Sighting) -> dict[str, float] | None:
+    """How the best refined pose stands, given or not."""
+    if sighting.found is None:
+        return None
+    best = sighting.found.best
+    return {
+        "outline": best.outline,
+        "inner": best.inner,
+        "seen": best.seen,
+        "residual_px": best.residual_px,
+        "excess": sighting.found.excess,
+        "margin": sighting.found.margin,
+    }

@@ -1,0 +1,237 @@
+"""The view model: what training leaves behind and the craft carries."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
+from rendezview.io.target import Symmetry
+from rendezview.sensors.appearance.container import read_container, write_container
+from rendezview.sensors.appearance.edges.contours import Contours, surfaces_of_cells
+from rendezview.sensors.appearance.edges.shading import Surface
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import LitViews
+from rendezview.sensors.appearance.outline.trees import Forest
+
+_Part = TypeVar("_Part")
+
+FAR_RADII = 4.0  # of the far readings, in sphere radii: perspective has nearly gone
+FAR_UNIT = 5.0  # thousandths, of the change from near to far
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """The views of the half-edge lattice, nodes first, each centred on its silhouette."""
+
+    centred_from_target: Array  # (V, 3, 3) attitude of the camera turned to the centroid
+    readings: npt.NDArray[np.uint16]  # (V, N) signature in thousandths of sqrt(area)
+    area_m2: Array  # (V,) area_sr × range² at the sphere radius: A_ref of eq. 4
+    area_slope: Array  # (V,) relative change of area_sr × range² with sphere radius / range
+    offset_m: Array  # (V, 2) view centre off the centroid's line of sight, x right, y down
+    far_change: npt.NDArray[np.int8] | None = None  # see ``far_readings``; None: untold
+
+    @property
+    def far_readings(self) -> Array | None:
+        """(V, N) readings from ``FAR_RADII`` sphere radii, to a few thousandths; None if untold."""
+        if self.far_change is None:
+            return None
+        bins = self.readings.shape[1]
+        change = FAR_UNIT * np.repeat(self.far_change, 2, axis=1)[:, :bins].astype(np.float64)
+        return np.asarray(self.readings + change)
+
+    def with_far(self, far_readings: npt.NDArray[Any]) -> Views:
+        """These views with readings (V, N) from afar, kept as the change of two bins at a time."""
+        change = far_readings.astype(np.float64) - self.readings
+        odd = change.shape[1] % 2
+        change = np.pad(change, ((0, 0), (0, odd)), mode="edge")
+        pairs = change.reshape(len(change), -1, 2).mean(axis=2) / FAR_UNIT
+        return replace(self, far_change=np.clip(np.rint(pairs), -127, 127).astype(np.int8))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOut:
+    """What recognition reached on perturbed views that training never saw, root mean square.
+
+    Wrong answers count in none of them; see ``rendezview.training.calibrate``.
+    """
+
+    direction_rad: float  # view direction, each of two axes
+    roll_rad: float  # about the line of sight
+    range_fraction: float
+    bearing_rad: float  # of the view centre, times range over sphere radius, each axis
+    residual: float  # of the readings against the most alike view: 99.5 % were below
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewModel:
+    """A geodesic sphere of views of one target, with a decision tree for each node.
+
+    The view centre is the point that every view looks at, the middle of the target's
+    bounding sphere; poses are nevertheless those of the target's own (CAD) frame.
+    """
+
+    name: str
+    order: int  # of the node sphere; the views are those of order + 1
+    sphere_radius_m: float  # distance of the views from the view centre
+    target_radius_m: float  # of the bounding sphere
+    centre_m: Array  # (3,) view centre in the target frame
+    smooth_bins: int
+    views: Views
+    forest: Forest
+    leaf_on: npt.NDArray[np.int32]  # (M,) training samples in the leaf, recognised …
+    leaf_off: npt.NDArray[np.int32]  # (M,) … and not
+    training_accuracy: Array  # (T,) share of right decisions on the training samples
+    held_out_accuracy: Array  # (T,) the same on held-out samples; NaN where not measured
+    held_out: HeldOut
+    contours: Contours | None  # for refinement; None: trained without
+    lit: LitViews | None  # for first poses in hard light; None: trained without
+    symmetries: tuple[Symmetry, ...]  # turns that change nothing
+    provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
+    shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
+    surface: Surface | None = None  # what is bright and what dark; None: trained without
+
+    @property
+    def bins(self) -> int:
+        """Number of readings in a signature."""
+        return int(self.views.readings.shape[1])
+
+    @property
+    def geodesic(self) -> Geodesic:
+        """The sphere of nodes."""
+        return Geodesic.of_order(self.order)
+
+    @property
+    def lattice(self) -> Geodesic:
+        """The sphere of views: nodes and the mid-points of their edges."""
+        return Geodesic.of_order(self.order + 1)
+
+    def save(self, path: Path | str) -> None:
+        """Write the model file, atomically and byte for byte reproducibly."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            f"views.{f.name}": getattr(self.views, f.name)
+            for f in fields(Views)
+            if getattr(self.views, f.name) is not None
+        }
+        arrays |= {f"forest.{f.name}": getattr(self.forest, f.name) for f in fields(Forest)}
+        arrays |= {name: getattr(self, name) for name in _ARRAYS}
+        if self.contours is not None:
+            arrays |= {
+                f"contours.{f.name}": getattr(self.contours, f.name) for f in fields(Contours)
+            }
+        if self.lit is not None:
+            arrays |= {f"lit.{f.name}": getattr(self.lit, f.name) for f in fields(LitViews)}
+        if self.surface is not None:
+            arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
+        header = {
+            "name": self.name,
+            "order": self.order,
+            "sphere_radius_m": self.sphere_radius_m,
+            "target_radius_m": self.target_radius_m,
+            "smooth_bins": self.smooth_bins,
+            "held_out": {f.name: getattr(self.held_out, f.name) for f in fields(HeldOut)},
+            "symmetries": [
+                {"kind": s.kind, "axis": np.asarray(s.axis).tolist(), "angle_rad": s.angle_rad}
+                for s in self.symmetries
+            ],
+            "shape_error": self.shape_error,
+            "provenance": self.provenance,
+        }
+        write_container(Path(path), header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str) -> ViewModel:
+        """Read a model file.
+
+        Raises:
+            RendezviewError: the file is missing, of another kind, newer, cut off,
+                damaged, or does not hold together.
+        """
+        path = Path(path)
+        header, arrays = read_container(path)
+        try:
+            # Of an earlier making: strips of cells.
+            if "contours.strip" in arrays and "contours.start" not in arrays:
+                cells, kind = arrays["contours.strip"], arrays["contours.kind"]
+                arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
+                arrays.pop("contours.rim", None)
+            model = cls(
+                name=str(header["name"]),
+                order=int(header["order"]),
+                sphere_radius_m=float(header["sphere_radius_m"]),
+                target_radius_m=float(header["target_radius_m"]),
+                smooth_bins=int(header["smooth_bins"]),
+                views=_views(arrays),
+                forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
+                held_out=HeldOut(**header["held_out"]),
+                contours=_part(arrays, "contours", Contours),
+                lit=_part(arrays, "lit", LitViews),
+                surface=_part(arrays, "surface", Surface),
+                symmetries=tuple(
+                    Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
+                    for s in header.get("symmetries", [])
+                ),
+                shape_error=float(header.get("shape_error", 0.0)),
+                provenance=dict(header["provenance"]),
+                **{name: arrays[name] for name in _ARRAYS},
+            )
+            model._check()
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise RendezviewError(
+                f"{path}: the model does not hold together ({error}); train it again"
+            ) from None
+        return model
+
+    def _check(self) -> None:
+        count, nodes = len(self.lattice.nodes), len(self.geodesic.nodes)
+        shapes: dict[str, tuple[npt.NDArray[Any], tuple[int, ...]]] = {
+            "views.centred_from_target": (self.views.centred_from_target, (count, 3, 3)),
+            "views.readings": (self.views.readings, (count, self.bins)),
+            "views.area_m2": (self.views.area_m2, (count,)),
+            "views.area_slope": (self.views.area_slope, (count,)),
+            "views.offset_m": (self.views.offset_m, (count, 2)),
+            "centre_m": (self.centre_m, (3,)),
+            "forest.roots": (self.forest.roots, (nodes,)),
+            "leaf_on": (self.leaf_on, self.forest.component.shape),
+            "leaf_off": (self.leaf_off, self.forest.component.shape),
+            "training_accuracy": (self.training_accuracy, (nodes,)),
+            "held_out_accuracy": (self.held_out_accuracy, (nodes,)),
+        }
+        if self.views.far_change is not None:
+            far = self.views.far_change
+            shapes["views.far_change"] = (far, (count, (self.bins + 1) // 2))
+        if self.contours is not None:
+            self.contours.check(count)
+        if self.lit is not None:
+            self.lit.check(count)
+        if self.surface is not None:
+            self.surface.check()
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
+        if self.forest.component.max(initial=-1) >= self.bins:
+            raise ValueError("a tree looks at a bin that the signature has not")
+
+
+def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
+    found = _part(arrays, "views", Views)
+    if found is None:
+        raise KeyError("views")
+    return found
+
+
+def _part(
+    arrays: dict[str, npt.NDArray[Any]], name: str, kind: Callable[..., _Part]
+) -> _Part | None:
+    """A part that a model may be without."""
+    found = {key.partition(".")[2]: a for key, a in arrays.items() if key.startswith(f"{name}.")}
+    return kind(**found) if found else None
+
+
+_ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")

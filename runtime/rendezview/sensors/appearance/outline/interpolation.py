@@ -1,0 +1,197 @@
+"""Between the nodes: where the stored signatures around a match put the camera.
+
+Trees answer on or off, so an on node names its own direction, up to an edge off. The signatures
+of the lattice say more. Around each view a quadratic in the direction is fitted to its
+neighbours' readings, as they are at the frame's range: far views are stored beside the near ones,
+because perspective changes a signature as much as degrees do. Robust Gauss–Newton over direction
+and roll then finds where the frame's signature lies on it. Every view near the answer is asked;
+they differ by what a quadratic leaves out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.model import FAR_RADII, ViewModel
+from rendezview.sensors.appearance.outline.placement import range_from_area
+from rendezview.sensors.appearance.outline.signature import UNIT, Readings, Signature, rolled, twist
+from rendezview.sensors.appearance.outline.votes import Match
+
+_REACH_EDGES = 1.0  # of the node sphere: the views that a quadratic is fitted to
+_ASKED_EDGES = 0.6  # views so near to the answer are asked
+_ROUNDS = 3  # the quadratic is that of the view nearest to the answer
+_STEPS = 8
+_FARTHEST_RAD = 0.17  # from its view, beyond which a quadratic says nothing
+_KEPT = 256  # quadratics, of the views seen last
+_FAT_PX = 0.3  # of an outline: mean of frames with truth; blur and the low threshold widen it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Local:
+    """The quadratic around one view."""
+
+    axes: Array  # (3, 3) rows: x and y of the tangent plane, the view's direction
+    near: Array  # (6, N) coefficients of the readings at the sphere radius, of 1 x y x² xy y² …
+    far: Array  # (6, N) … and at far range less that
+    misfit: Array  # (N,) r.m.s. of the neighbours' readings off the quadratic
+    area: Array  # (6, 2) of ``area_m2`` and ``area_slope``
+
+
+class Between:
+    """Places between the nodes of one model that has far readings."""
+
+    def __init__(self, model: ViewModel) -> None:
+        if model.views.far_change is None:
+            raise ValueError("the model has no far readings")
+        self._model = model
+        self._lattice = model.lattice
+        self._edge = model.geodesic.mean_edge_rad
+        self._near = model.views.readings.astype(np.float32)
+        self._far = np.asarray(model.views.far_readings, dtype=np.float32)
+        self._kept: dict[int, _Local] = {}
+
+    def points(self, match: Match, signature: Signature, pixel_rad: float) -> tuple[Array, Array]:
+        """Where views around a match put the camera: (K, 3) m, target frame, and weights (K,).
+
+        Args:
+            pixel_rad: angle of a pixel, by which the outline's area is freed of its known bias.
+        """
+        signature = _slimmer(signature, _FAT_PX * pixel_rad)
+        direction, attitude = match.direction, match.centred_from_target
+        view = int(self._lattice.nearest(direction))
+        range_m = self._range(np.eye(6)[0] @ self._local(view).area, signature)
+        for _ in range(_ROUNDS):
+            direction, range_m, _ = self._asked(view, direction, attitude, range_m, signature)
+            again = int(self._lattice.nearest(direction))
+            if again == view:
+                break
+            view = again
+        views = self._lattice.within(direction, _ASKED_EDGES * self._edge)
+        points, weights = np.empty((len(views), 3)), np.empty(len(views))
+        for k, view in enumerate(views):
+            found, far, residual = self._asked(int(view), direction, attitude, range_m, signature)
+            points[k] = self._model.centre_m + far * found
+            off = np.sum((found - self._lattice.nodes[view]) ** 2) / (0.5 * self._edge) ** 2
+            weights[k] = np.exp(-0.5 * off) / (1.0 + residual**2)
+        return points, weights / weights.max()
+
+    def _asked(
+        self, view: int, start: Array, attitude: Array, range_m: float, signature: Signature
+    ) -> tuple[Array, float, float]:
+        """Direction, range and r.m.s. misfit that one view finds from a start."""
+        local = self._local(view)
+        # Readings go with sphere radius over range, from 1 (near) to 1/FAR_RADII.
+        share = (1.0 - self._model.sphere_radius_m / range_m) / (1.0 - 1.0 / FAR_RADII)
+        found = np.empty(3)
+        found[:2] = local.axes[:2] @ start / max(float(local.axes[2] @ start), 0.5)
+        found[2] = twist(attitude, self._model.views.centred_from_target[view])
+        surface = np.ascontiguousarray((local.near + share * local.far).T)
+        residual = _down(signature.readings, surface, local.misfit, found, _STEPS, _FARTHEST_RAD)
+        x, y = found[:2]
+        away = local.axes[2] + x * local.axes[0] + y * local.axes[1]
+        area = np.array([1.0, x, y, x * x, x * y, y * y]) @ local.area
+        return away / np.linalg.norm(away), self._range(area, signature), residual
+
+    def _range(self, area: Array, signature: Signature) -> float:
+        return float(range_from_area(self._model, area[:1], area[1:], signature.area_sr)[0])
+
+    def _local(self, view: int) -> _Local:
+        if view not in self._kept:
+            if len(self._kept) >= _KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[view] = self._fitted(view)
+        return self._kept[view]
+
+    def _fitted(self, view: int) -> _Local:
+        views = self._model.views
+        direction = self._lattice.nodes[view]
+        around = self._lattice.within(direction, _REACH_EDGES * self._edge)
+        camera = views.centred_from_target
+        x_axis = camera[view][0] - (camera[view][0] @ direction) * direction
+        x_axis /= np.linalg.norm(x_axis)
+        axes = np.stack([x_axis, np.cross(direction, x_axis), direction])
+        x, y, ahead = axes @ self._lattice.nodes[around].T
+        x, y = x / ahead, y / ahead
+        rolls = twist(camera[around], camera[view])
+        near, far = (
+            np.array([rolled(kept[k], roll) for k, roll in zip(around, rolls, strict=True)])
+            for kept in (self._near, self._far)
+        )
+        terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+        solve = np.linalg.pinv(terms)
+        fitted = solve @ near
+        areas = np.stack([views.area_m2[around], views.area_slope[around]], axis=1)
+        return _Local(
+            axes,
+            fitted,
+            solve @ far - fitted,
+            np.sqrt(np.mean((terms @ fitted - near) ** 2, axis=0)),
+            solve @ areas,
+        )
+
+
+def _slimmer(signature: Signature, width_rad: float) -> Signature:
+    """The signature with the area of an outline that lies so much farther in."""
+    radius = signature.readings * np.sqrt(signature.area_sr) / UNIT
+    slope = (np.roll(radius, -1) - np.roll(radius, 1)) * len(radius) / (4.0 * np.pi)
+    around = float(np.mean(np.hypot(radius, slope))) * 2.0 * np.pi
+    area_sr = max(signature.area_sr - width_rad * around, 0.5 * signature.area_sr)
+    return replace(signature, area_sr=area_sr)
+
+
+@njit(cache=True, nogil=True)
+def _down(
+    readings: Readings, surface: Array, misfit: Array, found: Array, steps: int, farthest: float
+) -> float:
+    """Robust Gauss–Newton over (x, y, roll), in place; returns the r.m.s. misfit."""
+    bins = readings.shape[0]
+    step_rad = 2.0 * np.pi / bins
+    off, size = np.empty(bins), np.empty(bins)
+    slopes = np.empty((bins, 3))
+    total = 0.0
+    for k in range(steps + 1):
+        x, y = found[0], found[1]
+        shift = -found[2] / step_rad
+        whole = int(np.floor(shift))
+        part = shift - whole
+        total = 0.0
+        for b in range(bins):
+            s = surface[b]
+            at = (b + whole) % bins
+            here, ahead = readings[at], readings[at + 1 if at + 1 < bins else 0]
+            model = s[0] + x * s[1] + y * s[2] + x * x * s[3] + x * y * s[4] + y * y * s[5]
+            off[b] = here + part * (ahead - here) - model
+            size[b] = abs(off[b])
+            slopes[b, 0] = -(s[1] + 2.0 * x * s[3] + y * s[4])
+            slopes[b, 1] = -(s[2] + x * s[4] + 2.0 * y * s[5])
+            slopes[b, 2] = -(ahead - here) / step_rad
+            total += off[b] ** 2
+        if k == steps:
+            break
+        scatter = 1.4826 * np.median(size) + 3.0  # thousandths: what rounding and noise leave
+        matrix, right = np.zeros((3, 3)), np.zeros(3)
+        for b in range(bins):
+            variance = scatter**2 + misfit[b] ** 2
+            weight = 1.0 / variance / (1.0 + off[b] ** 2 / variance / 6.25) ** 2
+            for i in range(3):
+                right[i] -= weight * slopes[b, i] * off[b]
+                for j in range(3):
+                    matrix[i, j] += weight * slopes[b, i] * slopes[b, j]
+        for i in range(3):
+            matrix[i, i] *= 1.0 + 1e-6
+            matrix[i, i] += 1e-9
+        move = np.linalg.solve(matrix, right)
+        length = np.sqrt(move[0] ** 2 + move[1] ** 2)
+        if length > 0.07:
+            move *= 0.07 / length
+        found += move
+        far = np.sqrt(found[0] ** 2 + found[1] ** 2)
+        if far > farthest:
+            found[:2] *= farthest / far
+        if length < 1e-4 and abs(move[2]) < 1e-3:
+            break
+    return float(np.sqrt(total / bins))

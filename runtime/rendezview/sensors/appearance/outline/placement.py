@@ -1,0 +1,104 @@
+"""From a match to space: a point for each on node, and one pose with its covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.pose import Array, Pose, minimal_rotation
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.outline.votes import Match
+
+
+def node_points(model: ViewModel, match: Match, signature: Signature) -> Array:
+    """(K, 3) where each on node puts the camera, target frame, metres (eq. 4a)."""
+    nodes = match.on_nodes
+    range_m = range_from_area(
+        model, model.views.area_m2[nodes], model.views.area_slope[nodes], signature.area_sr
+    )
+    return np.asarray(model.centre_m + range_m[:, None] * model.geodesic.nodes[nodes])
+
+
+def range_from_area(model: ViewModel, area_m2: Array, slope: Array, area_sr: float) -> Array:
+    """Range of the view centre from the silhouette's area (Cleghorn & Sternberg, eq. 4a).
+
+    The paper's ``d_ref sqrt(A_ref/A_obs) f_image/f_reference`` with both areas in
+    steradians, where the focal lengths cancel. ``area_sr × range²`` of a view at range r
+    is ``area_m2 (1 + slope (R/r − 1))``: the near side of a target looms at close range,
+    which the paper's weak perspective leaves out; ``slope = 0`` gives eq. 4a as printed.
+
+    Args:
+        model: for its sphere radius R.
+        area_m2: (K,) ``area_sr × R²`` of each view at the sphere radius.
+        slope: (K,) perspective of each view.
+        area_sr: observed area.
+    """
+    range_m = np.sqrt(area_m2 / area_sr)
+    for _ in range(4):
+        # Far inside the sphere the linear model ends; a range is given all the same.
+        loom = np.maximum(1.0 + slope * (model.sphere_radius_m / range_m - 1.0), 0.1)
+        range_m = np.sqrt(area_m2 * loom / area_sr)
+    return np.asarray(range_m)
+
+
+def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, Array]:
+    """``camera_from_target`` of a match and its (6, 6) covariance."""
+    views = model.views
+    near, share = _views_around(model, match.direction)
+    attitude = match.centred_from_target
+    range_m = float(
+        range_from_area(
+            model,
+            np.array([share @ views.area_m2[near]]),
+            np.array([share @ views.area_slope[near]]),
+            signature.area_sr,
+        )[0]
+    )
+    # The view centre stands off the centroid's line of sight: each view's offset, rolled.
+    roll = twist(attitude, views.centred_from_target[near])
+    c, s = np.cos(roll), np.sin(roll)
+    x, y = views.offset_m[near].T
+    offset_x, offset_y = share @ (c * x - s * y), share @ (s * x + c * y)
+    line = np.array([offset_x / range_m, offset_y / range_m, 1.0])
+    line /= np.sqrt(line @ line)
+    # The trees name the direction from the view centre; the attitude must show it there.
+    attitude = attitude @ minimal_rotation(match.direction, -attitude.T @ line)
+    camera_from_centred = signature.centred_from_camera.T
+    rotation = camera_from_centred @ attitude
+    centre_camera = camera_from_centred @ (range_m * line)
+    pose = Pose(rotation, centre_camera - rotation @ model.centre_m)
+    return pose, _covariance(model, pose, centre_camera, range_m)
+
+
+def _views_around(model: ViewModel, direction: Array) -> tuple[npt.NDArray[np.intp], Array]:
+    """The views around a direction and their shares, which fall to 0 at 1.5 half edges."""
+    lattice = model.lattice
+    reach = 1.5 * lattice.mean_edge_rad
+    near = lattice.within(direction, reach)
+    share = np.maximum(lattice.nodes[near] @ direction - np.cos(reach), 1e-9)
+    return near, share / share.sum()
+
+
+def _covariance(model: ViewModel, pose: Pose, centre_camera: Array, range_m: float) -> Array:
+    """(6, 6) from the errors on held-out views: direction, roll, range and bearing.
+
+    A turn of the target about its view centre moves its frame's origin too, so rotation
+    and translation are correlated through the arm between the two.
+    """
+    held_out = model.held_out
+    sight = centre_camera / np.linalg.norm(centre_camera)
+    along = np.outer(sight, sight)
+    across = np.eye(3) - along
+    rotation = held_out.direction_rad**2 * across + held_out.roll_rad**2 * along
+    bearing_m = held_out.bearing_rad * model.sphere_radius_m
+    centre = (held_out.range_fraction * range_m) ** 2 * along + bearing_m**2 * across
+    # t = centre − R centre_m: a left rotation w adds −w × (R centre_m) = arm @ w
+    x, y, z = pose.rotation @ model.centre_m
+    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = rotation
+    covariance[:3, 3:] = rotation @ arm.T
+    covariance[3:, :3] = arm @ rotation
+    covariance[3:, 3:] = centre + arm @ rotation @ arm.T
+    return covariance

@@ -1,0 +1,205 @@
+"""What the sensor looks at: two pictures in two colours of laser light, or one (Book et al.).
+
+The reflectors' filters pass 830 nm: the *lit* picture shows them, the *dark* one at 780 nm shows
+everything else as bright. Their difference is thresholded, and lone pixels and thin edges are
+eroded away.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+
+Grey = npt.NDArray[np.uint8]
+
+_NOISE_STEP = 12  # one row in so many tells the noise
+_NO_DARK = np.zeros((0, 0), np.uint8)
+
+
+class Opening(StrEnum):
+    """What is eroded from the thresholded picture and dilated back."""
+
+    NONE = "none"
+    SMALL = "small"  # what holds no 2 × 2 pixels goes: lone pixels, lines of one
+    CROSS = "cross"  # what holds no plus of five pixels goes
+    SQUARE = "square"  # what holds no 3 × 3 pixels goes: the paper's zeroing of the edge
+
+
+_KERNELS = {
+    Opening.SMALL: (np.ones((2, 2), np.uint8), (1, 1), (0, 0)),  # even: dilated the other way
+    Opening.CROSS: (cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), (1, 1), (1, 1)),
+    Opening.SQUARE: (np.ones((3, 3), np.uint8), (1, 1), (1, 1)),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThresholdOptions:
+    """Which pixels may belong to a spot. Grey levels of the 8-bit pictures."""
+
+    lower_grey: float | None = None  # of the difference; None: from its noise
+    noise_factor: float = 7.0  # × noise: one pixel in 10¹¹ of pure noise
+    least_grey: float = 12.0  # of an automatic threshold: flicker of bright background stays below
+    upper_grey: float | None = None  # of the lit picture: brighter is a glint, not a reflector
+    dark_grey: float = 250.0  # of the dark picture: saturated there, the difference says nothing
+    opening: Opening = Opening.SMALL  # a far reflector may hold no more than 2 × 2 pixels
+
+    def __post_init__(self) -> None:
+        for name in ("lower_grey", "upper_grey"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value <= 255.0:
+                raise RendezviewError(f"{name} must be 0 to 255, not {value}")
+        for name in ("noise_factor", "least_grey", "dark_grey"):
+            if not getattr(self, name) > 0.0:
+                raise RendezviewError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LitDark:
+    """The pictures of one reading.
+
+    ``dark`` is None where one picture is all there is. In the beam-splitter mode the second
+    camera's pixels are those of the first: see `registered`.
+
+    Raises:
+        RendezviewError: no 8-bit grey picture, an empty one, or two of different size.
+    """
+
+    lit: Grey  # (H, W)
+    dark: Grey | None = None  # (H, W)
+
+    def __post_init__(self) -> None:
+        for name in ("lit", "dark"):
+            image = getattr(self, name)
+            if image is None:
+                continue
+            array = np.asarray(image)
+            if array.ndim != 2 or array.size == 0 or array.dtype != np.uint8:
+                raise RendezviewError(
+                    f"the {name} picture must be 8-bit grey (H, W), not {array.dtype} {array.shape}"
+                )
+            object.__setattr__(self, name, np.ascontiguousarray(array))
+        if self.dark is not None and self.dark.shape != self.lit.shape:
+            raise RendezviewError(
+                f"the two pictures differ in size: {self.lit.shape} and {self.dark.shape}"
+            )
+
+    @property
+    def dark_or_nothing(self) -> Grey:
+        """The dark picture, (0, 0) where there is none, for the compiled loops."""
+        return _NO_DARK if self.dark is None else self.dark
+
+    def check(self, camera: Camera) -> None:
+        """Refuse pictures of another size than the camera's.
+
+        Raises:
+            RendezviewError: they differ.
+        """
+        height, width = self.lit.shape
+        if (width, height) != (camera.width, camera.height):
+            raise RendezviewError(
+                f"the picture is {width} × {height} pixels but its camera "
+                f"{camera.width} × {camera.height}: use the camera file of these pictures"
+            )
+
+
+def registered(dark: Grey, lit_from_dark: npt.ArrayLike) -> Grey:
+    """The dark camera's picture in the pixels of the lit camera (beam-splitter mode).
+
+    ``lit_from_dark`` (2, 3) maps pixels (u, v, 1) of the second camera, behind the same lens,
+    to those of the first; it is measured once, on any scene seen by both.
+
+    Raises:
+        ValueError: the map is not (2, 3), finite and invertible.
+    """
+    affine = np.asarray(lit_from_dark, dtype=np.float64)
+    if affine.shape != (2, 3) or not np.isfinite(affine).all():
+        raise ValueError(f"lit_from_dark must be (2, 3) and finite, not {affine.tolist()}")
+    if abs(np.linalg.det(affine[:, :2])) < 1e-3:
+        raise ValueError(f"lit_from_dark cannot be inverted: {affine.tolist()}")
+    if np.array_equal(affine, np.eye(2, 3)):
+        return dark
+    height, width = dark.shape
+    return np.asarray(
+        cv2.warpAffine(dark, affine, (width, height), borderMode=cv2.BORDER_REPLICATE),
+        dtype=np.uint8,
+    )
+
+
+def noise_grey(frames: LitDark) -> float:
+    """Standard deviation of one pixel of the difference, from neighbours, grey levels.
+
+    Half the pixels' differences from their right neighbours lie within 0.6745 · √2 of it;
+    spots and edges are few and do not count.
+    """
+    counts = np.zeros(512, np.int64)
+    _count_steps(frames.lit, frames.dark_or_nothing, counts)
+    total = int(counts.sum())
+    if not total:
+        return 1.0
+    half = 0.5 * total
+    below = np.cumsum(counts)
+    level = int(np.searchsorted(below, half))
+    before = below[level - 1] if level else 0
+    # Whole grey levels: the median is interpolated within its bin, [level − ½, level + ½].
+    low, width = (0.0, 0.5) if level == 0 else (level - 0.5, 1.0)
+    median = low + width * (half - before) / max(int(counts[level]), 1)
+    return max(float(median) / (0.6745 * math.sqrt(2.0)), 0.3)  # 0.3: rounding alone
+
+
+@njit(cache=True, nogil=True)
+def _count_steps(lit, dark, counts):  # type: ignore[no-untyped-def]
+    """How often neighbours in a row differ by so many grey levels; the difference's where dark."""
+    for v in range(0, lit.shape[0], _NOISE_STEP):
+        if dark.shape[0] > 0:
+            last = np.int64(lit[v, 0]) - np.int64(dark[v, 0])
+            for u in range(1, lit.shape[1]):
+                value = np.int64(lit[v, u]) - np.int64(dark[v, u])
+                counts[abs(value - last)] += 1
+                last = value
+        else:
+            for u in range(1, lit.shape[1]):
+                counts[abs(np.int64(lit[v, u]) - np.int64(lit[v, u - 1]))] += 1
+
+
+def threshold_of(options: ThresholdOptions, noise: float, frames: LitDark) -> float:
+    """The lower threshold in use, grey levels of the difference.
+
+    In a single picture the automatic one stands on the median of the background.
+    """
+    if options.lower_grey is not None:
+        return options.lower_grey
+    behind = 0.0 if frames.dark is not None else float(np.median(frames.lit[::_NOISE_STEP]))
+    return min(behind + max(options.noise_factor * noise, options.least_grey), 254.0)
+
+
+def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:
+    """(H, W) 255 where a pixel may belong to a spot."""
+    difference = frames.lit if frames.dark is None else cv2.subtract(frames.lit, frames.dark)
+    mask = cv2.threshold(difference, level, 255, cv2.THRESH_BINARY)[1]
+    if options.upper_grey is not None:
+        mask[frames.lit > options.upper_grey] = 0
+    if frames.dark is not None and options.dark_grey < 255.0:
+        clear = cv2.threshold(frames.dark, options.dark_grey, 255, cv2.THRESH_BINARY_INV)[1]
+        mask = cv2.bitwise_and(mask, clear, dst=mask)
+    if options.opening is Opening.NONE:
+        return np.asarray(mask, dtype=np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    if width and height:
+        # Only where there is anything; the rim about it is dark, as all the rest.
+        rows, columns = (
+            slice(max(top - 2, 0), top + height + 2),
+            slice(max(left - 2, 0), left + width + 2),
+        )
+        kernel, erode_at, dilate_at = _KERNELS[options.opening]
+        part = cv2.erode(mask[rows, columns], kernel, anchor=erode_at)
+        mask[rows, columns] = cv2.dilate(part, kernel, anchor=dilate_at)
+    return np.asarray(mask, dtype=np.uint8)

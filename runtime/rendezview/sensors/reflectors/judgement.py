@@ -1,0 +1,266 @@
+"""How well three spots go with a triangle of reflectors: their sizes and brightnesses, as χ².
+
+Most triplets of a crowd are refused by a pose in weak perspective, corrected twice for the depths
+it finds (as POSIT is), which costs a tenth of a P3P. Those that it leaves are judged with P3P's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.reflectors.discs import disc_radius, placed, turned
+from rendezview.sensors.reflectors.p3p import MAX_ROOTS, p3p_roots
+from rendezview.sensors.reflectors.triplets import expected_size
+
+_CORRECTIONS = 2
+# What the quick pose leaves of ln(size), at most: of everything, and of (base / range)².
+_SLACK, _SLACK_NEAR = 0.01, 0.2
+_SLACK_FIRST = 0.3  # and without corrections, of base / range
+
+
+@njit(cache=True, nogil=True)
+def judge(  # type: ignore[no-untyped-def]
+    triplets, directions, sizes, peaks, points, normals, diameters, focal_px, blur_px,
+    tolerances, window, score_limit, quick, scores, poses,
+):  # fmt: skip
+    """χ² of every triplet: its sizes at its own ranges, its brightnesses among themselves.
+
+    Of the poses of a triplet the one whose reflectors all face the camera is kept: the post
+    towards the camera. Of several the one that faces it most.
+
+    Args:
+        triplets: (M, 3) spots as (left, centre, right).
+        directions: (N, 3) unit; sizes, peaks: (N,) of the spots.
+        points, normals, diameters: (3, 3), (3, 3), (3,) of the triangle, in the same order.
+        tolerances: σ of ln(size), of ln(brightness) of the centre and between the outer two, and
+            the least cosine between a normal and its line of sight.
+        window: (2,) nearest and farthest range.
+        score_limit: χ² that is of no use.
+        quick: whether to refuse by the quick pose what has no chance.
+        scores: (M,) result, ∞ where refused; poses: (M, 12) rotation and translation.
+    """
+    rays = np.empty((3, 3))
+    rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
+    size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
+    shine, model = np.empty(3), np.empty(9)
+    log_size, log_peak = np.log(sizes), np.log(peaks)
+    screened = quick and _model(points, normals, diameters, model)
+    for n in range(triplets.shape[0]):
+        scores[n] = np.inf
+        if screened and _hopeless(
+            model, triplets[n, 0], triplets[n, 1], triplets[n, 2], directions, log_size, log_peak,
+            focal_px, blur_px, size_sigma, peak_sigma, beam_sigma, least_facing,
+            window, score_limit,
+        ):  # fmt: skip
+            continue
+        for i in range(3):
+            for j in range(3):
+                rays[i, j] = directions[triplets[n, i], j]
+        roots = p3p_roots(rays, points, 1e-3, rotations, translations)
+        k = facing_root(rotations, translations, roots, points, normals)
+        if k < 0:
+            continue
+        rotation, translation = rotations[k], translations[k]
+        chi = 0.0
+        for i in range(3):
+            x, y, z = placed(rotation, translation, points, i)
+            far = math.sqrt(x * x + y * y + z * z)
+            if far < window[0] or far > window[1]:
+                chi = np.inf
+                break
+            nx, ny, nz = turned(rotation, normals, i)
+            facing = -(nx * x + ny * y + nz * z) / far
+            if facing < least_facing:
+                chi = np.inf
+                break
+            radius = disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+            s = triplets[n, i]
+            expected = expected_size(blur_px, radius)
+            error = (log_size[s] - math.log(expected)) / size_sigma
+            chi += error * error
+            # Illumination falls with range², and blur thins a small disc.
+            shine[i] = log_peak[s] + 2.0 * math.log(far * expected / radius)
+        if not chi <= score_limit:
+            continue
+        # Beam and return fall smoothly across the target: the middle shines like the mean.
+        uneven = (shine[0] - shine[2]) / beam_sigma
+        bright = (shine[1] - 0.5 * (shine[0] + shine[2])) / peak_sigma
+        scores[n] = chi + uneven * uneven + bright * bright
+        for i in range(3):
+            for j in range(3):
+                poses[n, 3 * i + j] = rotation[i, j]
+            poses[n, 9 + i] = translation[i]
+
+
+@njit(cache=True, nogil=True)
+def _model(points, normals, diameters, out):  # type: ignore[no-untyped-def]
+    """What the quick pose needs of a triangle; false where its discs differ too much for it.
+
+    With B from left to right and P from their middle to the centre: B², P², B·P, |B × P|², the
+    disc's radius, and its normal as a multiple of B, P and B × P; |B|.
+    """
+    b, p, n = np.empty(3), np.empty(3), np.empty(3)
+    for a in range(3):
+        b[a] = points[2, a] - points[0, a]
+        p[a] = points[1, a] - 0.5 * (points[0, a] + points[2, a])
+        n[a] = (normals[0, a] + normals[1, a] + normals[2, a]) / 3.0
+    radius = (diameters[0] + diameters[1] + diameters[2]) / 6.0
+    for i in range(3):
+        if abs(0.5 * diameters[i] - radius) > 1e-3 * radius:
+            return False
+        for a in range(3):
+            if abs(normals[i, a] - n[a]) > 1e-3:
+                return False
+    bb = b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+    pp = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
+    bp = b[0] * p[0] + b[1] * p[1] + b[2] * p[2]
+    nb = n[0] * b[0] + n[1] * b[1] + n[2] * b[2]
+    np_ = n[0] * p[0] + n[1] * p[1] + n[2] * p[2]
+    cx, cy, cz = b[1] * p[2] - b[2] * p[1], b[2] * p[0] - b[0] * p[2], b[0] * p[1] - b[1] * p[0]
+    area = cx * cx + cy * cy + cz * cz
+    out[0], out[1], out[2], out[3], out[4] = bb, pp, bp, area, radius
+    out[5], out[6] = (nb * pp - np_ * bp) / area, (np_ * bb - nb * bp) / area
+    out[7] = (n[0] * cx + n[1] * cy + n[2] * cz) / area
+    out[8] = math.sqrt(bb)
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _hopeless(  # type: ignore[no-untyped-def]
+    model, left, centre, right, directions, log_size, log_peak, focal_px, blur_px,
+    size_sigma, peak_sigma, beam_sigma, least_facing, window, score_limit,
+):  # fmt: skip
+    """Whether neither of the two poses in weak perspective comes near the score that is needed.
+
+    On the plane across the middle m of the base's two rays, in units of the range Z to the base's
+    middle, the spots are at (−t, 0), (X, Y) and (t, 0). With w the square of the base's length as
+    seen, in metres, and (x, y) the centre over that length:
+    ``(B·P − x w)² = (B² − w)(P² − (x² + y²) w)``, of which the smaller root is the pose.
+    """
+    bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
+    d0x, d0y, d0z = directions[left, 0], directions[left, 1], directions[left, 2]
+    d1x, d1y, d1z = directions[centre, 0], directions[centre, 1], directions[centre, 2]
+    d2x, d2y, d2z = directions[right, 0], directions[right, 1], directions[right, 2]
+    ux, uy, uz = d2x - d0x, d2y - d0y, d2z - d0z
+    chord = math.sqrt(ux * ux + uy * uy + uz * uz)
+    if not chord > 0.0:
+        return True
+    # Of differences alone: what tilt explains of them is no more than ``steep`` of the base.
+    reach, steep = math.sqrt(score_limit), 1.0 / least_facing
+    post = 1.1 * steep * math.sqrt(pp / bb) * chord + 0.02
+    base = 1.1 * steep * chord + 0.02
+    s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
+    bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
+    if (
+        (abs(bright) > reach * peak_sigma + 4.0 * post)
+        | (abs(s1 - 0.5 * (s0 + s2)) > 1.23 * reach * size_sigma + post)
+        | (abs(s0 - s2) > 1.42 * reach * size_sigma + base)
+    ):
+        return True
+    mx, my, mz = d0x + d2x, d0y + d2y, d0z + d2z
+    f = 1.0 / math.sqrt(mx * mx + my * my + mz * mz)
+    mx, my, mz = mx * f, my * f, mz * f
+    f = 1.0 / chord
+    ux, uy, uz = ux * f, uy * f, uz * f
+    vx, vy, vz = my * uz - mz * uy, mz * ux - mx * uz, mx * uy - my * ux
+    t = 0.5 * chord / (d2x * mx + d2y * my + d2z * mz)
+    f = 1.0 / (d1x * mx + d1y * my + d1z * mz)
+    along, across = f * (d1x * ux + d1y * uy + d1z * uz), f * (d1x * vx + d1y * vy + d1z * vz)
+    size = (s0 + s1 + s2) / 3.0
+    u, v = mx / mz, my / mz
+    # First without corrections: what is far off needs none.
+    w, z, x, y = _scaled(bb, pp, bp, area, 2.0 * t, along, across)
+    if z < 0.7 * window[0] or z > 1.4 * window[1]:
+        return True
+    largest = radius * focal_px / (z * mz * mz)
+    least = 0.97 * math.sqrt(0.5 + 0.5 * least_facing * least_facing) * mz * largest
+    limit = reach * 0.58 * size_sigma + _SLACK + _SLACK_FIRST * math.sqrt(bb) / z
+    limit = math.exp(limit)
+    seen = math.exp(size)
+    if seen > limit * expected_size(blur_px, largest) or (
+        seen * limit < expected_size(blur_px, least)
+    ):
+        return True
+    for k in range(2):
+        sign = 1.0 - 2.0 * k
+        o0 = o1 = o2 = 0.0  # depths beyond the middle of the base, over Z
+        beta = depth = 0.0
+        for _ in range(1 + _CORRECTIONS):
+            wide = t * (2.0 + o0 + o2)
+            w, z, x, y = _scaled(
+                bb, pp, bp, area, wide,
+                (1.0 + o1) * along - 0.5 * t * (o2 - o0), (1.0 + o1) * across,
+            )  # fmt: skip
+            beta = sign * math.sqrt(max(bb - w, 0.0))
+            depth = sign * math.copysign(math.sqrt(max(pp - (x * x + y * y) * w, 0.0)), bp - x * w)
+            o1, o2 = depth / z, 0.5 * beta / z
+            o0 = -o2
+        if z < 0.85 * window[0] or z > 1.15 * window[1]:
+            continue
+        # The normal on (u, v, m): a B + b P + c B × P.
+        root = math.sqrt(w)
+        nu = model[5] * root + model[6] * x * root - model[7] * beta * y * root
+        nv = model[6] * y * root + model[7] * (beta * x * root - root * depth)
+        nm = model[5] * beta + model[6] * depth + model[7] * w * y
+        if nm >= 0.1:  # faces away
+            continue
+        nx, ny, nz = (
+            nu * ux + nv * vx + nm * mx,
+            nu * uy + nv * vy + nm * my,
+            nu * uz + nv * vz + nm * mz,
+        )
+        a, b = nx - nz * u, ny - nz * v
+        spread = max(0.5 * (2.0 + u * u + v * v - a * a - b * b), 1e-6)
+        disc = radius * focal_px / (z * mz) * math.sqrt(spread)
+        expected = expected_size(blur_px, disc)
+        # Of a disc farther by a share o, ln(size) is less by fall · o.
+        fall = 1.0 - (blur_px / expected) ** 2
+        slack = _SLACK + _SLACK_NEAR * bb / (z * z)
+        mean = size - math.log(expected) + fall * o1 / 3.0
+        off = max(abs(mean) - slack, 0.0) / size_sigma
+        chi = 3.0 * off * off
+        if chi > score_limit:
+            continue
+        for i in range(3):
+            spot, o = (left, o0) if i == 0 else (centre, o1) if i == 1 else (right, o2)
+            own = log_size[spot] - size + fall * (o - o1 / 3.0)
+            own = max(abs(own) - slack, 0.0) / size_sigma
+            chi += own * own
+        rise = 2.0 * (2.0 - fall)
+        uneven = log_peak[left] - log_peak[right] + rise * (o0 - o2)
+        bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right]) + rise * o1
+        uneven = max(abs(uneven) - 4.0 * slack, 0.0) / beam_sigma
+        bright = max(abs(bright) - 4.0 * slack, 0.0) / peak_sigma
+        if chi + uneven * uneven + bright * bright <= score_limit:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _scaled(bb, pp, bp, area, wide, along, across):  # type: ignore[no-untyped-def]
+    """Square of the base as seen (m²), range, and the centre in lengths of the base."""
+    x, y = along / wide, across / wide
+    h = bb * (x * x + y * y) + pp - 2.0 * bp * x
+    w = 2.0 * area / (h + math.sqrt(max(h * h - 4.0 * y * y * area, 0.0)))
+    return w, math.sqrt(w) / wide, x, y
+
+
+@njit(cache=True, nogil=True)
+def facing_root(rotations, translations, count, points, normals):  # type: ignore[no-untyped-def]
+    """Of the roots the one whose least-facing reflector faces the camera most; −1 if none does.
+
+    Bales: only one has the post towards the camera, the others cannot be seen.
+    """
+    best, chosen = 0.0, -1
+    for k in range(count):
+        least = 1.0
+        for i in range(points.shape[0]):
+            x, y, z = placed(rotations[k], translations[k], points, i)
+            nx, ny, nz = turned(rotations[k], normals, i)
+            least = min(least, -(nx * x + ny * y + nz * z) / math.sqrt(x * x + y * y + z * z))
+        if least > best:
+            best, chosen = least, k
+    return chosen

@@ -1,0 +1,271 @@
+"""The reflectors of one group, and the face frame in which a guidance sensor speaks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import Reflector, Target
+
+_FLAT = 1e-3  # area of a triangle over its longest side squared: thinner ones fix no attitude
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReflectorPattern:
+    """Three or more reflectors that are looked for together.
+
+    The *face frame*: origin midway between the outer reflectors (the base), x from the left one
+    to the right one, z along the mean normal towards whoever looks at the target, y up. Left is
+    the one that the target file names first.
+
+    Raises:
+        RendezviewError: fewer than three reflectors, or no three that span a triangle.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    positions_m: Array  # (N, 3) target frame
+    normals: Array  # (N, 3) unit
+    diameters_m: Array  # (N,)
+
+    def __post_init__(self) -> None:
+        if len(self.names) < 3:
+            raise RendezviewError(
+                f"reflectors of group {self.name!r}: {len(self.names)}, but a pose needs three: "
+                "add some to the target file, or name another group"
+            )
+        if not self.triangles():
+            raise RendezviewError(
+                f"reflectors of group {self.name!r}: no three of them span a triangle: "
+                "one must stand on a post or off the line"
+            )
+        facing = self.normals.sum(axis=0)
+        if np.linalg.norm(facing) < 0.5 * len(self.names):
+            raise RendezviewError(
+                f"reflectors of group {self.name!r} face apart and cannot be seen together: "
+                "make them two groups"
+            )
+
+    @classmethod
+    def of(cls, name: str, reflectors: tuple[Reflector, ...]) -> ReflectorPattern:
+        """The pattern of some reflectors of a target file."""
+        return cls(
+            name,
+            tuple(r.name for r in reflectors),
+            np.array([r.position_m for r in reflectors], dtype=np.float64).reshape(-1, 3),
+            np.array([r.normal for r in reflectors], dtype=np.float64).reshape(-1, 3),
+            np.array([r.diameter_m for r in reflectors], dtype=np.float64),
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def facing(self) -> Array:
+        """(3,) unit mean normal, target frame."""
+        mean = self.normals.sum(axis=0)
+        return np.asarray(mean / np.linalg.norm(mean))
+
+    @property
+    def centre_m(self) -> Array:
+        """(3,) mean position of the reflectors, target frame."""
+        return np.asarray(self.positions_m.mean(axis=0))
+
+    @property
+    def base(self) -> tuple[int, int]:
+        """Left and right reflector: those farthest apart across the facing direction.
+
+        Of pairs equally far apart, as in the five-reflector target, the first in the file.
+        """
+        flat = self.positions_m - np.outer(self.positions_m @ self.facing, self.facing)
+        pairs = list(itertools.combinations(range(len(self)), 2))
+        lengths = [float(np.linalg.norm(flat[j] - flat[i])) for i, j in pairs]
+        longest = max(lengths)
+        return next(
+            pair
+            for pair, length in zip(pairs, lengths, strict=True)
+            if length > (1.0 - 1e-6) * longest
+        )
+
+    @property
+    def base_m(self) -> float:
+        """Distance between left and right reflector."""
+        left, right = self.base
+        return float(np.linalg.norm(self.positions_m[right] - self.positions_m[left]))
+
+    @property
+    def target_from_face(self) -> Pose:
+        """The face frame in the target frame."""
+        left, right = self.base
+        along, facing = self.positions_m[right] - self.positions_m[left], self.facing
+        x = along - (along @ facing) * facing
+        x /= np.linalg.norm(x)
+        rotation = np.column_stack([x, np.cross(facing, x), facing])
+        return Pose(rotation, 0.5 * (self.positions_m[left] + self.positions_m[right]))
+
+    def triangles(self) -> list[tuple[int, int, int]]:
+        """(left, centre, right): each three that span a triangle, the outer two farthest apart."""
+        found = []
+        for three in itertools.combinations(range(len(self)), 3):
+            sides = {
+                pair: float(np.linalg.norm(self.positions_m[pair[0]] - self.positions_m[pair[1]]))
+                for pair in itertools.combinations(three, 2)
+            }
+            (left, right), longest = max(sides.items(), key=lambda item: item[1])
+            (centre,) = set(three) - {left, right}
+            a, b, c = self.positions_m[[left, centre, right]]
+            if np.linalg.norm(np.cross(b - a, c - a)) > _FLAT * longest**2:
+                found.append((left, centre, right))
+        return found
+
+    def symmetries(self, tolerance_m: float = 1e-6) -> list[tuple[int, ...]]:
+        """The renumberings other than none that a rotation of the pattern makes.
+
+        Two mirror-equal outer reflectors about a post give one: a roll by 180° that no picture
+        of this pattern alone can tell.
+        """
+        centred = self.positions_m - self.centre_m
+        found = []
+        for order in itertools.permutations(range(len(self))):
+            if order == tuple(range(len(self))):
+                continue
+            if np.abs(self.diameters_m - self.diameters_m[list(order)]).max() > tolerance_m:
+                continue
+            u, _, vt = np.linalg.svd(centred[list(order)].T @ centred)
+            turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+            if (
+                np.abs(centred @ turn.T - centred[list(order)]).max() < tolerance_m
+                and np.abs(self.normals @ turn.T - self.normals[list(order)]).max() < 1e-6
+            ):
+                found.append(order)
+        return found
+
+
+def patterns_of(target: Target, groups: tuple[str, ...] | None = None) -> list[ReflectorPattern]:
+    """The reflector groups of a target, the one with the longest base (the far target) first.
+
+    Raises:
+        RendezviewError: no reflectors, an unknown group, or a group that gives no pose.
+    """
+    known = list(dict.fromkeys(reflector.group for reflector in target.reflectors))
+    if not known:
+        raise RendezviewError(
+            f"target {target.name!r} has no reflectors: add [[reflectors]] to its target file"
+        )
+    for group in groups or ():
+        if group not in known:
+            raise RendezviewError(
+                f"target {target.name!r} has no reflector group {group!r}: "
+                f"choose from {', '.join(known)}"
+            )
+    patterns = [
+        ReflectorPattern.of(g, tuple(r for r in target.reflectors if r.group == g))
+        for g in (groups or known)
+    ]
+    return sorted(patterns, key=lambda pattern: -pattern.base_m)
+
+
+@dataclass(frozen=True, slots=True)
+class SixNumbers:
+    """What a guidance sensor reports, of the face frame in the camera frame.
+
+    ``camera_from_face = Rz(roll) Ry(−yaw) Rx(pitch) diag(1, −1, −1)``: head-on with the base
+    level all three are 0. Roll is clockwise on the screen; yaw moves the post's tip to the right
+    and pitch moves it down, in the picture unrolled.
+    """
+
+    range_m: float  # to the middle of the base
+    azimuth_rad: float  # right of the boresight
+    elevation_rad: float  # above the boresight
+    roll_rad: float  # (−π, π]
+    pitch_rad: float
+    yaw_rad: float
+
+
+_HEAD_ON = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Face:
+    """The face frame of a pattern, computed once, for six numbers many times a second."""
+
+    rotation: Array  # (3, 3) target from head-on camera: face axes, y and z turned over
+    origin_m: Array  # (3,) target frame
+
+    @classmethod
+    def of(cls, pattern: ReflectorPattern) -> Face:
+        """The face frame of a pattern."""
+        target_from_face = pattern.target_from_face
+        return cls(target_from_face.rotation @ _HEAD_ON, target_from_face.translation_m)
+
+    def six_numbers(self, camera_from_target: Pose) -> SixNumbers:
+        """The six numbers of a pose."""
+        out = np.empty(6)
+        _six(
+            camera_from_target.rotation, camera_from_target.translation_m,
+            self.rotation, self.origin_m, out,
+        )  # fmt: skip
+        return SixNumbers(*out.tolist())
+
+
+@njit(cache=True, nogil=True)
+def _six(rotation, translation, face, origin, out):  # type: ignore[no-untyped-def]
+    place, turn = np.empty(3), np.empty((3, 3))
+    for i in range(3):
+        place[i] = translation[i]
+        for j in range(3):
+            place[i] += rotation[i, j] * origin[j]
+            turn[i, j] = 0.0
+            for k in range(3):
+                turn[i, j] += rotation[i, k] * face[k, j]
+    x, y, z = place[0], place[1], place[2]
+    out[0] = math.sqrt(x * x + y * y + z * z)
+    out[1], out[2] = math.atan2(x, z), math.atan2(-y, math.sqrt(x * x + z * z))
+    out[3], out[4] = math.atan2(turn[1, 0], turn[0, 0]), math.atan2(turn[2, 1], turn[2, 2])
+    out[5] = math.asin(min(max(turn[2, 0], -1.0), 1.0))
+
+
+def attitude(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:
+    """(3, 3) ``Rz(roll) Ry(−yaw) Rx(pitch)``, the turn from head-on."""
+    cr, sr = math.cos(roll_rad), math.sin(roll_rad)
+    cp, sp = math.cos(pitch_rad), math.sin(pitch_rad)
+    cy, sy = math.cos(yaw_rad), math.sin(yaw_rad)
+    roll = np.array([[cr, -sr, 0.0], [sr, cr, 0.0], [0.0, 0.0, 1.0]])
+    yaw = np.array([[cy, 0.0, -sy], [0.0, 1.0, 0.0], [sy, 0.0, cy]])
+    pitch = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
+    return np.asarray(roll @ yaw @ pitch)
+
+
+def attitude_angles(turn: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of an `attitude` matrix."""
+    return (
+        math.atan2(turn[1, 0], turn[0, 0]),
+        math.atan2(turn[2, 1], turn[2, 2]),
+        math.asin(min(max(float(turn[2, 0]), -1.0), 1.0)),
+    )
+
+
+def six_numbers(camera_from_target: Pose, pattern: ReflectorPattern) -> SixNumbers:
+    """The six numbers of a pose."""
+    return Face.of(pattern).six_numbers(camera_from_target)
+
+
+def pose_of(six: SixNumbers, pattern: ReflectorPattern) -> Pose:
+    """The pose ``camera_from_target`` that has these six numbers."""
+    turn = attitude(six.roll_rad, six.pitch_rad, six.yaw_rad)
+    level = math.cos(six.elevation_rad)
+    sight = np.array(
+        [
+            math.sin(six.azimuth_rad) * level,
+            -math.sin(six.elevation_rad),
+            math.cos(six.azimuth_rad) * level,
+        ]
+    )
+    camera_from_face = Pose(turn @ _HEAD_ON, six.range_m * sight)
+    return camera_from_face @ pattern.target_from_face.inverse()

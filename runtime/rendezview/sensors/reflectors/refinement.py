@@ -1,0 +1,348 @@
+"""Least squares of a pose on any three or more spots, through the camera's full model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.reflectors.discs import camera_numbers, project_disc, turned
+from rendezview.sensors.reflectors.normal_equations import invert, solve
+from rendezview.sensors.reflectors.pattern import ReflectorPattern
+
+Ints = npt.NDArray[np.int64]
+Floats = npt.NDArray[np.float64]
+
+_ITERATIONS = 30
+_STEP = 1e-12  # relative step at which the iteration has converged
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A pose adjusted to its spots."""
+
+    camera_from_target: Pose
+    covariance: Array  # (6, 6) camera frame, (rotation vector, translation), left perturbation
+    residuals_px: Array  # (K, 2) seen minus predicted
+    iterations: int
+    converged: bool
+
+
+def refine(
+    camera: Camera,
+    pattern: ReflectorPattern,
+    spots_px: npt.ArrayLike,
+    reflectors: npt.ArrayLike,
+    start: Pose,
+    sigma_px: npt.ArrayLike = 0.02,
+    blur_px: float = 0.75,
+) -> Refined | None:
+    """The pose that fits spots (K, 2) of the reflectors numbered ``reflectors`` (K,), K ≥ 3.
+
+    Args:
+        camera: with its distortion.
+        pattern: the reflectors.
+        spots_px: centroids.
+        reflectors: which reflector each spot is.
+        start: a pose near the answer.
+        sigma_px: error of the centroids, one or (K,), one standard deviation.
+        blur_px: σ of the optics and a pixel's width together.
+
+    Returns:
+        None where the spots do not determine a pose near ``start``.
+
+    Raises:
+        ValueError: fewer than three spots, or wrong shapes.
+    """
+    spots = np.ascontiguousarray(spots_px, dtype=np.float64)
+    which = np.ascontiguousarray(reflectors, dtype=np.int64)
+    if spots.ndim != 2 or spots.shape[1] != 2 or which.shape != (len(spots),) or len(spots) < 3:
+        raise ValueError(
+            f"spots_px must be (K, 2) and reflectors (K,) with K of three or more, "
+            f"not {spots.shape} and {which.shape}"
+        )
+    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), which.shape).copy()
+    centre = pattern.centre_m
+    rotation = np.array(start.rotation)
+    shift = start.apply(centre)
+    covariance, residuals = np.empty((6, 6)), np.empty((len(spots), 2))
+    iterations = adjust(
+        camera_numbers(camera, blur_px),
+        (pattern.positions_m - centre)[which], pattern.normals[which],
+        pattern.diameters_m[which], spots, sigma, np.zeros((6, 6)),
+        rotation, shift, covariance, residuals,
+    )  # fmt: skip
+    if iterations < 0:
+        return None
+    return Refined(
+        Pose(rotation, shift - rotation @ centre),
+        covariance_at_origin(covariance, rotation @ centre),
+        residuals,
+        iterations,
+        iterations < _ITERATIONS,
+    )
+
+
+def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
+    """A covariance of (rotation, position of a centre) as one of (rotation, target origin).
+
+    ``t = shift − R centre``: a left rotation w moves the origin by ``−w × (R centre)``.
+    """
+    x, y, z = centre_camera_m
+    turn = np.eye(6)
+    turn[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    return np.asarray(turn @ covariance @ turn.T)
+
+
+@njit(cache=True, nogil=True)
+def adjust(  # type: ignore[no-untyped-def]
+    lens, arms, normals, diameters, spots, sigma, prior, rotation, shift, covariance, residuals
+):
+    """Levenberg–Marquardt on the spots; changes ``rotation`` and ``shift`` (of the arms' origin).
+
+    ``prior`` is the information (6, 6) of the start, zero for none. Returns the number of
+    iterations, −1 where the pose is not determined or leaves the front of the camera.
+    """
+    count = arms.shape[0]
+    start_r, start_t = rotation.copy(), shift.copy()
+    jacobian = np.empty((2, 6))
+    normal, rhs = np.empty((6, 6)), np.empty(6)
+    trial_r, trial_t = np.empty((3, 3)), np.empty(3)
+    offset = np.zeros(6)
+    damping, done, used = 0.0, False, 0
+    cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
+    if not math.isfinite(cost):
+        return -1
+    use_prior = prior[0, 0] > 0.0
+    for iteration in range(_ITERATIONS):
+        used = iteration + 1
+        normal[:] = prior
+        rhs[:] = 0.0
+        if use_prior:
+            _difference(rotation, shift, start_r, start_t, offset)
+            rhs[:] = -prior @ offset
+        for i in range(count):
+            _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
+            weight = 1.0 / (sigma[i] * sigma[i])
+            for a in range(6):
+                rhs[a] += weight * (
+                    jacobian[0, a] * residuals[i, 0] + jacobian[1, a] * residuals[i, 1]
+                )
+                for b in range(a + 1):
+                    normal[a, b] += weight * (
+                        jacobian[0, a] * jacobian[0, b] + jacobian[1, a] * jacobian[1, b]
+                    )
+        for a in range(6):
+            for b in range(a):
+                normal[b, a] = normal[a, b]
+        if done:
+            break
+        total = cost + _prior_cost(prior, offset, use_prior)
+        accepted = False
+        for _ in range(8):
+            covariance[:] = normal
+            for a in range(6):
+                covariance[a, a] *= 1.0 + damping
+            if not solve(covariance, rhs, offset):
+                return -1
+            _apply(rotation, shift, offset, trial_r, trial_t)
+            turn = math.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+            move = math.sqrt(offset[3] ** 2 + offset[4] ** 2 + offset[5] ** 2)
+            far = math.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
+            new = np.inf
+            if trial_t[2] > 0.0 and turn < 1.0 and move < far:
+                new = _cost(
+                    lens, arms, normals, diameters, spots, sigma, trial_r, trial_t, residuals
+                )
+                new_total = new
+                if use_prior:
+                    _difference(trial_r, trial_t, start_r, start_t, offset)
+                    new_total += _prior_cost(prior, offset, True)
+                small = turn < _STEP and move < _STEP * far
+                # At the floor of rounding the cost may rise by a hair: the end, no bad step.
+                if new_total <= total or turn + move / far < 1e-9:
+                    rotation[:] = trial_r
+                    shift[:] = trial_t
+                    # Of three spots the fit is exact: stop on the residual too.
+                    done = small or abs(total - new_total) <= 1e-13 * total or new_total < 1e-18
+                    cost = new
+                    damping *= 0.1
+                    accepted = True
+                    break
+            damping = max(10.0 * damping, 1e-4)
+        if not accepted:
+            cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
+            done = True
+    if not invert(normal, covariance):
+        return -1
+    _orthonormal(rotation)
+    return used if done else _ITERATIONS
+
+
+@njit(cache=True, nogil=True)
+def solve_spots(  # type: ignore[no-untyped-def]
+    lens, arms, normals, diameters, centre, table, seen, floor_px,
+    rotation, translation_before, translation, covariance, residuals,
+):  # fmt: skip
+    """`adjust` on the rows ``seen`` of a spot table; pose and covariance at the target's origin.
+
+    ``rotation`` is that of the start and becomes the result's. Returns the iterations, or −1
+    where the reflectors seen are on a line or the pose is not determined.
+    """
+    count = seen.shape[0]
+    some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))
+    some_diameters, spots, sigma = np.empty(count), np.empty((count, 2)), np.empty(count)
+    for i in range(count):
+        k = seen[i]
+        some_arms[i], some_normals[i], some_diameters[i] = arms[k], normals[k], diameters[k]
+        spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
+        sigma[i] = math.sqrt(table[k, 7] ** 2 + floor_px**2)
+    if not _spans(some_arms):
+        return -1
+    shift = np.empty(3)
+    for a in range(3):
+        shift[a] = translation_before[a] + rotation[a] @ centre
+    at_centre = np.empty((6, 6))
+    used = adjust(
+        lens, some_arms, some_normals, some_diameters, spots, sigma, np.zeros((6, 6)),
+        rotation, shift, at_centre, residuals,
+    )  # fmt: skip
+    if used < 0 or used >= _ITERATIONS:
+        return -1
+    x, y, z = rotation[0] @ centre, rotation[1] @ centre, rotation[2] @ centre
+    translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
+    turn = np.eye(6)
+    turn[3, 1], turn[3, 2], turn[4, 0] = -z, y, z
+    turn[4, 2], turn[5, 0], turn[5, 1] = -x, -y, x
+    covariance[:] = turn @ at_centre @ turn.T
+    return used
+
+
+@njit(cache=True, nogil=True)
+def _spans(arms):  # type: ignore[no-untyped-def]
+    """Whether reflectors are not all on one line."""
+    longest, widest = 0.0, 0.0
+    for i in range(1, arms.shape[0]):
+        ax, ay, az = arms[i, 0] - arms[0, 0], arms[i, 1] - arms[0, 1], arms[i, 2] - arms[0, 2]
+        longest = max(longest, ax * ax + ay * ay + az * az)
+        for j in range(1, i):
+            bx, by, bz = arms[j, 0] - arms[0, 0], arms[j, 1] - arms[0, 1], arms[j, 2] - arms[0, 2]
+            cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            widest = max(widest, cx * cx + cy * cy + cz * cz)
+    return widest > 1e-6 * longest * longest
+
+
+@njit(cache=True, nogil=True)
+def _prior_cost(prior, offset, use):  # type: ignore[no-untyped-def]
+    if not use:
+        return 0.0
+    total = 0.0
+    for a in range(6):
+        for b in range(6):
+            total += offset[a] * prior[a, b] * offset[b]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _cost(  # type: ignore[no-untyped-def]
+    lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals
+):
+    total = 0.0
+    for i in range(arms.shape[0]):
+        px, py, pz = turned(rotation, arms, i)
+        nx, ny, nz = turned(rotation, normals, i)
+        u, v = project_disc(
+            lens, px + shift[0], py + shift[1], pz + shift[2], nx, ny, nz, 0.5 * diameters[i]
+        )
+        residuals[i, 0], residuals[i, 1] = spots[i, 0] - u, spots[i, 1] - v
+        total += (residuals[i, 0] ** 2 + residuals[i, 1] ** 2) / (sigma[i] * sigma[i])
+    return total if math.isfinite(total) else np.inf
+
+
+@njit(cache=True, nogil=True)
+def _jacobian(lens, arms, normals, diameters, rotation, shift, i, out):  # type: ignore[no-untyped-def]
+    """(2, 6) of spot i by central differences: a turn moves arm and normal, a shift the centre."""
+    arm = turned(rotation, arms, i)
+    n = turned(rotation, normals, i)
+    radius = 0.5 * diameters[i]
+    x, y, z = arm[0] + shift[0], arm[1] + shift[1], arm[2] + shift[2]
+    h, g = 1e-5, 1e-5 * z
+    for k in range(3):
+        tx, ty, tz = _cross_axis(k, arm)
+        mx, my, mz = _cross_axis(k, n)
+        u1, v1 = project_disc(lens, x + h * tx, y + h * ty, z + h * tz,
+                              n[0] + h * mx, n[1] + h * my, n[2] + h * mz, radius)  # fmt: skip
+        u0, v0 = project_disc(lens, x - h * tx, y - h * ty, z - h * tz,
+                              n[0] - h * mx, n[1] - h * my, n[2] - h * mz, radius)  # fmt: skip
+        out[0, k], out[1, k] = (u1 - u0) / (2.0 * h), (v1 - v0) / (2.0 * h)
+        dx = g if k == 0 else 0.0
+        dy = g if k == 1 else 0.0
+        dz = g if k == 2 else 0.0
+        u1, v1 = project_disc(lens, x + dx, y + dy, z + dz, n[0], n[1], n[2], radius)
+        u0, v0 = project_disc(lens, x - dx, y - dy, z - dz, n[0], n[1], n[2], radius)
+        out[0, 3 + k], out[1, 3 + k] = (u1 - u0) / (2.0 * g), (v1 - v0) / (2.0 * g)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _cross_axis(k, v):  # type: ignore[no-untyped-def]
+    if k == 0:
+        return 0.0, -v[2], v[1]
+    if k == 1:
+        return v[2], 0.0, -v[0]
+    return -v[1], v[0], 0.0
+
+
+@njit(cache=True, nogil=True)
+def _apply(rotation, shift, step, out_r, out_t):  # type: ignore[no-untyped-def]
+    """Left perturbation: R' = exp(w) R, t' = t + v."""
+    wx, wy, wz = step[0], step[1], step[2]
+    angle2 = wx * wx + wy * wy + wz * wz
+    angle = math.sqrt(angle2)
+    if angle > 1e-4:
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    else:
+        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
+    e00, e01, e02 = 1.0 - b * (wy * wy + wz * wz), b * wx * wy - a * wz, b * wx * wz + a * wy
+    e10, e11, e12 = b * wx * wy + a * wz, 1.0 - b * (wx * wx + wz * wz), b * wy * wz - a * wx
+    e20, e21, e22 = b * wx * wz - a * wy, b * wy * wz + a * wx, 1.0 - b * (wx * wx + wy * wy)
+    for j in range(3):
+        r0, r1, r2 = rotation[0, j], rotation[1, j], rotation[2, j]
+        out_r[0, j] = e00 * r0 + e01 * r1 + e02 * r2
+        out_r[1, j] = e10 * r0 + e11 * r1 + e12 * r2
+        out_r[2, j] = e20 * r0 + e21 * r1 + e22 * r2
+        out_t[j] = shift[j] + step[3 + j]
+
+
+@njit(cache=True, nogil=True)
+def _difference(rotation, shift, from_r, from_t, out):  # type: ignore[no-untyped-def]
+    """Small left perturbation (6,) that leads from one pose to another."""
+    d = rotation @ from_r.T
+    out[0], out[1], out[2] = (
+        0.5 * (d[2, 1] - d[1, 2]),
+        0.5 * (d[0, 2] - d[2, 0]),
+        0.5 * (d[1, 0] - d[0, 1]),
+    )
+    for j in range(3):
+        out[3 + j] = shift[j] - from_t[j]
+
+
+@njit(cache=True, nogil=True)
+def _orthonormal(r):  # type: ignore[no-untyped-def]
+    """Remove the rounding of many small turns (Gram–Schmidt on the rows)."""
+    n = math.sqrt(r[0, 0] ** 2 + r[0, 1] ** 2 + r[0, 2] ** 2)
+    for j in range(3):
+        r[0, j] /= n
+    d = r[0, 0] * r[1, 0] + r[0, 1] * r[1, 1] + r[0, 2] * r[1, 2]
+    for j in range(3):
+        r[1, j] -= d * r[0, j]
+    n = math.sqrt(r[1, 0] ** 2 + r[1, 1] ** 2 + r[1, 2] ** 2)
+    for j in range(3):
+        r[1, j] /= n
+    r[2, 0] = r[0, 1] * r[1, 2] - r[0, 2] * r[1, 1]
+    r[2, 1] = r[0, 2] * r[1, 0] - r[0, 0] * r[1, 2]
+    r[2, 2] = r[0, 0] * r[1, 1] - r[0, 1] * r[1, 0]

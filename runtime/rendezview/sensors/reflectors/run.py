@@ -1,0 +1,251 @@
+"""A whole run of pictures through the sensor, and a run with truth into a calibration."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
+from rendezview.io.sequences import Frame, Sequence
+from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
+from rendezview.sensors.reflectors.closed_form import (
+    Calibration,
+    base_and_post,
+    calibrate,
+    closed_form,
+)
+from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, registered
+from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
+from rendezview.sensors.reflectors.reading import Reading
+from rendezview.sensors.reflectors.sensor import ReflectorSensor
+from rendezview.sensors.reflectors.track import TrackingOptions
+
+
+class Mode(StrEnum):
+    """How pictures make readings."""
+
+    PAIRS = "pairs"  # one sequence: lit, dark, lit, dark …
+    SINGLE = "single"  # one sequence, each picture a reading: LEDs, or other bright markers
+    SPLITTER = "splitter"  # two sequences of two cameras behind one lens: lit and dark at once
+
+
+@dataclass(frozen=True, slots=True)
+class FramePair:
+    """The pictures of one reading, unread."""
+
+    lit: Frame
+    dark: Frame | None
+
+
+def pair_up(sequences: list[Sequence], mode: Mode) -> list[FramePair]:
+    """The readings of one or two sequences.
+
+    Raises:
+        RendezviewError: not as many sequences as the mode has, or an odd number of pictures.
+    """
+    wanted = 2 if mode is Mode.SPLITTER else 1
+    if len(sequences) != wanted:
+        raise RendezviewError(
+            f"mode {mode} takes {wanted} sequence(s) of pictures, {len(sequences)} given: "
+            "two are lit and dark pictures (--mode splitter), one holds both in turn (--mode "
+            "pairs) or single pictures (--mode single)"
+        )
+    first = sequences[0]
+    if mode is Mode.SINGLE:
+        return [FramePair(frame, None) for frame in first]
+    if mode is Mode.SPLITTER:
+        second = sequences[1]
+        if len(first) != len(second):
+            raise RendezviewError(
+                f"{first.source} has {len(first)} pictures and {second.source} {len(second)}: "
+                "lit and dark must be as many"
+            )
+        return [FramePair(lit, dark) for lit, dark in zip(first, second, strict=True)]
+    if len(first) % 2:
+        raise RendezviewError(
+            f"{first.source}: {len(first)} pictures cannot be lit and dark in turn: "
+            "remove the one without its partner, or use --mode single"
+        )
+    return [
+        FramePair(lit, dark)
+        for lit, dark in zip(first.frames[::2], first.frames[1::2], strict=True)
+    ]
+
+
+def follow(
+    pairs: list[FramePair],
+    patterns: list[ReflectorPattern],
+    *,
+    threshold: ThresholdOptions | None = None,
+    acquisition: AcquisitionOptions | None = None,
+    tracking: TrackingOptions | None = None,
+    independent: bool = False,
+    lit_from_dark: npt.ArrayLike | None = None,
+) -> Iterator[tuple[FramePair, Reading]]:
+    """One reading for each pair, in order; a picture that cannot be read says so and is passed.
+
+    Args:
+        pairs: of `pair_up`; without times they count as one second apart.
+        patterns: groups to look for.
+        threshold, acquisition, tracking: options.
+        independent: each on its own, no memory.
+        lit_from_dark: (2, 3), of a second camera; see `registered`.
+
+    Raises:
+        RendezviewError: times do not rise.
+    """
+    if independent:
+        tracking = TrackingOptions(confirm=False)
+    sensors: dict[Camera, ReflectorSensor] = {}
+    last_s = -math.inf
+    for index, pair in enumerate(pairs):
+        camera = pair.lit.camera
+        if camera not in sensors or independent:
+            sensors[camera] = ReflectorSensor(
+                camera,
+                patterns,
+                threshold=threshold,
+                acquisition=acquisition,
+                tracking=tracking,
+            )
+        time_s = float(index) if pair.lit.time_s is None else pair.lit.time_s
+        if not independent and not time_s > last_s:
+            raise RendezviewError(
+                f"the time of picture {pair.lit.name} ({time_s} s) is not later than that of the "
+                f"one before ({last_s} s); use --independent for a set of single readings"
+            )
+        last_s = time_s
+        try:
+            dark = None if pair.dark is None else pair.dark.read()
+            if dark is not None and lit_from_dark is not None:
+                dark = registered(dark, lit_from_dark)
+            frames = LitDark(pair.lit.read(), dark)
+        except RendezviewError as error:
+            yield pair, Reading(Status.UNREADABLE, str(error))
+            continue
+        yield pair, sensors[camera].update(time_s, frames)
+
+
+def record(
+    pair: FramePair,
+    reading: Reading,
+    patterns: list[ReflectorPattern],
+    calibration: Calibration | None = None,
+) -> dict[str, Any]:
+    """One reading as it stands in a log of JSON lines."""
+    spots = [
+        {**spot, "reflector": name}
+        for spot, name in zip(reading.spots.records(), reading.reflectors, strict=True)
+    ]
+    rates = reading.rates
+    plain = None
+    if calibration is not None:
+        plain = _closed(pair, reading, patterns, calibration)
+    return {
+        "im_id": pair.lit.im_id,
+        "image": pair.lit.name,
+        "time_s": pair.lit.time_s,
+        "status": str(reading.status),
+        "reason": reading.reason,
+        "spots": spots,
+        "triplet": reading.triplet if reading.pose is not None else None,
+        "group": reading.group if reading.pose is not None else None,
+        "pose": reading.pose,
+        "six": reading.six,
+        "roll_ambiguous": reading.roll_ambiguous if reading.pose is not None else None,
+        "covariance": reading.covariance,
+        "rates": None
+        if rates is None
+        else {
+            "velocity_m_s": rates.velocity_m_s,
+            "turn_rad_s": rates.turn_rad_s,
+            "six_per_s": rates.six_per_s,
+            "covariance": rates.covariance,
+            "span_s": rates.span_s,
+        },
+        **({} if calibration is None else {"closed_form": plain}),
+        "tracked": reading.tracked,
+        "stage_ms": reading.stage_ms,
+    }
+
+
+def _closed(
+    pair: FramePair,
+    reading: Reading,
+    patterns: list[ReflectorPattern],
+    calibration: Calibration,
+) -> SixNumbers | None:
+    """The closed form beside the pose, where the group is one it can read."""
+    pattern = next((p for p in patterns if p.name == reading.group), None)
+    places = None if pattern is None else _outer_and_centre(pattern, reading)
+    if pattern is None or places is None or reading.pose is None:
+        return None
+    try:
+        return closed_form(pair.lit.camera, pattern, places, calibration)
+    except ValueError:  # another pattern than the paper's
+        return None
+
+
+def _outer_and_centre(pattern: ReflectorPattern, reading: Reading) -> Array | None:
+    """(3, 2) spots of left, centre and right reflector, where all are seen."""
+    if len(pattern) != 3:
+        return None
+    left, right = pattern.base
+    (centre,) = {0, 1, 2} - {left, right}
+    rows = []
+    for k in (left, centre, right):
+        if pattern.names[k] not in reading.reflectors:
+            return None
+        rows.append(reading.spots.centroids_px[reading.reflectors.index(pattern.names[k])])
+    return np.array(rows)
+
+
+def calibrate_run(
+    pairs: list[FramePair],
+    pattern: ReflectorPattern,
+    *,
+    threshold: ThresholdOptions | None = None,
+    acquisition: AcquisitionOptions | None = None,
+    lit_from_dark: npt.ArrayLike | None = None,
+) -> tuple[Calibration, int]:
+    """The closed form's calibration from a run whose pictures have their true pose.
+
+    Returns:
+        The calibration and the number of readings in it.
+
+    Raises:
+        RendezviewError: no truth, too few readings, or a pattern without a closed form.
+    """
+    try:
+        base_and_post(pattern)
+    except ValueError as error:
+        raise RendezviewError(str(error)) from error
+    if all(pair.lit.camera_from_target is None for pair in pairs):
+        raise RendezviewError(
+            "this run has no true poses (scene_gt.json): a calibration compares with the truth"
+        )
+    readings: list[tuple[Array, SixNumbers]] = []
+    camera = pairs[0].lit.camera
+    run = follow(
+        pairs, [pattern], threshold=threshold, acquisition=acquisition, lit_from_dark=lit_from_dark
+    )
+    for pair, reading in run:
+        truth = pair.lit.camera_from_target
+        places = _outer_and_centre(pattern, reading)
+        if truth is None or reading.pose is None or places is None:
+            continue
+        six = six_numbers(truth, pattern)
+        # A roll that was read half a turn off names left and right the other way round.
+        if reading.pose.angle_to(truth) > 0.5 * math.pi:
+            places = places[::-1]
+        readings.append((places, six))
+    return calibrate(camera, pattern, readings), len(readings)

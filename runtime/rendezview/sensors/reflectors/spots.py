@@ -1,0 +1,313 @@
+"""Connected spots of the difference picture, and where their middles are.
+
+Three centroids: binary (every pixel alike), weighted by what is above the threshold (Book et
+al.'s), and Gaussian-windowed: the point about which a Gaussian window of the spot's own size
+finds no first moment. For a spot that is itself Gaussian that is the best there is: its error
+σ_noise √(2/π) / peak is the Cramér–Rao bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numba import njit
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.reflectors.difference import (
+    Grey,
+    LitDark,
+    ThresholdOptions,
+    noise_grey,
+    spot_mask,
+    threshold_of,
+)
+
+SATURATED_GREY = 255
+MOST_SPOTS = 400  # more than that is no picture of a target
+# Columns of the spot table that the compiled loops fill.
+X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
+BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
+    8, 19
+)
+COLUMNS = 19
+
+_ROUNDS = 12
+_SETTLED_PX = 2e-4
+_REACH = 3.0  # of the window, in its σ: the weight there is 1 %
+_SMALLEST_PX, _LARGEST_PX = 0.6, 40.0  # σ of a window
+
+
+class Centroid(StrEnum):
+    """Which of the three centroids a spot's place is."""
+
+    BINARY = "binary"
+    WEIGHTED = "weighted"
+    WINDOWED = "windowed"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spots:
+    """Spots of one picture; ``table`` (N, 19) as the compiled loops use it."""
+
+    table: Array
+    overfull: bool = False  # more than MOST_SPOTS were found, and dropped
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @property
+    def centroids_px(self) -> Array:
+        """(N, 2) by the method asked for."""
+        return self.table[:, :2]
+
+    @property
+    def area_px(self) -> Array:
+        """(N,) pixels above the threshold."""
+        return np.asarray(self.table[:, AREA])
+
+    @property
+    def peak_grey(self) -> Array:
+        """(N,) largest difference."""
+        return np.asarray(self.table[:, PEAK])
+
+    @property
+    def size_px(self) -> Array:
+        """(N,) σ of the Gaussian that has the spot's extent."""
+        return np.asarray(self.table[:, SIZE])
+
+    @property
+    def saturated_px(self) -> Array:
+        """(N,) number of saturated pixels."""
+        return np.asarray(self.table[:, SATURATED])
+
+    @property
+    def sigma_px(self) -> Array:
+        """(N,) error of the centroid that the picture's noise makes, one σ an axis."""
+        return np.asarray(self.table[:, SIGMA])
+
+    def records(self) -> list[dict[str, float]]:
+        """One mapping a spot, as a log has them."""
+        return [
+            {
+                "x_px": float(row[X]),
+                "y_px": float(row[Y]),
+                "area_px": int(row[AREA]),
+                "peak_grey": float(row[PEAK]),
+                "size_px": float(row[SIZE]),
+                "saturated_px": int(row[SATURATED]),
+                "sigma_px": float(row[SIGMA]),
+            }
+            for row in self.table
+        ]
+
+
+def find_spots(
+    frames: LitDark,
+    options: ThresholdOptions | None = None,
+    centroid: Centroid = Centroid.WINDOWED,
+) -> Spots:
+    """All spots of a picture, in the order in which a scan meets them."""
+    chosen = options or ThresholdOptions()
+    noise = noise_grey(frames)
+    level = threshold_of(chosen, noise, frames)
+    mask = spot_mask(frames, level, chosen)
+    table = np.zeros((MOST_SPOTS, COLUMNS))
+    count = _label(mask, frames.lit, frames.dark_or_nothing, level, table)
+    overfull = count < 0
+    found = table[: MOST_SPOTS if overfull else count]
+    place(frames.lit, frames.dark_or_nothing, found, noise, list(Centroid).index(centroid))
+    return Spots(found, overfull)
+
+
+def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int:
+    flat = mask.reshape(-1)
+    whole = flat.size - flat.size % 8
+    words = flat[:whole].view(np.uint64)
+    stack = np.empty(max(flat.size, 1), np.int32)
+    return int(_label_loop(mask, words, lit, dark, level, stack, table))
+
+
+@njit(cache=True, nogil=True)
+def _label_loop(mask, words, lit, dark, level, stack, table):  # type: ignore[no-untyped-def]
+    height, width = mask.shape
+    flat = mask.reshape(-1)
+    count = 0
+    for w in range(words.shape[0] + 1):
+        if w < words.shape[0] and words[w] == 0:
+            continue
+        for start in range(8 * w, min(8 * w + 8, flat.shape[0])):
+            if flat[start] == 0:
+                continue
+            if count == table.shape[0]:
+                return -1
+            gather(flat, width, height, start, lit, dark, level, stack, table[count])
+            count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def gather(flat, width, height, start, lit, dark, level, stack, row):  # type: ignore[no-untyped-def]
+    """Zero a spot out of the mask, layer by layer, and fill its row (8-connected)."""
+    has_dark = dark.shape[0] > 0
+    area = saturated = 0
+    bx = by = wx = wy = flux = peak = darkest = 0.0
+    xx = yy = xy = 0.0
+    left, right, top, bottom = width, -1, height, -1
+    x_first, y_first = start % width, start // width
+    stack[0] = start
+    flat[start] = 0
+    depth = 1
+    while depth:
+        depth -= 1
+        at = stack[depth]
+        y, x = at // width, at % width
+        value = float(lit[y, x])
+        if lit[y, x] >= SATURATED_GREY:
+            saturated += 1
+        if has_dark:
+            value -= dark[y, x]
+            darkest = max(darkest, float(dark[y, x]))
+        weight = max(value - level, 0.0)
+        dx, dy = float(x - x_first), float(y - y_first)
+        area += 1
+        bx += dx
+        by += dy
+        flux += weight
+        wx += weight * dx
+        wy += weight * dy
+        xx += weight * dx * dx
+        yy += weight * dy * dy
+        xy += weight * dx * dy
+        peak = max(peak, value)
+        left, right, top, bottom = min(left, x), max(right, x), min(top, y), max(bottom, y)
+        for ny in range(max(y - 1, 0), min(y + 2, height)):
+            for nx in range(max(x - 1, 0), min(x + 2, width)):
+                n = ny * width + nx
+                if flat[n]:
+                    flat[n] = 0
+                    stack[depth] = n
+                    depth += 1
+    row[AREA], row[AMPLITUDE], row[PEAK], row[SATURATED] = area, peak, peak, saturated
+    row[ABOVE] = flux
+    row[BINARY_X], row[BINARY_Y] = x_first + bx / area, y_first + by / area
+    if flux > 0.0:
+        mx, my = wx / flux, wy / flux
+        xx, yy, xy = xx / flux - mx * mx, yy / flux - my * my, xy / flux - mx * my
+        row[WEIGHTED_X], row[WEIGHTED_Y] = x_first + mx, y_first + my
+    else:
+        row[WEIGHTED_X], row[WEIGHTED_Y] = row[BINARY_X], row[BINARY_Y]
+        xx = yy = xy = 0.0
+    row[LEFT], row[TOP], row[RIGHT], row[BOTTOM] = left, top, right, bottom
+    # A pixel's own width (1/12) rounds off the shape of the smallest.
+    mean, half = 0.5 * (xx + yy) + 1.0 / 12.0, math.sqrt(0.25 * (xx - yy) ** 2 + xy * xy)
+    row[SHAPE] = math.sqrt(max(mean - half, 1e-6) / (mean + half))
+    row[SIZE] = math.sqrt(mean)
+    row[DARK] = darkest
+
+
+@njit(cache=True, nogil=True)
+def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
+    """Fill place, size and error of every spot; method 0 binary, 1 weighted, 2 windowed."""
+    columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
+    for i in range(table.shape[0]):
+        row = table[i]
+        if method == 2:
+            _window(lit, dark, row, noise, columns, rows)
+            continue
+        k = BINARY_X if method == 0 else WEIGHTED_X
+        row[X], row[Y] = row[k], row[k + 1]
+        if method == 0:  # each pixel of the rim is in or out: uniform, about √area of them
+            row[SIGMA] = 0.29 / row[AREA] ** 0.25
+        else:  # noise of every pixel times its lever, the thresholded rim included
+            row[SIGMA] = noise * row[SIZE] * math.sqrt(row[AREA]) / max(row[ABOVE], 1e-6)
+
+
+@njit(cache=True, nogil=True)
+def _window(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-def]
+    height, width = lit.shape
+    has_dark = dark.shape[0] > 0
+    x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
+    # The rows above the threshold are the top of the spot: its true width is larger.
+    sigma = min(max(1.2 * row[SIZE], _SMALLEST_PX), _LARGEST_PX)
+    pedestal = 0.0
+    if not has_dark:
+        pedestal = _rim(lit, row)
+    settled = False
+    for turn in range(_ROUNDS):
+        reach = _REACH * sigma
+        x0, x1 = max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1)
+        y0, y1 = max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1)
+        if x1 < x0 or y1 < y0:
+            break
+        f = -0.5 / (sigma * sigma)
+        for u in range(x0, x1 + 1):
+            columns[u] = math.exp(f * (u - x) * (u - x))
+        for v in range(y0, y1 + 1):
+            rows[v] = math.exp(f * (v - y) * (v - y))
+        total = mx = my = mxx = myy = lever = 0.0
+        for v in range(y0, y1 + 1):
+            dy = v - y
+            a = ax = axx = q = qxx = 0.0
+            for u in range(x0, x1 + 1):
+                value = float(lit[v, u]) - pedestal
+                if has_dark:
+                    value -= dark[v, u]
+                w, dx = columns[u], u - x
+                wv = w * value
+                a += wv
+                ax += wv * dx
+                axx += wv * dx * dx
+                q += w * w
+                qxx += w * w * dx * dx
+            total += rows[v] * a
+            mx += rows[v] * ax
+            my += rows[v] * a * dy
+            mxx += rows[v] * axx
+            myy += rows[v] * a * dy * dy
+            lever += rows[v] * rows[v] * 0.5 * (qxx + q * dy * dy)
+        if not total > 0.0:
+            break
+        row[AMPLITUDE] = total / (math.pi * sigma * sigma)  # a Gaussian's peak, whatever its phase
+        # Newton on "no first moment": d(mx)/dx = mxx / σ² − total, −total/2 for a Gaussian.
+        sx = min(mxx / (sigma * sigma) - total, -0.25 * total)
+        sy = min(myy / (sigma * sigma) - total, -0.25 * total)
+        step_x, step_y = -mx / sx, -my / sy
+        limit = sigma
+        x += min(max(step_x, -limit), limit)
+        y += min(max(step_y, -limit), limit)
+        row[SIGMA] = noise * math.sqrt(lever) * 0.5 * (1.0 / -sx + 1.0 / -sy)
+        if settled and abs(step_x) + abs(step_y) < _SETTLED_PX:
+            break
+        # Window of the spot's own size: under a Gaussian window as wide, its second moment halves.
+        wanted = math.sqrt(max(mxx + myy, 0.0) / total)
+        wanted = min(max(wanted, _SMALLEST_PX), _LARGEST_PX)
+        settled = settled or abs(wanted - sigma) < 0.02 * sigma or turn >= 5
+        if not settled:
+            sigma = wanted
+    row[X], row[Y], row[SIZE] = x, y, sigma
+    # A window that ran away from its spot is no measurement of it.
+    away = max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP], 2.0)
+    if abs(x - row[WEIGHTED_X]) > 0.5 * away or abs(y - row[WEIGHTED_Y]) > 0.5 * away:
+        row[X], row[Y] = row[WEIGHTED_X], row[WEIGHTED_Y]
+
+
+@njit(cache=True, nogil=True)
+def _rim(lit, row):  # type: ignore[no-untyped-def]
+    """Mean grey level on a frame around the spot's box: the background of a single picture."""
+    height, width = lit.shape
+    grow = 3 + int(0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP]))
+    x0, x1 = max(int(row[LEFT]) - grow, 0), min(int(row[RIGHT]) + grow, width - 1)
+    y0, y1 = max(int(row[TOP]) - grow, 0), min(int(row[BOTTOM]) + grow, height - 1)
+    total, count = 0.0, 0
+    for u in range(x0, x1 + 1):
+        total += lit[y0, u]
+        total += lit[y1, u]
+        count += 2
+    for v in range(y0 + 1, y1):
+        total += lit[v, x0]
+        total += lit[v, x1]
+        count += 2
+    return total / count

@@ -1,0 +1,46 @@
+"""What the sensor remembers from one reading to the next, and for how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.pose import Array, Pose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingOptions:
+    """Windows, and when to give up."""
+
+    window_sizes: float = 4.0  # half width over a spot's σ …
+    window_px: float = 6.0  # … and what the motion may add to it
+    coasting_px: float = 4.0  # … and each reading without that spot
+    window_share: float = 0.45  # of the distance to the next reflector, at most
+    size_limit: float = 0.25  # ln of size over expected size
+    least_shape: float = 0.45
+    apart_sizes: float = 6.0  # reflectors nearer than so many σ run together: not looked for
+    coast: int = 5  # readings without a pose before the whole picture is searched again
+    memory: int = 50  # … and before the last range says nothing
+    confirm: bool = True  # a first find counts when the next reading agrees
+    gate_sigma: float = 6.0  # of a redundant fit: a spot further off is no reflector
+    floor_px: float = 0.01  # error of a centroid beside the noise: pixels, lens, reflector edge
+    rate_readings: int = 8
+
+
+@dataclass(slots=True, eq=False)
+class Track:
+    """What is remembered between readings."""
+
+    time_s: float
+    pose: Pose
+    places: Array  # (N, 2) of the last reading, NaN where not seen
+    before: Array  # (N, 2) of the reading before that
+    before_s: float
+    brightness: Array  # (N,) of each reflector when it was last seen, grey
+    noise: float
+    roll_ambiguous: bool
+    covariance: Array
+    misses: int = 0
+    unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))

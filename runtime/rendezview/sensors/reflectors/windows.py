@@ -1,0 +1,213 @@
+"""Reading the spots inside small windows about where they are expected."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.reflectors.spots import (
+    AMPLITUDE,
+    AREA,
+    BOTTOM,
+    COLUMNS,
+    LEFT,
+    RIGHT,
+    SHAPE,
+    SIZE,
+    TOP,
+    X,
+    Y,
+    _window,
+    gather,
+)
+
+_NO_WINDOW, _NOTHING, _STRANGER, SEEN = 0, 1, 2, 3
+
+
+@njit(cache=True, nogil=True)
+def read_windows(  # type: ignore[no-untyped-def]
+    lit, dark, expected, half, level, noise, limits, table, outcome
+):
+    """Look for one spot in each window.
+
+    Args:
+        lit, dark: (H, W) pictures, the dark one (0, 0) where there is none.
+        expected: (N, 3) x, y, size in px; NaN where no spot is to be looked for.
+        half: (N,) half width of the windows, px.
+        level: (N,) threshold of the difference, grey.
+        noise: of one pixel of the difference, grey.
+        limits: largest |ln| of size over expected size, least shape (small over large axis).
+        table: (N, 19) rows of the spot table, filled where a spot is seen.
+        outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
+            reflector, 3 seen.
+    """
+    height, width = lit.shape
+    size_limit, least_shape = limits
+    columns, rows = np.empty(width), np.empty(height)
+    row = np.empty(COLUMNS)
+    for i in range(expected.shape[0]):
+        outcome[i] = _NO_WINDOW
+        x, y, size = expected[i, 0], expected[i, 1], expected[i, 2]
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        # A spot whose middle is in the window may reach out of it.
+        reach = half[i] + 3.0 * size + 1.0
+        x0, x1 = math.ceil(x - reach), math.floor(x + reach)
+        y0, y1 = math.ceil(y - reach), math.floor(y + reach)
+        x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width - 1), min(y1, height - 1)
+        w, h = x1 - x0 + 1, y1 - y0 + 1
+        if w < 3 or h < 3:
+            continue
+        outcome[i] = _NOTHING
+        part = lit[y0 : y1 + 1, x0 : x1 + 1]
+        part_dark = dark[y0 : y1 + 1, x0 : x1 + 1] if dark.shape[0] > 0 else dark
+        floor = level[i]
+        if dark.shape[0] == 0:  # a single picture: the threshold stands on the window's rim
+            rim = 0.0
+            for u in range(w):
+                rim += float(part[0, u]) + float(part[h - 1, u])
+            floor += rim / (2 * w)
+        flat = np.empty(w * h, np.uint8)
+        for v in range(h):
+            for u in range(w):
+                value = float(part[v, u])
+                if dark.shape[0] > 0:
+                    value -= part_dark[v, u]
+                flat[v * w + u] = 255 if value > floor else 0
+        stack = np.empty(w * h, np.int32)
+        best = np.inf
+        for start in range(w * h):
+            if flat[start] == 0:
+                continue
+            gather(flat, w, h, start, part, part_dark, floor, stack, row)
+            if row[AREA] < 3:  # lone pixels: noise
+                continue
+            if outcome[i] == _NOTHING:
+                outcome[i] = _STRANGER
+            inside = row[LEFT] > 0 and row[TOP] > 0 and row[RIGHT] < w - 1 and row[BOTTOM] < h - 1
+            cut = (
+                x0 + row[LEFT] <= 0
+                or y0 + row[TOP] <= 0
+                or x0 + row[RIGHT] >= width - 1
+                or y0 + row[BOTTOM] >= height - 1
+            )
+            if cut or not inside or row[SHAPE] < least_shape:
+                continue
+            for k in (8, 10, 12, 14):  # from window to picture
+                row[k] += x0
+                row[k + 1] += y0
+            _window(lit, dark, row, noise, columns, rows)
+            ratio = math.log(row[SIZE] / size)
+            off = math.hypot(row[X] - x, row[Y] - y) / half[i]
+            if abs(ratio) > size_limit or off > 1.0:
+                continue
+            score = off * off + (ratio / size_limit) ** 2
+            if score < best:
+                best = score
+                table[i] = row
+                outcome[i] = SEEN
+    return
+
+
+@njit(cache=True, nogil=True)
+def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
+    """Noise of one pixel of the difference from the windows' rims, grey levels.
+
+    From neighbours along the upper and lower rim, where no spot is; the mean absolute step
+    of a normal distribution is 2 σ/√π.
+    """
+    height, width = lit.shape
+    total, count = 0.0, 0
+    for i in range(expected.shape[0]):
+        x, y = expected[i, 0], expected[i, 1]
+        if not (math.isfinite(x) and math.isfinite(y)):
+            continue
+        reach = half[i] + 3.0 * expected[i, 2] + 1.0
+        x0, x1 = max(int(x - reach), 0), min(int(x + reach), width - 2)
+        for edge in range(2):
+            v = int(y - reach) if edge == 0 else int(y + reach)
+            if v < 0 or v >= height:
+                continue
+            for u in range(x0, x1):
+                step = float(lit[v, u + 1]) - float(lit[v, u])
+                if dark.shape[0] > 0:
+                    step -= float(dark[v, u + 1]) - float(dark[v, u])
+                total += abs(step)
+                count += 1
+    if count < 8:
+        return -1.0
+    return max(total / count * math.sqrt(math.pi) / 2.0, 0.3)
+
+
+@njit(cache=True, nogil=True)
+def place_windows(  # type: ignore[no-untyped-def]
+    expected, places, before, brightness, unseen, ratio, misses, options, half, level
+):
+    """Move what a pose shows by the last motion; set half widths and thresholds.
+
+    Book et al.: the centroid plus its last step. A reflector that was not seen twice takes the
+    mean step of the others. Threshold: a third of the brightness expected.
+
+    Args:
+        expected: (N, 3) x, y, size at the last pose; moved in place, NaN where not to be sought.
+        places, before: (N, 2) of the last reading and of the one before, NaN where not seen.
+        brightness: (N,) grey, when last seen; unseen: (N,) readings ago.
+        ratio: time to the next reading over time between the last two.
+        misses: readings in a row without a pose.
+        options: window_sizes, window_px, coasting_px, window_share, apart_sizes, least_grey.
+        half, level: (N,) results.
+    """
+    sizes, extra, coasting, share, apart, least = options
+    count = expected.shape[0]
+    mean_x = mean_y = usual = 0.0
+    moving = shining = 0
+    for i in range(count):
+        if math.isfinite(places[i, 0]) and math.isfinite(before[i, 0]):
+            mean_x += places[i, 0] - before[i, 0]
+            mean_y += places[i, 1] - before[i, 1]
+            moving += 1
+        if math.isfinite(brightness[i]):
+            usual += brightness[i]
+            shining += 1
+    if moving:
+        mean_x, mean_y = mean_x / moving, mean_y / moving
+    if shining:
+        usual /= shining
+    for i in range(count):
+        if not math.isfinite(expected[i, 0]):
+            continue
+        if math.isfinite(places[i, 0]) and math.isfinite(before[i, 0]):
+            expected[i, 0] += ratio * (places[i, 0] - before[i, 0])
+            expected[i, 1] += ratio * (places[i, 1] - before[i, 1])
+        else:
+            expected[i, 0] += ratio * mean_x
+            expected[i, 1] += ratio * mean_y
+    for i in range(count):
+        nearest = np.inf
+        for j in range(count):
+            if j != i and math.isfinite(expected[j, 0]):
+                nearest = min(
+                    nearest,
+                    math.hypot(expected[i, 0] - expected[j, 0], expected[i, 1] - expected[j, 1]),
+                )
+        wide = sizes * expected[i, 2] + extra + coasting * (misses + unseen[i])
+        half[i] = min(wide, share * nearest)
+        # Too near another the two run together, and neither is looked for.
+        if nearest < apart * expected[i, 2]:
+            half[i] = -1.0
+        bright = brightness[i] if math.isfinite(brightness[i]) else usual
+        level[i] = max(bright / 3.0, least)
+    for i in range(count):
+        if half[i] < 0.0:
+            expected[i, 0] = np.nan
+
+
+@njit(cache=True, nogil=True)
+def carry(table, brightness, since, bright, unseen):  # type: ignore[no-untyped-def]
+    """Brightness (N,) and readings without a spot (N,) after a reading; NaN rows were not seen."""
+    for i in range(table.shape[0]):
+        seen = math.isfinite(table[i, X])
+        bright[i] = table[i, AMPLITUDE] if seen else brightness[i]
+        unseen[i] = 0 if seen else since[i] + 1

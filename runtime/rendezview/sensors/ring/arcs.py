@@ -1,0 +1,283 @@
+"""Chains of edge points cut into arcs that turn one way, and arcs that lie on one ellipse.
+
+A chain becomes a polygon (Douglas & Peucker); its corners, straight stretches and changes of the
+sense of turning are where an arc ends. Which arcs belong together is told by a conic through both:
+its normal equations are the sum of theirs, so that a pair costs one 3 × 3 eigenproblem.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
+
+# Columns of the table of arcs
+FIRST, LAST, TURN, LENGTH = 0, 1, 2, 3
+X0, Y0, XM, YM, X1, Y1, NX, NY = 4, 5, 6, 7, 8, 9, 10, 11  # ends, middle, inward normal there
+COLUMNS = 12
+
+_POLYGON_PX = 0.9  # how far a chain may leave its polygon
+_CORNER_RAD = 1.15  # a sharper turn of the polygon is a corner
+_UNEVEN = 4.0  # a segment this much longer than its neighbour is a straight line
+_LEAST_TURN_RAD = 0.35  # of an arc
+_LEAST_LENGTH_PX = 14.0
+_SAMPLED = 24  # points of an arc that a joint conic is tested on
+
+
+@njit(cache=True, nogil=True)
+def _polygon(points, first, last, keep):  # type: ignore[no-untyped-def]
+    """Mark the corners of the polygon of points first … last."""
+    keep[first] = True
+    keep[last] = True
+    stack = np.empty((64, 2), dtype=np.int64)
+    stack[0, 0], stack[0, 1] = first, last
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        a, b = stack[depth, 0], stack[depth, 1]
+        if b - a < 2:
+            continue
+        dx, dy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+        size = np.sqrt(dx * dx + dy * dy)
+        far, at = 0.0, -1
+        for i in range(a + 1, b):
+            ex, ey = points[i, 0] - points[a, 0], points[i, 1] - points[a, 1]
+            off = abs(dx * ey - dy * ex) / size if size > 1e-6 else np.sqrt(ex * ex + ey * ey)
+            if off > far:
+                far, at = off, i
+        if far > _POLYGON_PX and depth + 2 <= 64:
+            keep[at] = True
+            stack[depth, 0], stack[depth, 1] = a, at
+            stack[depth + 1, 0], stack[depth + 1, 1] = at, b
+            depth += 2
+
+
+@njit(cache=True, nogil=True)
+def find_arcs(points, starts, closed):  # type: ignore[no-untyped-def]
+    """Arcs of all chains, the longest first: (M, COLUMNS); FIRST … LAST - 1 are their points."""
+    total = points.shape[0]
+    keep = np.zeros(total, dtype=np.bool_)
+    arcs = np.empty((total // 8 + 1, COLUMNS))
+    count = 0
+    corner = np.empty(total + 1, dtype=np.int64)
+    for c in range(starts.shape[0] - 1):
+        first, last = starts[c], starts[c + 1] - 1
+        if last - first < 10:
+            continue
+        middle = (first + last) // 2
+        if closed[c]:  # an end of a closed chain is no place to start a chord
+            _polygon(points, first, middle, keep)
+            _polygon(points, middle, last, keep)
+        else:
+            _polygon(points, first, last, keep)
+        corners = 0
+        for i in range(first, last + 1):
+            if keep[i]:
+                corner[corners] = i
+                corners += 1
+        begin = 0  # number of the corner where the arc starts
+        sense = 0.0
+        for k in range(1, corners):
+            ends = k == corners - 1
+            sharp = False
+            turn = 0.0
+            if not ends:
+                p, q, r = corner[k - 1], corner[k], corner[k + 1]
+                ax, ay = points[q, 0] - points[p, 0], points[q, 1] - points[p, 1]
+                bx, by = points[r, 0] - points[q, 0], points[r, 1] - points[q, 1]
+                turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
+                a2, b2 = ax * ax + ay * ay, bx * bx + by * by
+                uneven = _UNEVEN * _UNEVEN
+                long = max(a2, b2) > 400.0 and (a2 > uneven * b2 or b2 > uneven * a2)
+                # A short segment at a chain's end says nothing of its direction.
+                sharp = abs(turn) > _CORNER_RAD or (long and min(a2, b2) > 16.0)
+            if not ends and not sharp and (sense == 0.0 or turn * sense > 0.0):
+                if sense == 0.0:
+                    sense = 1.0 if turn > 0.0 else -1.0
+                continue
+            if k - begin >= 2 or (k - begin == 1 and ends and begin == 0) or k - begin == 1:
+                count += _arc(points, corner[begin], corner[k] + 1, arcs[count])
+            if sharp or ends:
+                begin, sense = k, 0.0
+            else:  # the segment before an inflexion belongs to both sides
+                begin, sense = k - 1, 1.0 if turn > 0.0 else -1.0
+            if count >= arcs.shape[0]:
+                break
+    order = np.argsort(-arcs[:count, LENGTH])
+    return arcs[:count][order]
+
+
+@njit(cache=True, nogil=True)
+def _arc(points, first, end, row):  # type: ignore[no-untyped-def]
+    """Describe the points first … end - 1 in a row of the table; 0 where they do not bend."""
+    n = end - first
+    if n < 10:
+        return 0
+    middle = first + n // 2
+    x0, y0 = points[first, 0], points[first, 1]
+    xm, ym = points[middle, 0], points[middle, 1]
+    x1, y1 = points[end - 1, 0], points[end - 1, 1]
+    length = 0.0
+    step = 4
+    for i in range(first, end - step, step):
+        dx, dy = points[i + step, 0] - points[i, 0], points[i + step, 1] - points[i, 1]
+        length += np.sqrt(dx * dx + dy * dy)
+    if length < _LEAST_LENGTH_PX:
+        return 0
+    # Turn: summed over pieces of the arc, from mean gradients, so that noise cancels.
+    pieces = max(3, min(16, n // 8))
+    turn = 0.0
+    before = 0.0
+    for p in range(pieces):
+        a, b = first + p * n // pieces, first + (p + 1) * n // pieces
+        gx, gy = 0.0, 0.0
+        for i in range(a, b):
+            gx += points[i, 2]
+            gy += points[i, 3]
+        angle = np.arctan2(gy, gx)
+        if p > 0:
+            turn += (angle - before + np.pi) % (2.0 * np.pi) - np.pi
+        before = angle
+    turn *= pieces / (pieces - 1.0)
+    if abs(turn) < _LEAST_TURN_RAD:
+        return 0
+    gx, gy = points[middle, 2], points[middle, 3]
+    for i in range(max(first, middle - 3), min(end, middle + 4)):
+        gx += points[i, 2]
+        gy += points[i, 3]
+    size = np.sqrt(gx * gx + gy * gy) + 1e-12
+    # The chain runs along (-gy, gx); turning positive it bends towards -g.
+    inward = -1.0 if turn > 0.0 else 1.0
+    row[FIRST], row[LAST], row[TURN], row[LENGTH] = first, end, turn, length
+    row[X0], row[Y0], row[XM], row[YM], row[X1], row[Y1] = x0, y0, xm, ym, x1, y1
+    row[NX], row[NY] = inward * gx / size, inward * gy / size
+    return 1
+
+
+@njit(cache=True, nogil=True)
+def _faces(a, b, slack):  # type: ignore[no-untyped-def]
+    """Whether arc b lies on the inner side of arc a's tangent at its middle."""
+    for k in range(3):
+        x, y = b[X0 + 2 * k] - a[XM], b[Y0 + 2 * k] - a[YM]
+        if x * a[NX] + y * a[NY] < -slack:
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _misfit(ellipse, points, arc):  # type: ignore[no-untyped-def]
+    """Root mean square distance of an arc's points from an ellipse, px."""
+    first, end = int(arc[FIRST]), int(arc[LAST])
+    step = max(1, (end - first) // _SAMPLED)
+    total, count = 0.0, 0
+    for i in range(first, end, step):
+        d = sampson(ellipse, points[i, 0], points[i, 1])
+        total += d * d
+        count += 1
+    return np.sqrt(total / count)
+
+
+@njit(cache=True, nogil=True)
+def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limits):  # type: ignore[no-untyped-def]
+    """Ellipses through arcs: (K, 5) x, y, a, b, angle, and the summed length of their arcs (K,).
+
+    Every arc starts a group, the longest first; the other arcs join it, best first, as long as
+    one conic fits all to ``tolerance_px``.
+
+    Args:
+        limits: least semi-minor axis, largest semi-major axis, least ratio of the two.
+        most: number of arcs used at most.
+    """
+    count = min(arcs.shape[0], most)
+    sums = np.zeros((count, SCATTER))
+    for j in range(count):
+        for i in range(int(arcs[j, FIRST]), int(arcs[j, LAST])):
+            add_point(sums[j], (points[i, 0] - centre_x) / scale, (points[i, 1] - centre_y) / scale)
+    found = np.empty((2 * count, 5))
+    length = np.empty(2 * count)
+    filled = 0
+    ellipse = np.empty(5)
+    trial = np.empty(5)
+    conic = np.empty(6)
+    member = np.zeros(count, dtype=np.bool_)
+    tried = np.zeros(count, dtype=np.bool_)
+    total = np.empty(SCATTER)
+    done = np.zeros(count, dtype=np.bool_)  # part of a large group already
+    for seed in range(count):
+        if done[seed]:
+            continue
+        member[:] = False
+        member[seed] = True
+        tried[:] = False
+        total[:] = sums[seed]
+        reach = arcs[seed, LENGTH]
+        turned = abs(arcs[seed, TURN])
+        good = False
+        if turned > 0.6 and conic_of(total, conic):
+            good = _usable(conic, scale, centre_x, centre_y, ellipse, limits) and (
+                _misfit(ellipse, points, arcs[seed]) < tolerance_px
+            )
+        joined = 1
+        while True:
+            best, at = tolerance_px, -1
+            for j in range(count):
+                if member[j] or tried[j]:
+                    continue
+                if (joined == 1 or good) and not (
+                    _faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)
+                ):
+                    tried[j] = True
+                    continue
+                # Without a sure ellipse yet, only another arc can make one.
+                if good and turned > 2.0 and _misfit(ellipse, points, arcs[j]) > 12.0:
+                    continue
+                for c in range(SCATTER):
+                    total[c] += sums[j, c]
+                worst = 1e9
+                if conic_of(total, conic) and _usable(
+                    conic, scale, centre_x, centre_y, trial, limits
+                ):
+                    worst = _misfit(trial, points, arcs[j])
+                    for k in range(count):
+                        if member[k] and worst < best:
+                            worst = max(worst, _misfit(trial, points, arcs[k]))
+                for c in range(SCATTER):
+                    total[c] -= sums[j, c]
+                if worst < best:
+                    best, at = worst, j
+                elif worst > 3.0 * tolerance_px:
+                    tried[j] = True
+            if at < 0:
+                break
+            member[at] = True
+            joined += 1
+            for c in range(SCATTER):
+                total[c] += sums[at, c]
+            reach += arcs[at, LENGTH]
+            turned += abs(arcs[at, TURN])
+            conic_of(total, conic)
+            good = _usable(conic, scale, centre_x, centre_y, ellipse, limits)
+        if good and turned > 1.0:
+            found[filled] = ellipse
+            length[filled] = reach
+            filled += 1
+            if turned > 3.0:
+                for j in range(count):
+                    if member[j]:
+                        done[j] = True
+    order = np.argsort(-length[:filled])
+    return found[:filled][order], length[:filled][order]
+
+
+@njit(cache=True, nogil=True)
+def _usable(conic, scale, centre_x, centre_y, ellipse, limits):  # type: ignore[no-untyped-def]
+    if not ellipse_of_conic(conic, ellipse):
+        return False
+    ellipse[0] = ellipse[0] * scale + centre_x
+    ellipse[1] = ellipse[1] * scale + centre_y
+    ellipse[2] *= scale
+    ellipse[3] *= scale
+    return (
+        ellipse[3] >= limits[0] and ellipse[2] <= limits[1] and ellipse[3] >= limits[2] * ellipse[2]
+    )

@@ -1,0 +1,186 @@
+"""Which of a circle's two poses is true: by prior attitude, by a point off the plane, by motion.
+
+The two axes lie on either side of the line of sight, equally far from it. Each rule answers with a
+number and its reason in words, or with None and what it lacks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring.circle_pose import CirclePose, tangent_basis
+
+Array = npt.NDArray[np.float64]
+
+_ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one
+_MARGIN = 1.5  # the other axis must be this much further from the prior
+_PLANE_CHI2 = 30.0  # by which the false pose must misfit, and four times as much as the true one
+_POINT_SIGMAS = 3.0
+_MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much
+_MOTION_SHARE = 0.35  # and the true one by no more than this of it
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Number of the pose that is true, None where that is open, and why."""
+
+    index: int | None
+    reason: str
+
+
+def only_one(poses: Sequence[CirclePose]) -> Choice | None:
+    """The choice where there is none to make: one pose, or two that their errors do not part."""
+    if len(poses) == 1:
+        return Choice(0, "head-on: the two poses of the circle are one")
+    apart = angle_between(poses[0].axis, poses[1].axis)
+    if poses[0].covariance is not None:
+        spread = math.sqrt(max(float(np.linalg.eigvalsh(poses[0].covariance[3:, 3:])[-1]), 0.0))
+        if apart < _ONE_POSE_SIGMAS * spread:
+            return Choice(
+                0,
+                f"nearly head-on: the two axes are {math.degrees(apart):.2f}° apart, "
+                f"within the axis' error of {math.degrees(spread):.2f}°",
+            )
+    return None
+
+
+def by_attitude(
+    poses: Sequence[CirclePose], axis: npt.ArrayLike, source: str = "the prior attitude"
+) -> Choice:
+    """The pose whose axis is nearer to a known one (3,), camera frame."""
+    known = np.asarray(axis, dtype=np.float64)
+    angles = [angle_between(pose.axis, known) for pose in poses]
+    best = int(np.argmin(angles))
+    alone = only_one(poses)
+    if alone is not None:
+        return Choice(best, alone.reason)
+    near, far = math.degrees(angles[best]), math.degrees(max(angles))
+    told = f"{near:.1f}° from {source}, the other {far:.1f}°"
+    if max(angles) < _MARGIN * angles[best]:
+        return Choice(None, f"{source} does not tell the poses apart: {told}")
+    return Choice(best, told)
+
+
+def by_plane(misfits: Sequence[float]) -> Choice:
+    """The pose that several edges of one plane fit; ``misfits`` are of `concentric.joint_poses`."""
+    if len(misfits) < 2:
+        return Choice(None, "one pose only")
+    best = int(np.argmin(misfits))
+    told = (
+        f"the ring's edges fit it with χ² {misfits[best]:.0f}, "
+        f"the other pose with {max(misfits):.0f}"
+    )
+    if max(misfits) < _PLANE_CHI2 + 4.0 * misfits[best]:
+        return Choice(None, "the ring's edges fit both poses")
+    return Choice(best, told)
+
+
+def by_point(
+    poses: Sequence[CirclePose],
+    camera: Camera,
+    point_px: npt.ArrayLike,
+    height_m: float,
+    sigma_px: float = 1.0,
+) -> Choice:
+    """The pose that shows a point of the ring's axis where it is seen.
+
+    Args:
+        poses: of the circle.
+        camera: lens distortion included.
+        point_px: (2,) where the point is seen.
+        height_m: of the point above the ring's plane along the axis, towards the camera positive:
+            the tip of a nozzle, a mark at the bottom of the adapter.
+        sigma_px: error of that place.
+    """
+    alone = only_one(poses)
+    if alone is not None:
+        return alone
+    seen = np.asarray(point_px, dtype=np.float64)
+    places = np.array([pose.centre_m + height_m * pose.axis for pose in poses])
+    off = np.linalg.norm(camera.project(places) - seen, axis=1)
+    off = np.where(np.isfinite(off), off, np.inf)
+    best = int(np.argmin(off))
+    told = (
+        f"a point off the plane lies {off[best]:.1f} px from where it is seen, "
+        f"by the other pose {off.max():.1f} px"
+    )
+    if not off.max() - off[best] > _POINT_SIGMAS * sigma_px:
+        return Choice(None, f"the point off the plane does not tell the poses apart: {told}")
+    return Choice(best, told)
+
+
+@dataclass(slots=True)
+class MotionChooser:
+    """Follows both axes over frames: of a target that does not turn, the false one does.
+
+    As the camera moves round the ring (or the ring across the picture) the true axis stays and the
+    false one swings with the line of sight. Holds for a camera that keeps its own attitude, or
+    whose turns are given.
+    """
+
+    _axes: list[list[Array]] = field(default_factory=lambda: [[], []])
+    _noise: list[float] = field(default_factory=list)
+    decided: int | None = None
+
+    def update(self, poses: Sequence[CirclePose], turn: npt.ArrayLike | None = None) -> Choice:
+        """Take in a frame's poses.
+
+        Args:
+            poses: both poses of the circle in this frame.
+            turn: (3, 3) rotation from this camera frame to one that does not turn; None: none.
+        """
+        alone = only_one(poses)
+        if alone is not None:
+            return alone
+        fixed = np.eye(3) if turn is None else np.asarray(turn, dtype=np.float64)
+        axes = [fixed @ pose.axis for pose in poses]
+        order = (0, 1)
+        if self._axes[0]:
+            last = [track[-1] for track in self._axes]
+            straight = axes[0] @ last[0] + axes[1] @ last[1]
+            crossed = axes[0] @ last[1] + axes[1] @ last[0]
+            if crossed > straight:
+                order = (1, 0)
+        for track, k in zip(self._axes, order, strict=True):
+            track.append(axes[k])
+        covariance = poses[0].covariance
+        spread = 0.0
+        if covariance is not None:
+            spread = math.sqrt(max(float(np.linalg.eigvalsh(covariance[3:, 3:])[-1]), 0.0))
+        self._noise.append(spread)
+        swings = [_swing(track) for track in self._axes]
+        still = int(np.argmin(swings))
+        noise = float(np.median(self._noise))
+        told = (
+            f"by motion: over {len(self._noise)} frames its axis turned by "
+            f"{math.degrees(swings[still]):.2f}°, the other's by {math.degrees(max(swings)):.2f}°"
+        )
+        if (
+            max(swings) > max(_MOTION_LEAST_RAD, 6.0 * noise)
+            and swings[still] < _MOTION_SHARE * max(swings) + noise
+        ):
+            self.decided = still
+        elif self.decided is None:
+            return Choice(None, "no prior attitude, and the motion does not tell yet: " + told)
+        assert self.decided is not None
+        return Choice(order.index(self.decided) if order != (0, 1) else self.decided, told)
+
+
+def _swing(axes: Sequence[Array]) -> float:
+    """How far a set of directions reaches from their mean, root mean square, rad."""
+    stacked = np.array(axes)
+    mean = stacked.mean(axis=0)
+    basis = tangent_basis(mean / np.linalg.norm(mean))
+    return 2.0 * math.sqrt(float(np.mean(np.sum((stacked @ basis) ** 2, axis=1))))
+
+
+def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
+    """Angle of two directions (3,), rad."""
+    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    return math.atan2(float(np.linalg.norm(np.cross(first, second))), float(first @ second))

@@ -1,0 +1,211 @@
+"""Several edges of one ring: one pose for all, and often the sign of its tilt.
+
+The edges of an end frame are circles about one axis, in or near one plane. Their radii besides the
+known one are free. Each ellipse with its covariance is a measurement of five numbers; the pose is
+the least-squares one. It is better than a single edge's on short arcs, and the wrong one of the two
+poses misfits, because circles of one plane have centres that only the true tilt explains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
+from rendezview.sensors.ring.circle_pose import (
+    RADIUS_SHARE,
+    CirclePose,
+    circle_poses,
+    picture_of_circle,
+    pose_covariance,
+    tangent_basis,
+)
+from rendezview.sensors.ring.ellipse import Ellipse
+
+Array = npt.NDArray[np.float64]
+
+PLANE_SHARE = 0.004  # σ of an edge's height over the ring's plane, as a share of the radius
+_STEPS = 15
+_MOST = 5
+_MISFIT = 4.0  # χ² over its degrees of freedom, of edges that are not of one plane
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointPose:
+    """A pose fitted to several edges."""
+
+    pose: CirclePose
+    chi2: float  # of the misfit, with
+    freedom: int  # degrees of freedom
+
+
+def fit_joint(
+    camera: Camera,
+    ellipses: list[Ellipse],
+    start: CirclePose,
+    *,
+    radius_share: float = RADIUS_SHARE,
+    plane_share: float = PLANE_SHARE,
+) -> JointPose | None:
+    """The pose that explains all edges; None where it does not converge.
+
+    Args:
+        camera: only its matrix is used.
+        ellipses: with their ``shape_covariance``; the first is the edge of ``start.radius_m``.
+        start: a pose of the first.
+        radius_share: error of the known radius (one σ), as a share of it.
+        plane_share: how far the other edges lie off its plane (one σ), as a share of the radius.
+    """
+    used = ellipses[:_MOST]
+    shapes = np.array([ellipse.shape for ellipse in used])
+    covariances = np.array([ellipse.shape_covariance for ellipse in used], dtype=np.float64)
+    information = np.linalg.inv(covariances)
+    size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)
+    centre, axis = start.centre_m.copy(), start.axis.copy()
+    covariance = np.empty((5, 5))
+    ratios = size / size[0]
+    chi2 = _fit(
+        lens_vector(camera), shapes, information, start.radius_m, plane_share, centre, axis,
+        tangent_basis(axis), ratios, covariance,
+    )  # fmt: skip
+    if not chi2 >= 0.0:
+        return None
+    if float(axis @ centre) > 0.0:
+        axis = -axis
+    # Near head-on the bend of the first edge's picture tells what a slope does not.
+    bound = pose_covariance(camera, CirclePose(centre, axis, start.radius_m), covariances[0])
+    turn = tangent_basis(start.axis).T @ tangent_basis(axis)
+    whole = np.eye(5)
+    whole[3:, 3:] = turn.T
+    covariance = whole @ covariance @ whole.T
+    for k in (3, 4):
+        excess = covariance[k, k] / bound[k, k]
+        if excess > 1.0:
+            covariance[k, :] /= np.sqrt(excess)
+            covariance[:, k] /= np.sqrt(excess)
+    covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
+    pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
+    return JointPose(pose, float(chi2), 4 * (len(used) - 1))
+
+
+@njit(cache=True, nogil=True)
+def _predict(camera, centre, axis, basis, radius, parameters, count, out):  # type: ignore[no-untyped-def]
+    """Shapes (count, 5) of all edges; parameters are steps of the pose, then ratio and height."""
+    c = centre + parameters[:3] * radius
+    n = axis + basis[:, 0] * parameters[3] + basis[:, 1] * parameters[4]
+    n /= np.sqrt(n @ n)
+    for k in range(count):
+        ratio, height = 1.0, 0.0
+        if k > 0:
+            ratio, height = parameters[3 + 2 * k], parameters[4 + 2 * k]
+        if not picture_of_circle(camera, c + n * (height * radius), n, radius * ratio, out[k]):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _fit(  # type: ignore[no-untyped-def]
+    camera, shapes, information, radius, plane_share, centre, axis, basis, ratios, covariance
+):
+    """Gauss–Newton from ``centre``, ``axis`` (3,), in place; χ², negative where it fails."""
+    count = shapes.shape[0]
+    size = 5 + 2 * (count - 1)
+    p = np.zeros(size)
+    for k in range(1, count):
+        p[3 + 2 * k] = ratios[k]
+    here, there = np.empty((count, 5)), np.empty((count, 5))
+    slopes = np.empty((size, count, 5))
+    chi2 = 1e300
+    normal = np.empty((size, size))
+    damping = 1e-6
+    previous = p.copy()
+    for _ in range(_STEPS):
+        good = _predict(camera, centre, axis, basis, radius, p, count, here)
+        now = 0.0
+        if good:
+            for k in range(count):
+                r = shapes[k] - here[k]
+                now += r @ information[k] @ r
+                if k > 0:
+                    now += (p[4 + 2 * k] / plane_share) ** 2
+        if not good or not now <= chi2 * (1.0 + 1e-9):
+            damping *= 20.0
+            if damping > 1e8 or chi2 > 1e299:
+                return -1.0
+            p = 0.5 * (p + previous)
+            continue
+        settled = chi2 - now < 1e-4
+        chi2 = now
+        previous = p.copy()
+        damping = max(damping * 0.1, 1e-12)
+        for i in range(size):
+            moved = p.copy()
+            moved[i] += 1e-5
+            if not _predict(camera, centre, axis, basis, radius, moved, count, there):
+                return -1.0
+            slopes[i] = (there - here) / 1e-5
+        normal[:] = 0.0
+        right = np.zeros(size)
+        for k in range(count):
+            r = information[k] @ (shapes[k] - here[k])
+            for i in range(size):
+                right[i] += slopes[i, k] @ r
+                weighted = information[k] @ slopes[i, k]
+                for j in range(size):
+                    normal[i, j] += slopes[j, k] @ weighted
+            if k > 0:
+                normal[4 + 2 * k, 4 + 2 * k] += 1.0 / plane_share**2
+                right[4 + 2 * k] -= p[4 + 2 * k] / plane_share**2
+        if settled:
+            break
+        damped = normal.copy()
+        for i in range(size):
+            damped[i, i] *= 1.0 + damping
+        damped[3, 3] += 1.0
+        damped[4, 4] += 1.0
+        p = p + np.linalg.solve(damped, right)
+    for i in range(3, 5):
+        normal[i, i] += 1.0
+    inverse = np.linalg.inv(normal)
+    scale = np.array([radius, radius, radius, 1.0, 1.0])
+    for i in range(5):
+        for j in range(5):
+            covariance[i, j] = inverse[i, j] * scale[i] * scale[j]
+    centre += previous[:3] * radius
+    turned = axis + basis[:, 0] * previous[3] + basis[:, 1] * previous[4]
+    axis[:] = turned / np.sqrt(turned @ turned)
+    return chi2
+
+
+def joint_poses(
+    camera: Camera, ellipses: list[Ellipse], radius_m: float
+) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
+    """Both poses of a ring from all its edges, and the misfit χ² of each.
+
+    An edge that misfits both poses (a cone behind the ring, a shadow) is left out. With one edge
+    alone the poses are `circle_poses` and their misfit is 0.
+
+    Args:
+        camera: only its matrix is used.
+        ellipses: with covariances; the first is the edge of ``radius_m``.
+        radius_m: of that edge.
+    """
+    poses = circle_poses(camera, ellipses[0], radius_m)
+    misfits = tuple(0.0 for _ in poses)
+    used = [ellipses[0]]
+    for ellipse in ellipses[1:]:
+        if len(used) == _MOST:
+            break
+        fits = [fit_joint(camera, [*used, ellipse], pose) for pose in poses]
+        best = min((fit.chi2 for fit in fits if fit is not None), default=np.inf)
+        if best > _MISFIT * 4 * len(used):
+            continue
+        used.append(ellipse)
+        # Where only one pose can be fitted, the other is as wrong as can be said.
+        poses = tuple(p if f is None else f.pose for p, f in zip(poses, fits, strict=True))
+        misfits = tuple(best + 1e6 if fit is None else fit.chi2 for fit in fits)
+    return poses, misfits

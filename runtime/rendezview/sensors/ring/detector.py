@@ -1,0 +1,165 @@
+"""The ring detector: a grey frame in, ellipses with their covariance out, the ring's first."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
+from rendezview.io.grey_frame import check_frame
+from rendezview.sensors.ring.arcs import find_arcs, group_arcs
+from rendezview.sensors.ring.edges import find_edges, link
+from rendezview.sensors.ring.ellipse import Ellipse
+from rendezview.sensors.ring.families import families
+from rendezview.sensors.ring.step_fit import fit_steps
+from rendezview.sensors.ring.steps import step_basis, step_filters
+from rendezview.sensors.ring.verify import verify
+
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+
+_MOST_ARCS = 120
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RingOptions:
+    """What counts as a ring's edge."""
+
+    least_contrast_grey: float = 8.0
+    edge_sigmas: float = 5.0  # of the smoothed gradient's noise
+    fit_tolerance_px: float = 1.2  # of arcs from their common conic
+    least_semi_axis_px: float = 8.0  # the short one
+    least_ratio: float = 0.2  # short over long: a tilt of 78°
+    least_arc_rad: float = math.radians(75.0)  # that edges must bear out, all pieces together
+    least_share: float = 0.5  # of the longest piece's neighbourhood; see `verify`
+    blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
+    sample_px: float = 1.5  # between samples of the final fit
+    floor_px: float = 0.03  # σ that an ellipse's numbers have besides: what the edges' model lacks
+    most: int = 12  # ellipses kept
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingEdge:
+    """An ellipse that the picture bears out."""
+
+    ellipse: Ellipse
+    arc_rad: float  # of the circle's full turn, what edges bear out
+    score: float  # 0 … 1, how much it is a ring's: see `families`
+    contrast_grey: float  # outside minus inside
+    family: int  # number of the set of concentric circles it belongs to
+    rms_px: float  # of the edge places about the ellipse
+    pair: int = -1  # number of the lip whose two edges were fitted as one; -1: of none
+
+    @property
+    def arc_deg(self) -> float:
+        """`arc_rad` in degrees, as the log has it."""
+        return math.degrees(self.arc_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Detection:
+    """What a frame shows."""
+
+    edges: tuple[RingEdge, ...]  # best first
+    noise_grey: float
+    reason: str | None  # why there is none
+    stage_ms: dict[str, float] = field(default_factory=dict)
+
+
+class RingDetector:
+    """Finds the ellipses of rings in frames of one camera."""
+
+    def __init__(self, camera: Camera, options: RingOptions | None = None) -> None:
+        self.camera = camera
+        self.options = options or RingOptions()
+        self._lens = np.append(lens_vector(camera), float(camera.is_distorted))
+        self._filters = step_filters(self.options.blur_px)
+        self._number = np.zeros((camera.height, camera.width), dtype=np.int32)
+        self._power = np.empty((camera.height, camera.width), dtype=np.float32)
+        self._basis = step_basis(self.options.blur_px)
+
+    def detect(self, image: npt.ArrayLike) -> Detection:
+        """Ellipses of a frame, (H, W) uint8 of the camera's size.
+
+        Raises:
+            RendezviewError: another size or type than the camera's pictures.
+        """
+        grey = check_frame(image, self.camera.width, self.camera.height)
+        o = self.options
+        clock = time.perf_counter()
+        stage_ms: dict[str, float] = {}
+
+        def lap(stage: str) -> None:
+            nonlocal clock
+            now = time.perf_counter()
+            stage_ms[stage] = 1e3 * (now - clock)
+            clock = now
+
+        found = find_edges(grey, o.least_contrast_grey, o.edge_sigmas)
+        lap("edges")
+        points, starts, closed = link(
+            found.dx, found.dy, found.low, found.high, self._number, self._power
+        )
+        lap("chains")
+        if len(points) == 0:
+            return Detection((), found.noise_grey, "no edges in the picture", stage_ms)
+        if self.camera.is_distorted:
+            points = self._straightened(points)
+        arcs = find_arcs(points, starts, closed)
+        if len(arcs) == 0:
+            return Detection((), found.noise_grey, "no curved edges in the picture", stage_ms)
+        size = 0.5 * max(grey.shape)
+        limits = np.array([o.least_semi_axis_px, 4.0 * size, o.least_ratio])
+        rough, _ = group_arcs(
+            points, arcs, size, 0.5 * grey.shape[1], 0.5 * grey.shape[0],
+            o.fit_tolerance_px, _MOST_ARCS, limits,
+        )  # fmt: skip
+        lap("arcs")
+        shapes = verify(
+            found.dx, found.dy, found.low, self._lens, rough, o.least_arc_rad, o.least_share,
+            limits, o.most,
+        )  # fmt: skip
+        lap("support")
+        if len(shapes) == 0:
+            return Detection((), found.noise_grey, "no ellipse that edges bear out", stage_ms)
+        edges = self._refined(grey, shapes, max(found.noise_grey, 0.3))
+        lap("fit")
+        reason = None if edges else "no ellipse with a sharp edge"
+        return Detection(edges, found.noise_grey, reason, stage_ms)
+
+    def _refined(self, grey: Grey, shapes: Array, noise: float) -> tuple[RingEdge, ...]:
+        o = self.options
+        fitted, covariances, facts, pairs = fit_steps(
+            grey, self._lens, shapes, o.sample_px, noise, self._filters, self._basis, o.blur_px,
+            o.least_arc_rad, o.floor_px,
+        )  # fmt: skip
+        if len(fitted) == 0:
+            return ()
+        family, score, order = families(self.camera, fitted, facts[:, 0])
+        return tuple(
+            RingEdge(
+                Ellipse.from_shape(fitted[k], covariances[k]),
+                float(facts[k, 0]),
+                float(score[k]),
+                float(facts[k, 1]),
+                int(family[k]),
+                float(facts[k, 2]),
+                int(pairs[k]),
+            )
+            for k in order
+        )
+
+    def _straightened(self, points: Array) -> Array:
+        """Chains without the lens distortion; their directions are taken as they are."""
+        rays = self.camera.rays(points[:, :2])
+        out = points.copy()
+        out[:, 0] = self.camera.fx * rays[:, 0] + self.camera.cx
+        out[:, 1] = self.camera.fy * rays[:, 1] + self.camera.cy
+        lost = ~np.isfinite(out).all(axis=1)
+        out[lost, :2] = points[lost, :2]
+        return out

@@ -1,0 +1,216 @@
+"""Directed chains of edge points: crests of the gradient, placed along it, linked by direction.
+
+Crests are Canny's: pixels whose gradient is the largest across the edge. His hysteresis is kept
+too, by chain: one that is nowhere strong is dropped.
+
+A chain runs with the bright side on its right as the picture is seen, so that it turns one way
+along a convex outline, and two edges that touch are not joined against their gradients.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.io.grey_frame import grain
+
+Grey = npt.NDArray[np.uint8]  # (H, W)
+Gradient = npt.NDArray[np.int16]  # (H, W), Sobel's sum: 8 × grey levels a pixel
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+
+BLUR_PX = 1.0  # σ of the smoothing before the gradient
+_KERNEL = (5, 5)
+SOBEL = 8.0  # of Sobel's weights, to grey levels a pixel
+_GRAIN_ROWS = 48
+_GRADIENT_SHARE = 1.05  # noise of one Sobel component over the pixels' σ, after the smoothing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeMap:
+    """Gradients of a frame, and from where on they are an edge."""
+
+    dx: Gradient
+    dy: Gradient
+    noise_grey: float  # σ of a pixel
+    low: float  # least gradient of an edge pixel, Sobel units
+    high: float  # least gradient that an edge has somewhere
+
+
+def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMap:
+    """Edge pixels whose gradient stands out of the noise.
+
+    Args:
+        image: (H, W) uint8.
+        least_contrast_grey: weakest step that is still an edge.
+        sigmas: how far the gradient must stand out of its noise.
+    """
+    noise = grain(image, _GRAIN_ROWS)
+    smooth = cv2.GaussianBlur(image, _KERNEL, BLUR_PX)
+    dx, dy = cv2.spatialGradient(smooth)
+    # A step of contrast c, blurred to σ ≈ 1.5 px, has the slope 0.27 c.
+    high = max(0.27 * SOBEL * least_contrast_grey, sigmas * _GRADIENT_SHARE * noise)
+    low = 0.75 * high
+    return EdgeMap(dx, dy, noise, low, high)  # type: ignore[arg-type]
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _powers(dx, dy, line):  # type: ignore[no-untyped-def]
+    """Squared gradients of a row."""
+    for column in range(line.shape[0]):
+        a, b = np.float32(dx[column]), np.float32(dy[column])
+        line[column] = a * a + b * b
+
+
+@njit(cache=True, nogil=True)
+def _crest(dx, dy, power, row, column, here, out, k):  # type: ignore[no-untyped-def]
+    """Place x, y, direction and size of the crest at a pixel, into row k of ``out``."""
+    gx, gy = np.float32(dx[row, column]), np.float32(dy[row, column])
+    # Two neighbours on the gradient's line, each between two pixels.
+    if abs(gx) >= abs(gy):
+        step = 1 if gx > 0 else -1
+        side = 1 if gy > 0 else -1
+        t = abs(gy / gx)
+        p00, p01 = power[row, column + step], power[row + side, column + step]
+        p10, p11 = power[row, column - step], power[row - side, column - step]
+    else:
+        step = 1 if gy > 0 else -1
+        side = 1 if gx > 0 else -1
+        t = abs(gx / gy)
+        p00, p01 = power[row + step, column], power[row + step, column + side]
+        p10, p11 = power[row - step, column], power[row - step, column - side]
+    rest = np.float32(1.0) - t
+    if rest * p00 + t * p01 >= here or rest * p10 + t * p11 > here:
+        return False
+    size = np.sqrt(here)
+    a = rest * np.sqrt(p00) + t * np.sqrt(p01)
+    b = rest * np.sqrt(p10) + t * np.sqrt(p11)
+    curve = a + b - 2.0 * size
+    shift = 0.5 * (b - a) / curve if curve < -1e-9 else 0.0
+    shift = min(max(shift, -0.6), 0.6) * np.sqrt(1.0 + t * t)
+    ux, uy = gx / size, gy / size
+    out[k, 0], out[k, 1] = column + shift * ux, row + shift * uy
+    out[k, 2], out[k, 3], out[k, 4] = ux, uy, size
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _crests(dx, dy, low, number, power):  # type: ignore[no-untyped-def]
+    """All crests (N, 5) and their pixels (N, 2); ``number`` gets 1 + their index."""
+    height, width = dx.shape
+    room = 8192
+    found = np.empty((room, 5))
+    place = np.empty((room, 2), dtype=np.int32)
+    square = np.float32(low * low)
+    total = 0
+    for below in range(2, height - 2):
+        _powers(dx[below], dy[below], power[below])
+        row = below - 1
+        if row < 3:
+            continue
+        if total + width > room:
+            room = 2 * room + width
+            more, places = np.empty((room, 5)), np.empty((room, 2), dtype=np.int32)
+            more[:total], places[:total] = found[:total], place[:total]
+            found, place = more, places
+        upper, line, lower = power[row - 1], power[row], power[row + 1]
+        for column in range(3, width - 3):
+            here = line[column]
+            if here < square:
+                continue
+            # Off a crest's line at least one pair of opposite neighbours is no higher.
+            if not (line[column - 1] <= here and line[column + 1] <= here) and not (
+                upper[column] <= here and lower[column] <= here
+            ):
+                continue
+            if _crest(dx, dy, power, row, column, here, found, total):
+                place[total, 0], place[total, 1] = column, row
+                total += 1
+                number[row, column] = total
+    return found[:total], place[:total]
+
+
+@njit(cache=True, nogil=True)
+def link(dx, dy, low, high, number, power):  # type: ignore[no-untyped-def]
+    """Crests of the gradient as chains.
+
+    Args:
+        dx, dy: (H, W) Sobel gradients.
+        low, high: a crest's least gradient, and the least that its chain has somewhere.
+        number: (H, W) int32 of zeros, for use and reuse: left as it was.
+        power: (H, W) float32, for use and reuse.
+
+    Returns:
+        points: (N, 4) x, y (px, sub-pixel), unit gradient x, y, in the order of the chains;
+        starts: (C + 1,) where each chain begins; closed: (C,) whether it ends where it began.
+    """
+    found, place = _crests(dx, dy, low, number, power)
+    total = found.shape[0]
+    follower = np.full(total, -1, dtype=np.int32)
+    leader = np.full(total, -1, dtype=np.int32)
+    quality = np.zeros(total)
+    for i in range(total):
+        ux, uy = found[i, 2], found[i, 3]
+        tx, ty = -uy, ux
+        best, at = 0.0, -1
+        for reach in range(1, 3):
+            for down in range(-reach, reach + 1):
+                for right in range(-reach, reach + 1):
+                    if max(abs(down), abs(right)) != reach:
+                        continue
+                    j = number[place[i, 1] + down, place[i, 0] + right] - 1
+                    if j < 0:
+                        continue
+                    ahead_x, ahead_y = found[j, 0] - found[i, 0], found[j, 1] - found[i, 1]
+                    ahead = ahead_x * tx + ahead_y * ty
+                    if ahead <= 0.2:
+                        continue
+                    alike = ux * found[j, 2] + uy * found[j, 3]
+                    if alike < 0.6:
+                        continue
+                    far = np.sqrt(ahead_x * ahead_x + ahead_y * ahead_y)
+                    value = alike + ahead / far - 0.15 * far
+                    if value > best:
+                        best, at = value, j
+            if at >= 0:
+                break
+        if at >= 0:
+            if leader[at] >= 0:
+                if quality[at] >= best:
+                    continue
+                follower[leader[at]] = -1
+            leader[at] = i
+            quality[at] = best
+            follower[i] = at
+    for i in range(total):
+        number[place[i, 1], place[i, 0]] = 0
+    points = np.empty((total, 4))
+    starts = np.empty(total + 1, dtype=np.int32)
+    closed = np.zeros(total, dtype=np.bool_)
+    chains, filled = 0, 0
+    used = np.zeros(total, dtype=np.bool_)
+    for ring in range(2):  # first what has a beginning, then what is closed
+        for i in range(total):
+            if used[i] or (ring == 0 and leader[i] >= 0):
+                continue
+            starts[chains] = filled
+            j = i
+            strongest = 0.0
+            while j >= 0 and not used[j]:
+                used[j] = True
+                strongest = max(strongest, found[j, 4])
+                for c in range(4):
+                    points[filled, c] = found[j, c]
+                filled += 1
+                j = follower[j]
+            if filled - starts[chains] < 8 or strongest < high:  # too short to bend; noise
+                filled = starts[chains]
+                continue
+            closed[chains] = ring == 1
+            chains += 1
+    starts[chains] = filled
+    return points[:filled], starts[: chains + 1], closed[:chains]

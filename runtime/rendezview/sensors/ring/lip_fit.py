@@ -1,0 +1,162 @@
+"""The two edges of a narrow lip, fitted as one: concentric ellipses of opposite contrast.
+
+A ring's lip is often only a few pixels wide. Under the Sun one of its edges shows on one side of
+the ring and the other on the other side. An ellipse through both is neither: it is shifted, and
+tilted by ten degrees where the ring is seen face-on. Here both are fitted at once, with a centre
+and a shape in common and their ratio free; each is looked for in its own sense of contrast.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.ring.spread import covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.steps import step_support
+from rendezview.sensors.ring.support import (
+    ARC,
+    CONTRAST,
+    NX,
+    NY,
+    OFFSET,
+    U0,
+    U1,
+    WEIGHT,
+    add_equation,
+    solve_equations,
+)
+
+LEAST_ARC = 0.5  # rad of either sense, below which no second edge is looked for
+_GAP_PX = (0.4, 6.0)  # least and most, between the two
+_SIGMAS = 3.0
+
+
+@njit(cache=True, nogil=True)
+def fit_lip(  # type: ignore[no-untyped-def]
+    image, lens, shape, step_px, noise, filters, basis, blur, others, samples, used,
+    edges, covariances, facts,
+):  # fmt: skip
+    """Two edges where an ellipse was fitted to both, the larger one first; whether there are two.
+
+    Args:
+        image, lens, step_px, noise, filters, basis, blur, others: as for `step_support`.
+        shape: (5,) of the ellipse.
+        samples: the first ``used`` are the ellipse's; twice as many as one ellipse needs fit in.
+        edges, covariances, facts: (2, 5), (2, 5, 5) and (2, 3) out, as of `fit_steps`. What is
+            common to both edges is in both covariances.
+    """
+    pair, normal = np.zeros(6), np.empty((6, 6))
+    pair[:5] = shape
+    if _update(samples, used, 2.0, pair, normal) < 0.0:
+        return False
+    if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _GAP_PX[0]:
+        return False  # one edge whose surroundings change
+    half = samples.shape[0] // 2
+    first, second, scale = 0, 0, 0.0
+    for _ in range(4):
+        for k in range(2):
+            _edge(pair, 1.0 - 2.0 * k, edges[k])
+        first = step_support(
+            image, lens, edges[0], step_px, 1.0, noise, filters, basis, blur, others,
+            samples[:half],
+        )  # fmt: skip
+        second = step_support(
+            image, lens, edges[1], step_px, -1.0, noise, filters, basis, blur, others,
+            samples[first : first + half],
+        )  # fmt: skip
+        scale = scale_of(samples, first + second)
+        moved = _update(samples, first + second, scale, pair, normal)
+        if moved < 0.0:
+            return False
+        if moved < 0.02:
+            break
+    size = 0.5 * (pair[2] + pair[4])
+    if not _GAP_PX[0] < abs(pair[5]) * size < _GAP_PX[1]:
+        return False
+    lit, dark = samples[:first], samples[first : first + second]
+    arcs = covered(lit, first, scale), covered(dark, second, scale)
+    if min(arcs) < LEAST_ARC:
+        return False
+    told = trim(lit, first, scale), trim(dark, second, scale)
+    spread = max(spread_of(lit, first), spread_of(dark, second))
+    if _update(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
+        return False
+    trace = np.trace(normal)
+    for j in range(6):
+        normal[j, j] += 1e-12 * trace
+    whole = np.linalg.inv(normal) * spread
+    if not abs(pair[5]) > _SIGMAS * np.sqrt(whole[5, 5]):
+        return False
+    slope = np.zeros((5, 6))
+    for k in range(2):
+        sense = (1.0 if k == 0 else -1.0) * (1.0 if pair[5] > 0.0 else -1.0)
+        _edge(pair, sense, edges[k])
+        for j in range(5):
+            slope[j, j] = 1.0 if j < 2 else 1.0 + 0.5 * sense * pair[5]
+            slope[j, 5] = 0.0 if j < 2 else 0.5 * sense * pair[j]
+        covariances[k] = slope @ whole @ slope.T
+        own = 0 if sense > 0.0 else 1
+        facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], told[own][1], told[own][2]
+    return True
+
+
+@njit(cache=True, nogil=True)
+def arcs_of_senses(samples, n, scale):  # type: ignore[no-untyped-def]
+    """Angles of the circle borne out by edges that get brighter, and darker, outwards; rad."""
+    brighter, darker = 0.0, 0.0
+    for i in range(n):
+        if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
+            if samples[i, CONTRAST] > 0.0:
+                brighter += samples[i, ARC]
+            else:
+                darker += samples[i, ARC]
+    return brighter, darker
+
+
+@njit(cache=True, nogil=True)
+def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
+    """One robust Gauss–Newton step of a pair (6,); ``normal`` (6, 6) gets the normal equations.
+
+    The pair is a shape (5,) and ε: the edge that gets brighter outwards is larger than the shape by
+    1 + ε/2, the other one smaller. Offsets are from the edge of a sample's sense.
+    Returns the largest change, px; a negative number where there is no solution.
+    """
+    normal[:] = 0.0
+    right, step = np.zeros(6), np.empty(6)
+    row = np.empty(6)
+    for i in range(n):
+        s = samples[i]
+        if s[WEIGHT] <= 0.0:
+            continue
+        z = s[OFFSET] / scale
+        if abs(z) >= 1.0:
+            continue
+        w = s[WEIGHT] * (1.0 - z * z) ** 2
+        sense = 1.0 if s[CONTRAST] > 0.0 else -1.0
+        share = 1.0 + 0.5 * sense * shape[5]
+        row[0], row[1] = s[NX], s[NY]
+        row[2], row[4] = share * s[NX] * s[U0], share * s[NY] * s[U1]
+        row[3] = share * (s[NX] * s[U1] + s[NY] * s[U0])
+        row[5] = 0.5 * sense * (
+            s[NX] * (shape[2] * s[U0] + shape[3] * s[U1])
+            + s[NY] * (shape[3] * s[U0] + shape[4] * s[U1])
+        )  # fmt: skip
+        add_equation(row, w, s[OFFSET], normal, right)
+    if not solve_equations(normal, right, 1e-9, step):
+        return -1.0
+    size = 0.5 * (shape[2] + shape[4])
+    largest = max(np.max(np.abs(step[:5])), size * abs(step[5]))
+    if not largest < 0.25 * size:
+        return -1.0
+    shape += step
+    if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
+        return -1.0
+    return largest
+
+
+@njit(cache=True, nogil=True)
+def _edge(pair, sense, shape):  # type: ignore[no-untyped-def]
+    """Shape (5,) of the edge of a sense (±1)."""
+    shape[0], shape[1] = pair[0], pair[1]
+    for j in range(2, 5):
+        shape[j] = (1.0 + 0.5 * sense * pair[5]) * pair[j]

@@ -1,0 +1,71 @@
+"""A reading drawn over its picture."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring.circle_pose import CirclePose
+from rendezview.sensors.ring.ellipse import Ellipse
+from rendezview.sensors.ring.sensor import RingReading
+
+Picture = npt.NDArray[np.uint8]
+
+_BEST, _OTHER = (0, 165, 255), (170, 140, 90)  # blue green red
+_CHOSEN, _REFUSED, _WORDS = (80, 220, 80), (120, 120, 120), (230, 230, 230)
+
+
+def draw_reading(image: npt.ArrayLike, reading: RingReading, camera: Camera) -> Picture:
+    """(H, W, 3) blue-green-red: all ellipses, the ring's in orange, and the axes of its poses.
+
+    The chosen pose's axis is green, the other's grey; both are as long as the ring's radius.
+    """
+    canvas = np.asarray(cv2.cvtColor(np.asarray(image, np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
+    for k, edge in reversed(list(enumerate(reading.edges))):
+        _ellipse(canvas, edge.ellipse, camera, _BEST if k == reading.edge else _OTHER)
+    for k, pose in enumerate(reading.poses):
+        chosen = reading.choice is not None and reading.choice.index == k
+        _axis(canvas, pose, camera, _CHOSEN if chosen else _REFUSED)
+    lines = [f"{reading.status}: {len(reading.edges)} ellipses"]
+    if reading.pose is not None:
+        far = float(np.linalg.norm(reading.pose.centre_m))
+        lines = [f"range {far:.3f} m   tilt {math.degrees(reading.pose.tilt_rad):.2f} deg"]
+    elif reading.reason:
+        lines.append(reading.reason[:90].encode("ascii", "replace").decode())
+    for number, line in enumerate(lines):
+        cv2.putText(
+            canvas, line, (8, 18 + 18 * number), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WORDS, 1,
+            cv2.LINE_AA,
+        )  # fmt: skip
+    return canvas
+
+
+def _ellipse(
+    canvas: Picture, ellipse: Ellipse, camera: Camera, colour: tuple[int, int, int]
+) -> None:
+    points = ellipse.points(240)
+    rays = np.column_stack(
+        [(points - (camera.cx, camera.cy)) / (camera.fx, camera.fy), np.ones(len(points))]
+    )
+    places = camera.project(rays)
+    if np.isfinite(places).all() and np.abs(places).max() < 3e4:
+        _lines(canvas, places, colour, closed=True)
+
+
+def _axis(canvas: Picture, pose: CirclePose, camera: Camera, colour: tuple[int, int, int]) -> None:
+    ends = np.vstack([pose.centre_m, pose.centre_m + pose.radius_m * pose.axis])
+    places = camera.project(ends)
+    if np.isfinite(places).all() and np.abs(places).max() < 3e4:
+        _lines(canvas, places, colour, closed=False)
+
+
+def _lines(
+    canvas: Picture, places: npt.ArrayLike, colour: tuple[int, int, int], *, closed: bool
+) -> None:
+    shift = 4
+    fixed = np.rint(np.asarray(places) * (1 << shift)).astype(np.int32)
+    cv2.polylines(canvas, [fixed], closed, colour, 1, cv2.LINE_AA, shift)

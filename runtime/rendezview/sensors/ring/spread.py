@@ -1,0 +1,112 @@
+"""How far the samples of an ellipse's edge scatter, and what that makes of a fit's covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.ring.support import ANGLE, ARC, CONTRAST, OFFSET, WEIGHT
+
+
+@njit(cache=True, nogil=True)
+def scale_of(samples, n):  # type: ignore[no-untyped-def]
+    """Where offsets stop counting, px: five σ of them, from their median size."""
+    size = np.empty(n)
+    count = 0
+    for i in range(n):
+        if samples[i, WEIGHT] > 0.0:
+            size[count] = abs(samples[i, OFFSET])
+            count += 1
+    if count == 0:
+        return 1.0
+    return min(max(5.0 * 1.483 * float(np.median(size[:count])), 0.15), 2.0)
+
+
+@njit(cache=True, nogil=True)
+def covered(samples, n, scale):  # type: ignore[no-untyped-def]
+    """Angle of the circle that samples within ``scale`` px bear out, rad."""
+    total = 0.0
+    for i in range(n):
+        if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
+            total += samples[i, ARC]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def trim(samples, n, scale):  # type: ignore[no-untyped-def]
+    """Leave out samples beyond ``scale`` px. Returns number, mean contrast and r.m.s. (px)."""
+    used, contrast, square = 0, 0.0, 0.0
+    for i in range(n):
+        if samples[i, WEIGHT] > 0.0:
+            if abs(samples[i, OFFSET]) > scale:
+                samples[i, WEIGHT] = 0.0
+                continue
+            square += samples[i, OFFSET] ** 2
+            used += 1
+            contrast += samples[i, CONTRAST]
+    if used == 0:
+        return 0, 0.0, 0.0
+    return used, contrast / used, np.sqrt(square / used)
+
+
+@njit(cache=True, nogil=True)
+def spread_of(samples, n):  # type: ignore[no-untyped-def]
+    """Factor on the covariance that the weights of trimmed samples say, from how they scatter."""
+    chi, used = 0.0, 0
+    for i in range(n):
+        if samples[i, WEIGHT] > 0.0:
+            chi += samples[i, WEIGHT] * samples[i, OFFSET] ** 2
+            used += 1
+    white = max(chi / max(used - 5, 1), 0.5) * _correlation_factor(samples, n)
+    return max(white, _waviness_factor(samples, n))
+
+
+@njit(cache=True, nogil=True)
+def _waviness_factor(samples, count):  # type: ignore[no-untyped-def]
+    """How much more the means of 36 stretches scatter than independent samples' would, ≥ 1.
+
+    Facets of a CAD ring, shadows, or an edge that is none show here: their errors go together over
+    long stretches.
+    """
+    sums, weights = np.zeros(36), np.zeros(36)
+    for i in range(count):
+        w = samples[i, WEIGHT]
+        if w > 0.0:
+            k = min(int(samples[i, ANGLE] * (36.0 / (2.0 * np.pi))), 35)
+            sums[k] += w * samples[i, OFFSET]
+            weights[k] += w
+    total, used = 0.0, 0
+    for k in range(36):
+        if weights[k] > 0.0:
+            total += sums[k] * sums[k] / weights[k]
+            used += 1
+    return max(total / max(used - 5, 2), 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _correlation_factor(samples, count):  # type: ignore[no-untyped-def]
+    """Sum of the correlations between a sample's error and its neighbours' (1 for none), ≥ 1."""
+    power, pairs = 0.0, 0
+    for i in range(count):
+        if samples[i, WEIGHT] > 0.0:
+            power += samples[i, OFFSET] ** 2 * samples[i, WEIGHT]
+            pairs += 1
+    if pairs < 12 or power <= 0.0:
+        return 2.0
+    factor = 1.0
+    for lag in range(1, 6):
+        total, n = 0.0, 0
+        for i in range(count):
+            j = i + lag
+            if j >= count:
+                j -= count
+            if samples[i, WEIGHT] > 0.0 and samples[j, WEIGHT] > 0.0:
+                total += (
+                    samples[i, OFFSET] * samples[j, OFFSET]
+                    * np.sqrt(samples[i, WEIGHT] * samples[j, WEIGHT])
+                )  # fmt: skip
+                n += 1
+        if n < 12:
+            break
+        factor += 2.0 * (total / n) / (power / pairs)
+    return min(max(factor, 1.0), 6.0)

@@ -1,0 +1,145 @@
+"""Where exactly the edges of ellipses lie: blurred steps along all of them, with covariances."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.ring.ellipse import axes_of_shape
+from rendezview.sensors.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
+from rendezview.sensors.ring.spread import covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.steps import step_support
+from rendezview.sensors.ring.support import COLUMNS, distance, update_shape
+from rendezview.sensors.ring.verify import one_sense, twins
+
+_MOST_SAMPLES = 640  # along one ellipse
+
+
+@njit(cache=True, nogil=True)
+def fit_steps(  # type: ignore[no-untyped-def]
+    image, lens, shapes, spacing, noise, filters, basis, blur, least_arc, floor
+):
+    """Blurred-step fits of the edges that rough ellipses (K, 5) lie on, or the pairs of edges.
+
+    Returns:
+        Shapes (M, 5); covariances (M, 5, 5); (M, 3) arc (rad), contrast (grey), r.m.s. (px); (M,)
+        number of the pair that an edge was fitted in, -1 for none.
+    """
+    total = shapes.shape[0]
+    current = shapes.copy()
+    fitted = np.empty((2 * total, 5))
+    covariances = np.empty((2 * total, 5, 5))
+    facts = np.empty((2 * total, 3))
+    pairs = np.empty(2 * total, dtype=np.int64)
+    samples = np.zeros((2 * _MOST_SAMPLES, COLUMNS))
+    others = np.empty((total, 5))
+    both, both_covariances, both_facts = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 3))
+    count, pair = 0, 0
+    for k in range(total):
+        shape = current[k].copy()
+        beside = 0
+        for j in range(total):
+            if j != k and not twins(current[j], shape, 2.5) and _meet(current[j], shape, 14.0):
+                others[beside] = current[j]
+                beside += 1
+        step_px = _step_px(shape, spacing)
+        used, scale = _settle(
+            image, lens, shape, step_px, noise, filters, basis, blur, others[:beside],
+            samples[:_MOST_SAMPLES], 0.5 * least_arc,
+        )  # fmt: skip
+        if used == 0:
+            continue
+        two = False
+        if min(arcs_of_senses(samples, used, scale)) > LEAST_ARC:
+            two = fit_lip(
+                image, lens, shape, step_px, noise, filters, basis, blur, others[:beside],
+                samples, used, both, both_covariances, both_facts,
+            )  # fmt: skip
+        if two:
+            if both_facts[:, 0].max() < 0.8 * least_arc:
+                continue
+            for e in range(2):
+                if not _known(fitted, count, both[e]):
+                    fitted[count], covariances[count] = both[e], both_covariances[e]
+                    facts[count], pairs[count] = both_facts[e], pair
+                    count += 1
+            pair += 1
+            current[k] = both[0]
+        elif not _known(fitted, count, shape) and _fit_single(
+            samples, used, scale, 0.8 * least_arc, shape, covariances[count], facts[count]
+        ):
+            fitted[count], pairs[count] = shape, -1
+            count += 1
+            current[k] = shape
+    for e in range(count):
+        for j in range(5):
+            covariances[e, j, j] += floor * floor
+    return fitted[:count], covariances[:count], facts[:count], pairs[:count]
+
+
+@njit(cache=True, nogil=True)
+def _meet(a, b, near):  # type: ignore[no-untyped-def]
+    """Whether ellipse a comes within ``near`` px of some of 24 points of ellipse b."""
+    for k in range(24):
+        u0, u1 = np.cos(np.pi * k / 12.0), np.sin(np.pi * k / 12.0)
+        x, y = b[0] + b[2] * u0 + b[3] * u1, b[1] + b[3] * u0 + b[4] * u1
+        if abs(distance(a, x, y)) < near:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _step_px(shape, spacing):  # type: ignore[no-untyped-def]
+    """Between samples: as wanted, or as many samples as there is room for."""
+    row = axes_of_shape(shape)
+    around = np.pi * (3.0 * (row[2] + row[3])
+                      - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
+    return max(spacing, around / (0.8 * _MOST_SAMPLES))
+
+
+@njit(cache=True, nogil=True)
+def _settle(  # type: ignore[no-untyped-def]
+    image, lens, shape, step_px, noise, filters, basis, blur, others, samples, least_arc
+):
+    """Bring a shape onto its edge; number of samples, 0 where there is none, and their scale."""
+    n = 0
+    for step in range(4):
+        # The first look is a sparse one: it brings the ellipse onto the edge.
+        n = step_support(
+            image, lens, shape, 4.0 * step_px if step == 0 else step_px, 0.0, noise,
+            filters, basis, blur, others, samples,
+        )  # fmt: skip
+        if step == 0:
+            one_sense(samples, n)
+        scale = 2.0 if step == 0 else scale_of(samples, n)
+        moved = update_shape(samples, n, scale, shape, np.empty((5, 5)))
+        if moved < 0.0 or covered(samples, n, scale) < least_arc:
+            return 0, 0.0
+        if step > 0 and moved < 0.01:
+            break
+    return n, scale_of(samples, n)
+
+
+@njit(cache=True, nogil=True)
+def _fit_single(samples, n, scale, least_arc, shape, covariance, facts):  # type: ignore[no-untyped-def]
+    """The last step of one edge, its covariance and facts; whether enough bears it out."""
+    used, contrast, rms = trim(samples, n, scale)
+    arc = covered(samples, n, scale)
+    normal = np.empty((5, 5))
+    if used < 20 or arc < least_arc or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
+        return False
+    trace = np.trace(normal)
+    for j in range(5):
+        normal[j, j] += 1e-12 * trace
+    covariance[:] = np.linalg.inv(normal) * spread_of(samples, n)
+    facts[0], facts[1], facts[2] = arc, contrast, rms
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _known(fitted, count, shape):  # type: ignore[no-untyped-def]
+    """Whether an ellipse is there already."""
+    known = False
+    for j in range(count):
+        known |= twins(fitted[j], shape, 1.0)
+    return known

@@ -1,0 +1,182 @@
+"""How well the gradients of a picture bear an ellipse out, and the step that brings it onto them.
+
+`gradient_support` looks a few pixels to either side: fast, for hypotheses. `update_shape` solves
+for the five numbers of the ellipse by Gauss–Newton, from these samples or from those of `steps`.
+The ellipse is in pixels without lens distortion; every place read goes through the lens model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.lens import distorted
+
+Array = npt.NDArray[np.float64]
+
+# Columns of samples
+ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
+COLUMNS = 11
+_ALIGNED = 0.9  # cosine between gradient and normal
+_NO = 1e9
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def bend(x, y, lens):  # type: ignore[no-untyped-def]
+    """Pixel of an undistorted pixel; ``lens``: of ``lens_vector``, then whether it bends."""
+    if lens[12] == 0.0:
+        return x, y
+    u, v = distorted((x - lens[2]) / lens[0], (y - lens[3]) / lens[1], lens)
+    return lens[0] * u + lens[2], lens[1] * v + lens[3]
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def frame_at(shape, u0, u1):  # type: ignore[no-untyped-def]
+    """Point and outward unit normal of the ellipse at u."""
+    a, b, c = shape[2], shape[3], shape[4]
+    n0, n1 = c * u0 - b * u1, a * u1 - b * u0
+    size = np.sqrt(n0 * n0 + n1 * n1) + 1e-300
+    return shape[0] + a * u0 + b * u1, shape[1] + b * u0 + c * u1, n0 / size, n1 / size
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def distance(shape, x, y):  # type: ignore[no-untyped-def]
+    """Distance of a point from an ellipse, outside positive; exact for circles."""
+    a, b, c = shape[2], shape[3], shape[4]
+    ex, ey = x - shape[0], y - shape[1]
+    determinant = a * c - b * b
+    v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
+    g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
+    size = np.sqrt(v0 * v0 + v1 * v1)
+    return (size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300)
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def begin_sample(row, shape, lens, angle, u0, u1, room_px, width, height):  # type: ignore[no-untyped-def]
+    """Place and normal of a sample at an angle of the circle, u its cosine and sine.
+
+    WEIGHT is 0 where it has so much room in the picture, else -1. Returns the point and its outward
+    normal without the lens's distortion, and the point in the picture.
+    """
+    x, y, nx, ny = frame_at(shape, u0, u1)
+    row[ANGLE], row[PX], row[PY], row[NX], row[NY] = angle, x, y, nx, ny
+    row[U0], row[U1], row[OFFSET], row[CONTRAST] = u0, u1, 0.0, 0.0
+    rx, ry = bend(x, y, lens)
+    inside = (
+        rx > room_px and ry > room_px
+        and rx < width - room_px - 1.0 and ry < height - room_px - 1.0
+    )  # fmt: skip
+    row[WEIGHT] = 0.0 if inside else -1.0
+    return x, y, nx, ny, rx, ry
+
+
+@njit(cache=True, nogil=True)
+def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: ignore[no-untyped-def]
+    """Edges near an ellipse at ``count`` even angles of its circle; returns how many there are.
+
+    Fills OFFSET (px outwards), CONTRAST (signed slope, Sobel units) and WEIGHT (1 or 0; -1 outside
+    of the picture) of ``samples``.
+    """
+    height, width = dx.shape
+    found = 0
+    reach = int(np.ceil(band))
+    values = np.empty(2 * reach + 3)
+    for i in range(count):
+        angle = 2.0 * np.pi * i / count
+        u0, u1 = np.cos(angle), np.sin(angle)
+        row = samples[i]
+        _, _, nx, ny, rx, ry = begin_sample(
+            row, shape, lens, angle, u0, u1, reach + 2.5, width, height
+        )
+        if row[WEIGHT] < 0.0:
+            continue
+        best, at = low * 0.9, _NO
+        for k in range(2 * reach + 3):
+            d = k - reach - 1.0
+            column, line = int(rx + d * nx + 0.5), int(ry + d * ny + 0.5)
+            values[k] = dx[line, column] * nx + dy[line, column] * ny
+        for k in range(1, 2 * reach + 2):
+            size = abs(values[k])
+            if size < best or size < abs(values[k - 1]) or size < abs(values[k + 1]):
+                continue
+            d = k - reach - 1.0
+            column, line = int(rx + d * nx + 0.5), int(ry + d * ny + 0.5)
+            gx, gy = float(dx[line, column]), float(dy[line, column])
+            full = np.sqrt(gx * gx + gy * gy)
+            if size < _ALIGNED * full:
+                continue
+            near, far = abs(values[k - 1]), abs(values[k + 1])
+            curve = near + far - 2.0 * size
+            shift = 0.5 * (near - far) / curve if curve < 0.0 else 0.0
+            # The nearest edge, unless a much stronger one is beside it.
+            if abs(d + shift) <= band and (
+                at == _NO or size > 1.5 * best or abs(d + shift) < abs(at)
+            ):
+                best, at = max(size, low), d + shift
+                row[CONTRAST] = values[k]
+        if at != _NO:
+            row[OFFSET], row[WEIGHT] = at, 1.0
+            found += 1
+    return found
+
+
+@njit(cache=True, nogil=True)
+def add_equation(row, weight, value, normal, right):  # type: ignore[no-untyped-def]
+    """Add ``row · x = value`` to the lower half of normal equations (N, N) and right side (N,)."""
+    for j in range(row.shape[0]):
+        right[j] += weight * row[j] * value
+        for k in range(j + 1):
+            normal[j, k] += weight * row[j] * row[k]
+
+
+@njit(cache=True, nogil=True)
+def solve_equations(normal, right, damping, step):  # type: ignore[no-untyped-def]
+    """Fill in the upper half and solve, damped by a share of the trace; False: no equations."""
+    count = right.shape[0]
+    trace = 0.0
+    for j in range(count):
+        trace += normal[j, j]
+        for k in range(j):
+            normal[k, j] = normal[j, k]
+    if not trace > 0.0:
+        return False
+    damped = normal.copy()
+    for j in range(count):
+        damped[j, j] += damping * trace
+    step[:] = np.linalg.solve(damped, right)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-untyped-def]
+    """One robust Gauss–Newton step to the offsets; ``normal`` (5, 5) gets the normal equations.
+
+    Weights are WEIGHT times Tukey's of OFFSET / ``scale_px``. Returns the largest change, px;
+    a negative number where there is no solution.
+    """
+    normal[:] = 0.0
+    right, step = np.zeros(5), np.empty(5)
+    row = np.empty(5)
+    for i in range(count):
+        s = samples[i]
+        if s[WEIGHT] <= 0.0:
+            continue
+        z = s[OFFSET] / scale_px
+        if abs(z) >= 1.0:
+            continue
+        w = s[WEIGHT] * (1.0 - z * z) ** 2
+        row[0], row[1] = s[NX], s[NY]
+        row[2], row[4] = s[NX] * s[U0], s[NY] * s[U1]
+        row[3] = s[NX] * s[U1] + s[NY] * s[U0]
+        add_equation(row, w, s[OFFSET], normal, right)
+    if not solve_equations(normal, right, 1e-7, step):
+        return -1.0
+    largest = np.max(np.abs(step))
+    limit = 0.25 * (shape[2] + shape[4])
+    if not largest < limit:
+        return -1.0
+    shape += step
+    if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
+        return -1.0
+    return largest

@@ -1,0 +1,153 @@
+"""Which rough ellipses the gradients bear out, and settling on them.
+
+Along a candidate enough of the circle must be edge, with one sense of contrast for a stretch. What
+lives on the edges of better ellipses is dropped.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rendezview.sensors.ring.ellipse import axes_of_shape, shape_of_axes
+from rendezview.sensors.ring.support import (
+    COLUMNS,
+    CONTRAST,
+    PX,
+    PY,
+    WEIGHT,
+    distance,
+    gradient_support,
+    update_shape,
+)
+
+_SUPPORT_SAMPLES = 120
+
+
+@njit(cache=True, nogil=True)
+def verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # type: ignore[no-untyped-def]
+    """Rough ellipses (K, 5) that the gradients bear out, settled on them: shapes (M, 5)."""
+    kept = np.empty((most, 5))
+    value = np.empty(most)
+    count = 0
+    samples = np.zeros((_SUPPORT_SAMPLES, COLUMNS))
+    normal = np.empty((5, 5))
+    n = _SUPPORT_SAMPLES
+    for k in range(rough.shape[0]):
+        shape = shape_of_axes(rough[k])
+        good = True
+        twin = False
+        for step in range(4):
+            band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
+            n = _SUPPORT_SAMPLES // 2
+            found = gradient_support(dx, dy, low, lens, shape, n, band, samples)
+            if found * 2.0 * np.pi / n < 0.7 * least_arc:
+                good = False
+                break
+            one_sense(samples, n)
+            moved = update_shape(samples, n, band + 1.0, shape, normal)
+            row = axes_of_shape(shape)
+            if (
+                moved < 0.0
+                or row[3] < limits[0]
+                or row[2] > limits[1]
+                or row[3] < limits[2] * row[2]
+            ):
+                good = False
+                break
+            for j in range(count):
+                if twins(kept[j], shape, 1.5):
+                    twin = True
+            if twin or moved < 0.1:
+                break
+        if not good or twin:
+            continue
+        n = _SUPPORT_SAMPLES
+        gradient_support(dx, dy, low, lens, shape, n, 1.5, samples)
+        one_sense(samples, n)
+        found, longest = _runs(samples, n)
+        share = found / n
+        if share * 2.0 * np.pi < least_arc or longest < least_share * found / 3.0:
+            continue
+        at = count
+        if count == most:
+            at = int(np.argmin(value))
+            if value[at] >= share:
+                continue
+        else:
+            count += 1
+        kept[at] = shape
+        value[at] = share
+    return _exclusive(dx, dy, low, lens, kept[np.argsort(-value[:count])], least_arc)
+
+
+@njit(cache=True, nogil=True)
+def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped-def]
+    """Shapes (M, 5), best first, less those that live on the edges of better ones."""
+    n = _SUPPORT_SAMPLES
+    samples = np.zeros((n, COLUMNS))
+    kept = np.empty_like(shapes)
+    count = 0
+    for k in range(shapes.shape[0]):
+        gradient_support(dx, dy, low, lens, shapes[k], n, 1.5, samples)
+        one_sense(samples, n)
+        own = 0
+        for i in range(n):
+            if samples[i, WEIGHT] > 0.0:
+                free = True
+                for j in range(count):
+                    if abs(distance(kept[j], samples[i, PX], samples[i, PY])) < 2.0:
+                        free = False
+                        break
+                own += free
+        if own * 2.0 * np.pi / n >= 0.8 * least_arc:
+            kept[count] = shapes[k]
+            count += 1
+    return kept[:count]
+
+
+@njit(cache=True, nogil=True)
+def one_sense(samples, n):  # type: ignore[no-untyped-def]
+    """Leave out edges against the sense of their neighbourhood: a ring's edge keeps it for long."""
+    half = n // 20
+    keep = np.ones(n, dtype=np.bool_)
+    for i in range(n):
+        if samples[i, WEIGHT] <= 0.0:
+            continue
+        same, other = 0, 0
+        for k in range(-half, half + 1):
+            j = (i + k) % n
+            if samples[j, WEIGHT] > 0.0:
+                if samples[j, CONTRAST] * samples[i, CONTRAST] > 0.0:
+                    same += 1
+                else:
+                    other += 1
+        keep[i] = same > other and 3 * same > half + half // 2
+    for i in range(n):
+        if not keep[i]:
+            samples[i, WEIGHT] = 0.0
+
+
+@njit(cache=True, nogil=True)
+def _runs(samples, n):  # type: ignore[no-untyped-def]
+    """How many samples found an edge, and the longest run of them (gaps of two allowed)."""
+    found, longest, run, gap = 0, 0, 0, 9
+    for i in range(2 * n):
+        s = samples[i % n, WEIGHT] > 0.0
+        if s and i < n:
+            found += 1
+        if s:
+            run += 1
+            gap = 0
+        else:
+            gap += 1
+            if gap > 2:
+                run = 0
+        longest = max(longest, run)
+    return found, min(longest, n)
+
+
+@njit(cache=True, nogil=True)
+def twins(a, b, near):  # type: ignore[no-untyped-def]
+    """Whether two shapes are one ellipse, to ``near`` px."""
+    return bool(np.max(np.abs(a - b)) <= near)

@@ -1,0 +1,178 @@
+"""Whether the lights agree on one rigid body, and which of them to leave out where they do not.
+
+A light that is seen by reflection, or under another light's number, makes the sum of squares
+too large for its degrees of freedom. Every fault is then tried: two lights exchanged, in one
+camera or in all; one spot, one light, two of either, or a whole camera left out. With so few
+lights all the possibilities can be tried, so the answer does not depend on chance.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import chdtri
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.stereo.collinearity import lights_seen, rotation_vector, solve
+from rendezview.sensors.stereo.rig import Rig, Sights
+
+_FALSE_ALARM = 1e-5  # of a reading without fault
+LIMITS = np.concatenate([[np.inf], chdtri(np.arange(1, 2001), _FALSE_ALARM)])
+TOLERANCE = 0.3  # of a standard deviation: the step after one so short is a twentieth of it
+ITERATIONS = 15
+_LIKE = 9.0  # sums of squares closer than this do not tell two explanations apart
+_APART = 30.0  # squared distance of two poses, in standard deviations, that matters
+_FEWEST_SPARE = 2  # equations left over: with none, anything agrees
+_ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
+_MOST_TRIED = 1500
+UNKNOWNS = 6
+FEWEST_LIGHTS = 3  # two leave a turn about the line between them
+_NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
+
+
+@dataclass(slots=True, eq=False)
+class Fit:
+    """A pose with what the equations say of it; arrays are the fit's own."""
+
+    rotation: Array  # (3, 3) rig from target
+    translation: Array  # (3,)
+    information: Array  # (6, 6) rig frame
+    cost: float  # sum of squares, in variances
+    spare: int  # equations more than unknowns
+    steps: int
+    sights: Sights  # what it was solved from, faults mended
+    left_out: tuple[tuple[int, int], ...] = ()  # (camera, light)
+    exchanged: tuple[tuple[int, int], ...] = ()  # (light, light)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the sum of squares is as small as noise alone makes it."""
+        return self.spare >= 0 and self.cost <= LIMITS[min(self.spare, len(LIMITS) - 1)]
+
+
+def iterate(
+    rig: Rig,
+    leds: Array,
+    sights: Sights,
+    rotation: Array,
+    translation: Array,
+    iterations: int = ITERATIONS,
+) -> Fit | None:
+    """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
+    fit = Fit(
+        np.array(rotation, order="C"), np.array(translation), np.empty((6, 6)), 0.0,
+        int(np.count_nonzero(sights.weight)) - UNKNOWNS, 0, sights,
+    )  # fmt: skip
+    if fit.spare < 0 or lights_seen(sights.weight) < FEWEST_LIGHTS:
+        return None
+    fit.cost, fit.steps, done = solve(
+        fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy,
+        sights.weight, _NOTHING, _IDENTITY, _ORIGIN, iterations, TOLERANCE, fit.information,
+    )  # fmt: skip
+    if not (done or iterations == 1) or not fit.cost < np.inf:
+        return None
+    return fit
+
+
+@dataclass(frozen=True, slots=True)
+class Disagreement:
+    """No subset of the lights agrees, or two do and contradict each other."""
+
+    reason: str
+    ambiguous: bool = False
+
+
+def agree(
+    rig: Rig, leds: Array, sights: Sights, rotation: Array, translation: Array
+) -> Fit | Disagreement:
+    """The fit of all lights, or of what is left when the likeliest fault is mended.
+
+    A fault is likelier the fewer equations it takes away: each light left out in a camera
+    could have been anywhere, which costs as much as `_ANYWHERE` of the sum of squares.
+    """
+    whole = iterate(rig, leds, sights, rotation, translation)
+    if whole is not None and whole.agrees:
+        return whole
+    if whole is not None:
+        rotation, translation = whole.rotation, whole.translation
+    passing: list[tuple[float, Fit]] = []
+    for mended, left_out, exchanged in itertools.islice(_mended(sights), _MOST_TRIED):
+        if np.count_nonzero(mended.weight) - UNKNOWNS < _FEWEST_SPARE:
+            continue
+        fit = iterate(rig, leds, mended, rotation, translation)
+        if fit is not None and fit.agrees:
+            fit.left_out, fit.exchanged = left_out, exchanged
+            passing.append((fit.cost + _ANYWHERE * len(left_out), fit))
+    if not passing:
+        if whole is None:
+            return Disagreement("the lights do not determine a pose")
+        return Disagreement(
+            f"the lights do not fit the target: sum of squares {whole.cost:.0f} for "
+            f"{whole.spare} degrees of freedom, with any two lights left out too"
+        )
+    passing.sort(key=lambda pair: pair[0])
+    score, best = passing[0]
+    for other_score, other in passing[1:]:
+        if other_score - score < _LIKE and distance(best, other) > _APART:
+            return Disagreement(
+                "the lights contradict each other, and which of them is false cannot be told "
+                f"({_told(best)}, or {_told(other)})",
+                ambiguous=True,
+            )
+    return best
+
+
+def distance(one: Fit, other: Fit) -> float:
+    """Squared distance of two poses in standard deviations of the first."""
+    away = np.empty(6)
+    rotation_vector(other.rotation @ one.rotation.T, away)
+    away[3:] = other.translation - one.translation
+    return float(away @ one.information @ away)
+
+
+def _told(fit: Fit) -> str:
+    left = [f"light {light + 1} in camera {camera + 1}" for camera, light in fit.left_out]
+    swapped = [f"lights {a + 1} and {b + 1} exchanged" for a, b in fit.exchanged]
+    return ", ".join(left + swapped)
+
+
+def _mended(
+    sights: Sights,
+) -> Iterator[tuple[Sights, tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]]:
+    """Sights without a fault, for every fault: what is left out, which lights exchanged."""
+    cameras = range(len(sights.weight))
+    seen = sights.seen
+    lights = np.flatnonzero(seen.any(axis=0)).tolist()
+    for a, b in itertools.combinations(lights, 2):
+        everywhere: list[list[int]] = [list(cameras)]
+        for which in everywhere + [[k] for k in cameras if len(seen) > 1]:
+            if any(seen[k, a] or seen[k, b] for k in which):
+                xy, weight = sights.xy.copy(), sights.weight.copy()
+                for k in which:
+                    xy[k, [a, b]], weight[k, [a, b]] = xy[k, [b, a]], weight[k, [b, a]]
+                yield Sights(xy, weight), (), ((a, b),)
+    for left_out in _ways_to_leave_out(seen):
+        weight = sights.weight.copy()
+        for camera, light in left_out:
+            weight[camera, light] = 0.0
+        yield Sights(sights.xy, weight), left_out, ()
+
+
+def _ways_to_leave_out(seen: npt.NDArray[np.bool_]) -> Iterator[tuple[tuple[int, int], ...]]:
+    """Sets of (camera, light) to leave out: a spot, a light, two of either, a camera."""
+    spots = [(int(k), int(j)) for k, j in zip(*np.nonzero(seen), strict=True)]
+    by_light = [
+        tuple(spot for spot in spots if spot[1] == j) for j in sorted({j for _, j in spots})
+    ]
+    yield from ((spot,) for spot in spots)
+    yield from (light for light in by_light if len(light) > 1)
+    yield from itertools.combinations(spots, 2)
+    yield from (a + b for a, b in itertools.combinations(by_light, 2) if len(a + b) > 2)
+    if len(seen) > 1:
+        yield from (
+            tuple(spot for spot in spots if spot[0] == k) for k in range(len(seen)) if seen[k].any()
+        )

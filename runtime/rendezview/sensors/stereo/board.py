@@ -1,0 +1,268 @@
+"""Ordinary cameras from pictures of a chessboard, and OpenCV's own words for a rig."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.files import StrPath
+from rendezview.sensors.stereo.bundle import Adjusted, Bundle, Observations, adjust
+from rendezview.sensors.stereo.lens import Lens
+from rendezview.sensors.stereo.rig import Rig, RigCamera
+
+OPENCV_FIVE = ("fx", "fy", "cx", "cy", "l1", "l2", "l3", "p1", "p2")  # as cv2.calibrateCamera
+_FEWEST_VIEWS = 3
+_WINDOW_PX = 5  # half-width; a wider one takes in the neighbouring corners of small squares
+_CORNER_PX = 1.0  # σ to begin with; the residuals tell the true one
+
+
+@dataclass(frozen=True, slots=True)
+class Chessboard:
+    """Inner corners and their pitch."""
+
+    columns: int
+    rows: int
+    pitch_m: float
+
+    @property
+    def points_m(self) -> Array:
+        """(columns × rows, 3) corners, row by row, z = 0."""
+        grid = np.mgrid[: self.columns, : self.rows].T.reshape(-1, 2)
+        return np.column_stack([grid * self.pitch_m, np.zeros(len(grid))])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardViews:
+    """Corners that cameras saw of one board at several places."""
+
+    board: Chessboard
+    names: tuple[str, ...]  # of the cameras
+    sizes: tuple[tuple[int, int], ...]  # width, height in px
+    corners: tuple[tuple[Array | None, ...], ...]  # [camera][view] (N, 2) px
+
+
+def read_board_views(
+    folders: Sequence[tuple[str, Sequence[StrPath]]], board: Chessboard
+) -> BoardViews:
+    """Find the board in every picture; equal indices are equal moments.
+
+    Raises:
+        RendezviewError: a picture cannot be read or differs in size, or no board in any.
+    """
+    sizes, corners = [], []
+    for name, paths in folders:
+        size: tuple[int, int] | None = None
+        found: list[Array | None] = []
+        for path in paths:
+            grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            if grey is None:
+                raise RendezviewError(f"{path}: is no picture that can be read: replace it")
+            if size not in (None, grey.shape[::-1]):
+                raise RendezviewError(
+                    f"{path}: is {grey.shape[1]} × {grey.shape[0]} pixels, the others of camera "
+                    f"{name!r} are {size}: give pictures of one camera"
+                )
+            size = (int(grey.shape[1]), int(grey.shape[0]))
+            found.append(find_corners(np.asarray(grey, np.uint8), board))
+        if size is None or sum(view is not None for view in found) < _FEWEST_VIEWS:
+            raise RendezviewError(
+                f"camera {name!r}: the board with {board.columns} × {board.rows} inner corners is "
+                f"in {sum(view is not None for view in found)} of {len(found)} pictures, "
+                f"{_FEWEST_VIEWS} are needed: check --board"
+            )
+        sizes.append(size)
+        corners.append(tuple(found))
+    return BoardViews(board, tuple(name for name, _ in folders), tuple(sizes), tuple(corners))
+
+
+def find_corners(grey: npt.NDArray[np.uint8], board: Chessboard) -> Array | None:
+    """(N, 2) sub-pixel corners of a chessboard; ``None`` where it is not seen whole."""
+    shape = (board.columns, board.rows)
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    ok, corners = cv2.findChessboardCorners(grey, shape, flags=flags)
+    if not ok:
+        return None
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
+    refined = cv2.cornerSubPix(grey, corners, (_WINDOW_PX, _WINDOW_PX), (-1, -1), criteria)
+    return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+
+
+def picture_pairs(folder: StrPath) -> list[tuple[str, list[Path]]]:
+    """The pictures of a folder by camera: ``left01.jpg right01.jpg …`` or ``left/ right/``.
+
+    Raises:
+        RendezviewError: no two kinds of pictures with the same numbers.
+    """
+    base = Path(folder)
+    suffixes = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
+    by_camera: dict[str, dict[str, Path]] = {}
+    for path in sorted([*base.glob("*"), *base.glob("*/*")]):
+        if path.suffix.lower() not in suffixes:
+            continue
+        parted = re.fullmatch(r"(.*?)[_-]?(\d+)", path.stem)
+        if parted is None:
+            continue
+        name = parted[1] if path.parent == base else path.parent.name
+        by_camera.setdefault(name, {})[parted[2]] = path
+    if not by_camera:
+        raise RendezviewError(
+            f"{folder}: no numbered pictures: name them left01.jpg right01.jpg, or left/01.jpg …"
+        )
+    common = sorted(set.intersection(*(set(numbers) for numbers in by_camera.values())), key=int)
+    if not common:
+        raise RendezviewError(f"{folder}: the cameras {sorted(by_camera)} share no picture number")
+    return [(name, [paths[k] for k in common]) for name, paths in sorted(by_camera.items())]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardCalibration:
+    """A rig from a board, with the steps on the way."""
+
+    rig: Rig
+    alone: tuple[Adjusted, ...]  # each camera by itself
+    together: Adjusted  # all at once
+
+
+def calibrate_board(
+    views: BoardViews,
+    *,
+    free: tuple[str, ...] = OPENCV_FIVE,
+    corrects: bool = False,
+    board_sigma_m: float | None = None,
+) -> BoardCalibration:
+    """Cameras, lenses and their places from a board; the rig frame is the first camera's.
+
+    Args:
+        views: what was seen; a moment that only one camera sees counts for that camera.
+        free: which intrinsics to adjust, from `rendezview.sensors.stereo.bundle.INTRINSICS`, or "f"
+            for one focal length instead of "fx" and "fy".
+        corrects: the lens in the paper's sense (measured to ideal) in place of OpenCV's.
+        board_sigma_m: how far the corners may be from where the board says; None: exact.
+
+    Raises:
+        RendezviewError: too few views, or views that do not determine the parameters.
+    """
+    points = views.board.points_m
+    alone = tuple(_alone(views, k, points, free, corrects) for k in range(len(views.names)))
+    cameras, poses = _joined(views, alone)
+    used = [v for v, pose in enumerate(poses) if pose is not None]
+    bundle = Bundle(
+        cameras, tuple(poses[v] for v in used), points, (free,) * len(cameras),  # type: ignore[misc]
+        (False, *([True] * (len(cameras) - 1))), (True,) * len(used), board_sigma_m,
+    )  # fmt: skip
+    together = adjust(bundle, _observations(views, range(len(cameras)), used)).scaled()
+    return BoardCalibration(rig_of(together), alone, together)
+
+
+def rig_of(adjusted: Adjusted) -> Rig:
+    """The rig of an adjusted bundle: each camera with its σ and residual."""
+    cameras = []
+    for k, camera in enumerate(adjusted.bundle.cameras):
+        prefix = f"{camera.name}."
+        sigma = {
+            name.removeprefix(prefix): value
+            for name, value in adjusted.sigma.items()
+            if name.startswith(prefix)
+        }
+        rms = float(np.sqrt((adjusted.residuals[adjusted.camera == k] ** 2).mean()))
+        # Of a picture camera all that is left counts against each spot: corners cannot tell
+        # their own noise from what the model cannot follow.
+        floor = rms if camera.photodiode is None else camera.floor
+        cameras.append(replace(camera, sigma=sigma, rms=rms, floor=floor))
+    kept = [i for i, name in enumerate(adjusted.names) if not name.startswith(("view", "point"))]
+    return Rig(
+        tuple(cameras), adjusted.covariance[np.ix_(kept, kept)],
+        tuple(adjusted.names[i] for i in kept),
+    )  # fmt: skip
+
+
+def _observations(views: BoardViews, cameras: Sequence[int], used: Sequence[int]) -> Observations:
+    camera, view, point, places = [], [], [], []
+    for i, k in enumerate(cameras):
+        for j, v in enumerate(used):
+            corners = views.corners[k][v]
+            if corners is None:
+                continue
+            camera.append(np.full(len(corners), i))
+            view.append(np.full(len(corners), j))
+            point.append(np.arange(len(corners)))
+            places.append(corners)
+    positions = np.concatenate(places)
+    return Observations(
+        np.concatenate(camera), np.concatenate(view), np.concatenate(point), positions,
+        np.full(positions.shape, _CORNER_PX),
+    )  # fmt: skip
+
+
+def _alone(
+    views: BoardViews, k: int, points: Array, free: tuple[str, ...], corrects: bool
+) -> Adjusted:
+    """One camera by itself: its rig frame is its own."""
+    used = [v for v, corners in enumerate(views.corners[k]) if corners is not None]
+    corners = [np.asarray(views.corners[k][v], dtype=np.float32) for v in used]
+    boards = [points.astype(np.float32)] * len(used)
+    matrix = cv2.initCameraMatrix2D(boards, corners, views.sizes[k])
+    if not (np.isfinite(matrix).all() and matrix[0, 0] > 0.0 and matrix[1, 1] > 0.0):
+        raise RendezviewError(
+            f"camera {views.names[k]!r}: the views do not give a focal length: tilt the board more"
+        )
+    focal = 0.5 * (matrix[0, 0] + matrix[1, 1])
+    camera = RigCamera(
+        views.names[k], focal, focal, float(matrix[0, 2]), float(matrix[1, 2]), Pose.identity(),
+        Lens(corrects=corrects), views.sizes[k],
+    )  # fmt: skip
+    poses = tuple(_board_pose(camera, points, np.asarray(found)) for found in corners)
+    bundle = Bundle((camera,), poses, points, (free,), (False,), (True,) * len(used))
+    return adjust(bundle, _observations(views, [k], used)).scaled()
+
+
+def _board_pose(camera: RigCamera, points: Array, corners: Array) -> Pose:
+    """camera_from_board of one view, lens left aside."""
+    matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+    ok, turn, place = cv2.solvePnP(
+        points, corners.astype(np.float64), matrix, None, flags=cv2.SOLVEPNP_IPPE
+    )
+    if not ok:
+        raise RendezviewError("a view of the board gives no pose: check --board and its pictures")
+    return Pose(
+        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place.ravel(), np.float64)
+    )
+
+
+def _joined(
+    views: BoardViews, alone: tuple[Adjusted, ...]
+) -> tuple[tuple[RigCamera, ...], list[Pose | None]]:
+    """Cameras in the first one's frame, and rig_from_board of every view that is seen."""
+    by_view: list[dict[int, Pose]] = []
+    for k, one in enumerate(alone):
+        used = [v for v, corners in enumerate(views.corners[k]) if corners is not None]
+        by_view.append(dict(zip(used, one.bundle.views, strict=True)))
+    cameras = [alone[0].bundle.cameras[0]]
+    for k in range(1, len(alone)):
+        both = sorted(set(by_view[0]) & set(by_view[k]))
+        if not both:
+            raise RendezviewError(
+                f"cameras {views.names[0]!r} and {views.names[k]!r} never see the board together"
+            )
+        relative = [by_view[k][v] @ by_view[0][v].inverse() for v in both]
+        middle = np.argmin(
+            [sum(a.angle_to(b) for b in relative) for a in relative]
+        )  # the medoid: one bad view does no harm
+        cameras.append(replace(alone[k].bundle.cameras[0], camera_from_rig=relative[int(middle)]))
+    poses: list[Pose | None] = []
+    for v in range(len(views.corners[0])):
+        pose = None
+        for k, camera in enumerate(cameras):
+            if v in by_view[k]:
+                pose = camera.camera_from_rig.inverse() @ by_view[k][v]
+                break
+        poses.append(pose)
+    return tuple(cameras), poses

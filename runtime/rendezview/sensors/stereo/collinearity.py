@@ -1,0 +1,354 @@
+"""The collinearity equations of all lights in all cameras, linearised and solved.
+
+Welch et al., eq. 3 and 4 with Newton's approximation: two equations for each light in each
+camera (24 for six lights and two cameras), six unknowns. The attitude is a rotation matrix
+with a small left rotation vector as its unknown, so that no attitude is singular; yaw,
+pitch and roll appear in `rendezview.sensors.stereo.euler` only.
+
+Frames: everything in the rig frame, ``p_rig = R p_target + t``. Arrays named alike in all
+functions: ``leds`` (L, 3) target frame; ``cr`` (C, 3, 3), ``ct`` (C, 3) camera from rig;
+``xy``, ``weight`` (C, L, 2) as in `rendezview.sensors.stereo.rig.Sights`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+Array = npt.NDArray[np.float64]
+
+_NEAREST = 1e-9  # metres in front of a camera
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
+def normal_equations(
+    rotation: Array,
+    translation: Array,
+    leds: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    information: Array,
+    gradient: Array,
+) -> float:
+    """Fill JᵀJ (6, 6) and Jᵀr (6,) of the weighted equations; returns the sum of squares.
+
+    Residual: seen less predicted, over σ. Infinite where a light is behind a camera.
+    """
+    # The sums are kept in scalars: in arrays they cost more than the equations.
+    cost = 0.0
+    b0 = b1 = b2 = b3 = b4 = b5 = 0.0
+    n00 = n10 = n11 = n20 = n21 = n22 = n30 = n31 = n32 = n33 = 0.0
+    n40 = n41 = n42 = n43 = n44 = n50 = n51 = n52 = n53 = n54 = n55 = 0.0
+    for j in range(leds.shape[0]):
+        a, b, c = leds[j, 0], leds[j, 1], leds[j, 2]
+        ax = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+        ay = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+        az = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+        px, py, pz = ax + translation[0], ay + translation[1], az + translation[2]
+        for k in range(cr.shape[0]):
+            if weight[k, j, 0] == 0.0:
+                continue
+            m20, m21, m22 = cr[k, 2, 0], cr[k, 2, 1], cr[k, 2, 2]
+            z = m20 * px + m21 * py + m22 * pz + ct[k, 2]
+            if not z > _NEAREST:
+                return np.inf
+            inverse = 1.0 / z
+            for i in range(2):
+                m0, m1, m2 = cr[k, i, 0], cr[k, i, 1], cr[k, i, 2]
+                x = (m0 * px + m1 * py + m2 * pz + ct[k, i]) * inverse  # eq. 4
+                r = weight[k, j, i] * (xy[k, j, i] - x)
+                w = weight[k, j, i] * inverse
+                gx, gy, gz = w * (m0 - x * m20), w * (m1 - x * m21), w * (m2 - x * m22)
+                # d p / d(rotation vector) = −[R p]×, so the row is (R p) × g
+                h0, h1, h2 = ay * gz - az * gy, az * gx - ax * gz, ax * gy - ay * gx
+                cost += r * r
+                b0, b1, b2 = b0 + h0 * r, b1 + h1 * r, b2 + h2 * r
+                b3, b4, b5 = b3 + gx * r, b4 + gy * r, b5 + gz * r
+                n00, n10, n20 = n00 + h0 * h0, n10 + h1 * h0, n20 + h2 * h0
+                n30, n40, n50 = n30 + gx * h0, n40 + gy * h0, n50 + gz * h0
+                n11, n21, n31 = n11 + h1 * h1, n21 + h2 * h1, n31 + gx * h1
+                n41, n51, n22 = n41 + gy * h1, n51 + gz * h1, n22 + h2 * h2
+                n32, n42, n52 = n32 + gx * h2, n42 + gy * h2, n52 + gz * h2
+                n33, n43, n53 = n33 + gx * gx, n43 + gy * gx, n53 + gz * gx
+                n44, n54, n55 = n44 + gy * gy, n54 + gz * gy, n55 + gz * gz
+    gradient[0], gradient[1], gradient[2] = b0, b1, b2
+    gradient[3], gradient[4], gradient[5] = b3, b4, b5
+    information[0, 0] = n00
+    information[1, 0], information[1, 1] = n10, n11
+    information[2, 0], information[2, 1], information[2, 2] = n20, n21, n22
+    information[3, 0], information[3, 1], information[3, 2], information[3, 3] = n30, n31, n32, n33
+    information[4, 0], information[4, 1], information[4, 2] = n40, n41, n42
+    information[4, 3], information[4, 4] = n43, n44
+    information[5, 0], information[5, 1], information[5, 2] = n50, n51, n52
+    information[5, 3], information[5, 4], information[5, 5] = n53, n54, n55
+    for i in range(6):
+        for j in range(i):
+            information[j, i] = information[i, j]
+    return cost
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def squares(
+    rotation: Array,
+    translation: Array,
+    leds: Array,
+    normals: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    out: Array,
+) -> None:
+    """Fill (C, L) sums of squared weighted residuals of each light in each camera.
+
+    0 where not seen; infinite where the light would be behind the camera or shine away from
+    it (``normals`` (L, 3), zeros where its beam is not known).
+    """
+    for j in range(leds.shape[0]):
+        p = rotation @ leds[j] + translation
+        n = rotation @ normals[j]
+        for k in range(cr.shape[0]):
+            out[k, j] = 0.0
+            if weight[k, j, 0] == 0.0:
+                continue
+            q = cr[k] @ p + ct[k]
+            m = cr[k] @ n
+            if not q[2] > _NEAREST or m[0] * q[0] + m[1] * q[1] + m[2] * q[2] > 0.0:
+                out[k, j] = np.inf
+                continue
+            rx = weight[k, j, 0] * (xy[k, j, 0] - q[0] / q[2])
+            ry = weight[k, j, 1] * (xy[k, j, 1] - q[1] / q[2])
+            out[k, j] = rx * rx + ry * ry
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cholesky_solve(matrix: Array, vector: Array, lower: Array, solution: Array) -> bool:
+    """Solve a small positive definite system in place of LAPACK's overhead; False if it is not."""
+    n = vector.shape[0]
+    for i in range(n):
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not s > 1e-13 * matrix[i, i]:
+                    return False
+                lower[i, i] = np.sqrt(s)
+            else:
+                lower[i, j] = s / lower[j, j]
+    for i in range(n):
+        s = vector[i]
+        for k in range(i):
+            s -= lower[i, k] * solution[k]
+        solution[i] = s / lower[i, i]
+    for i in range(n - 1, -1, -1):
+        s = solution[i]
+        for k in range(i + 1, n):
+            s -= lower[k, i] * solution[k]
+        solution[i] = s / lower[i, i]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def invert(information: Array, lower: Array, out: Array) -> bool:
+    """Inverse of a (6, 6) positive definite matrix by its Cholesky factor; False if it is not."""
+    for i in range(6):
+        for j in range(i + 1):
+            s = information[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                lower[i, i] = np.sqrt(s)
+            else:
+                lower[i, j] = s / lower[j, j]
+    for i in range(6):  # the factor's own inverse, in its place
+        lower[i, i] = 1.0 / lower[i, i]
+        for j in range(i):
+            s = 0.0
+            for k in range(j, i):
+                s -= lower[i, k] * lower[k, j]
+            lower[i, j] = s * lower[i, i]
+    for i in range(6):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, 6):
+                s += lower[k, i] * lower[k, j]
+            out[i, j] = out[j, i] = s
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def lights_seen(weight: Array) -> int:
+    """How many lights any camera sees."""
+    count = 0
+    for j in range(weight.shape[1]):
+        for k in range(weight.shape[0]):
+            if weight[k, j, 0] > 0.0:
+                count += 1
+                break
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turn(step: Array, rotation: Array, turned: Array) -> None:
+    """``exp([step[:3]]×) @ rotation`` (Rodrigues, by the half-angle quaternion)."""
+    x, y, z = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]
+    h2 = x * x + y * y + z * z
+    if h2 > 1e-8:
+        h = np.sqrt(h2)
+        s, c = np.sin(h) / h, np.cos(h)
+    else:
+        s, c = 1.0 - h2 / 6.0, 1.0 - 0.5 * h2 + h2 * h2 / 24.0
+    x, y, z = x * s, y * s, z * s
+    m00, m01, m02 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - c * z), 2.0 * (x * z + c * y)
+    m10, m11, m12 = 2.0 * (x * y + c * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - c * x)
+    m20, m21, m22 = 2.0 * (x * z - c * y), 2.0 * (y * z + c * x), 1.0 - 2.0 * (x * x + y * y)
+    for j in range(3):
+        a, b, d = rotation[0, j], rotation[1, j], rotation[2, j]
+        turned[0, j] = m00 * a + m01 * b + m02 * d
+        turned[1, j] = m10 * a + m11 * b + m12 * d
+        turned[2, j] = m20 * a + m21 * b + m22 * d
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rotation_vector(m: Array, out: Array) -> None:
+    """Rotation vector (3,) of a rotation matrix, angle in [0, π]."""
+    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    sine = 0.5 * np.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (m[0, 0] + m[1, 1] + m[2, 2] - 1.0)
+    angle = np.arctan2(sine, cosine)
+    if sine > 1e-6:
+        scale = 0.5 * angle / sine
+        out[0], out[1], out[2] = scale * x, scale * y, scale * z
+    elif cosine > 0.0:
+        out[0], out[1], out[2] = 0.5 * x, 0.5 * y, 0.5 * z
+    else:  # a half turn: the axis is the largest column of (R + I)/2
+        k = 0
+        for i in range(1, 3):
+            if m[i, i] > m[k, k]:
+                k = i
+        size = np.sqrt(max(0.5 * (m[k, k] + 1.0), 1e-300))
+        for i in range(3):
+            out[i] = angle * (m[i, k] + (1.0 if i == k else 0.0)) * 0.5 / size
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(
+    rotation: Array,
+    translation: Array,
+    leds: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    prior: Array,
+    prior_rotation: Array,
+    prior_translation: Array,
+    iterations: int,
+    tolerance: float,
+    information: Array,
+) -> tuple[float, int, bool]:
+    """Newton-linearised least squares from (rotation, translation), which become the answer.
+
+    Plain steps as in the paper; one that makes the sum of squares larger is shortened by
+    Levenberg's and Marquardt's damping.
+
+    Args:
+        prior: (6, 6) information about the pose besides the equations, zeros for none,
+            around (prior_rotation, prior_translation).
+        iterations: at most so many steps are taken; 1 is the paper's single iteration.
+        tolerance: of the step's length in standard deviations, where it ends.
+        information: (6, 6) becomes that at the answer, prior included.
+
+    Returns:
+        sum of squares, steps taken, and whether it ended within the tolerance.
+    """
+    gradient = np.empty(6)
+    damped = np.empty((6, 6))
+    lower = np.zeros((6, 6))
+    step = np.empty(6)
+    trial_r, trial_t = np.empty((3, 3)), np.empty(3)
+    trial_information, trial_gradient = np.empty((6, 6)), np.empty(6)
+    has_prior = prior[0, 0] > 0.0
+    cost = normal_equations(
+        rotation, translation, leds, cr, ct, xy, weight, information, gradient
+    )  # fmt: skip
+    if has_prior:
+        cost += _add_prior(
+            rotation, translation, prior, prior_rotation, prior_translation, information, gradient
+        )
+    if not cost < np.inf:
+        return np.inf, 0, False
+    damping = 0.0
+    for taken in range(1, iterations + 1):
+        while True:
+            for i in range(6):
+                for j in range(6):
+                    damped[i, j] = information[i, j]
+                damped[i, i] *= 1.0 + damping
+            if not cholesky_solve(damped, gradient, lower, step):
+                if damping > 1e9 or not information[0, 0] > 0.0:
+                    return cost, taken, False
+                damping = max(10.0 * damping, 1e-6)
+                continue
+            length = 0.0  # stepᵀ JᵀJ step, since JᵀJ step = Jᵀr
+            for i in range(6):
+                length += step[i] * gradient[i]
+                trial_t[i % 3] = translation[i % 3] + step[3 + i % 3]
+            if not length < 1e30:
+                return cost, taken, False
+            turn(step, rotation, trial_r)
+            if length < tolerance * tolerance and damping < 1e-2:
+                rotation[:] = trial_r
+                translation[:] = trial_t
+                return cost - length, taken, True  # so short a step is as good as linear
+            trial = normal_equations(
+                trial_r, trial_t, leds, cr, ct, xy, weight, trial_information, trial_gradient
+            )
+            if has_prior and trial < np.inf:
+                trial += _add_prior(
+                    trial_r, trial_t, prior, prior_rotation, prior_translation,
+                    trial_information, trial_gradient,
+                )  # fmt: skip
+            if trial <= cost * (1.0 + 1e-12) + 1e-12 or (iterations == 1 and trial < np.inf):
+                break
+            damping = max(10.0 * damping, 1e-3)
+            if damping > 1e9:
+                return cost, taken, False
+        rotation[:] = trial_r
+        translation[:] = trial_t
+        information[:] = trial_information
+        gradient[:] = trial_gradient
+        cost = trial
+        damping = 0.1 * damping if damping > 1e-6 else 0.0
+    return cost, iterations, False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _add_prior(
+    rotation: Array,
+    translation: Array,
+    prior: Array,
+    prior_rotation: Array,
+    prior_translation: Array,
+    information: Array,
+    gradient: Array,
+) -> float:
+    away = np.empty(6)
+    rotation_vector(rotation @ prior_rotation.T, away)
+    for i in range(3):
+        away[3 + i] = translation[i] - prior_translation[i]
+    cost = 0.0
+    for i in range(6):
+        pulled = 0.0
+        for j in range(6):
+            information[i, j] += prior[i, j]
+            pulled += prior[i, j] * away[j]
+        gradient[i] -= pulled
+        cost += away[i] * pulled
+    return cost

@@ -1,0 +1,221 @@
+"""A filter over the readings, which costs no rate: every reading gives an estimate.
+
+The paper averages several scans for one reading. Here each scan is weighed against the
+motion so far: pose and rates with a covariance, rates disturbed by white accelerations. The
+reading enters as its equations, not as a pose, so that even one light helps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.stereo.collinearity import (
+    cholesky_solve,
+    invert,
+    rotation_vector,
+    solve,
+    turn,
+)
+from rendezview.sensors.stereo.rig import Rig
+
+_ITERATIONS = 15
+_TOLERANCE = 0.1
+_BREAK = 80.0  # squared distance of reading and forecast, in σ, at which the forecast is wrong
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionOptions:
+    """How freely the target moves; white accelerations, as spectral densities."""
+
+    angular_acceleration: float = 0.02  # rad/s² √s: rate error 1.1°/s after 1 s
+    linear_acceleration: float = 0.02  # m/s² √s
+    first_rate: float = 0.2  # rad/s, σ of the unknown first rates
+    first_velocity: float = 0.2  # m/s
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must not be negative: {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """State of the filter, rig frame: pose, rates (rotation vector rad/s, velocity m/s)."""
+
+    time_s: float
+    rotation: Array  # (3, 3) rig from target
+    translation: Array  # (3,)
+    rates: Array  # (6,)
+    covariance: Array  # (12, 12) of (pose perturbation, rates)
+
+
+def begin(
+    time_s: float, rotation: Array, translation: Array, covariance: Array, options: MotionOptions
+) -> Motion:
+    """The filter at a first reading's pose with its (6, 6) covariance."""
+    whole = np.zeros((12, 12))
+    whole[:6, :6] = covariance
+    sigma = [options.first_rate] * 3 + [options.first_velocity] * 3
+    whole[6:, 6:] = np.diag(np.square(sigma))
+    return Motion(time_s, rotation.copy(), translation.copy(), np.zeros(6), whole)
+
+
+def predict(state: Motion, time_s: float, options: MotionOptions) -> Motion:
+    """The state at a later time.
+
+    Raises:
+        ValueError: the time is earlier than the state's.
+    """
+    dt = time_s - state.time_s
+    if not dt >= 0.0:
+        raise ValueError(f"the filter cannot go back, from {state.time_s} s to {time_s} s")
+    rotation = np.empty((3, 3))
+    covariance = np.empty((12, 12))
+    _predict(
+        state.rotation, state.rates, state.covariance, dt,
+        options.angular_acceleration**2, options.linear_acceleration**2, rotation, covariance,
+    )  # fmt: skip
+    translation = state.translation + dt * state.rates[3:]
+    return Motion(time_s, rotation, translation, state.rates, covariance)
+
+
+def update(
+    state: Motion,
+    rig: Rig,
+    leds: Array,
+    xy: Array,
+    weight: Array,
+    start: tuple[Array, Array] | None = None,
+) -> Motion | None:
+    """The state after a reading at its time; ``None`` where the equations do not converge.
+
+    Args:
+        state: predicted to the time of the reading.
+        rig: the cameras.
+        leds: (L, 3) target frame.
+        xy: (C, L, 2) ideal places.
+        weight: (C, L, 2) 1/σ, 0 for what is not seen or not believed.
+        start: rotation and translation to begin at, such as the reading's own pose.
+    """
+    given = (state.rotation, state.translation) if start is None else start
+    rotation, translation = given[0].copy(), given[1].copy()
+    rates = state.rates.copy()
+    covariance = np.empty((12, 12))
+    if not _update(
+        state.rotation, state.translation, state.covariance, leds, rig.rotations,
+        rig.translations, xy, weight, rotation, translation, rates, covariance,
+    ):  # fmt: skip
+        return None
+    return Motion(state.time_s, rotation, translation, rates, covariance)
+
+
+def breaks(state: Motion, rotation: Array, translation: Array, information: Array) -> bool:
+    """Whether a reading's own pose is so far from the forecast that the forecast is wrong."""
+    return bool(
+        _breaks(
+            state.rotation, state.translation, state.covariance, rotation, translation, information
+        )
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _predict(
+    rotation: Array,
+    rates: Array,
+    covariance: Array,
+    dt: float,
+    angular: float,
+    linear: float,
+    out_rotation: Array,
+    out: Array,
+) -> None:
+    step = dt * rates
+    turn(step, rotation, out_rotation)
+    transition = np.eye(12)
+    small = np.empty((3, 3))
+    turn(step, np.eye(3), small)  # the old error turns with the body
+    transition[:3, :3] = small
+    for i in range(6):
+        transition[i, 6 + i] = dt
+    out[:] = transition @ covariance @ transition.T
+    for i in range(6):
+        q = angular if i < 3 else linear
+        out[i, i] += q * dt * dt * dt / 3.0
+        out[i, 6 + i] += q * dt * dt / 2.0
+        out[6 + i, i] += q * dt * dt / 2.0
+        out[6 + i, 6 + i] += q * dt
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def difference(
+    rotation: Array, translation: Array, other_rotation: Array, other_translation: Array
+) -> Array:
+    """(6,) perturbation that leads from the other pose to this one."""
+    out = np.empty(6)
+    rotation_vector(rotation @ other_rotation.T, out)
+    for i in range(3):
+        out[3 + i] = translation[i] - other_translation[i]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _update(
+    prior_rotation: Array,
+    prior_translation: Array,
+    prior: Array,
+    leds: Array,
+    cr: Array,
+    ct: Array,
+    xy: Array,
+    weight: Array,
+    rotation: Array,
+    translation: Array,
+    rates: Array,
+    covariance: Array,
+) -> bool:
+    lower, inverse, information = np.zeros((6, 6)), np.empty((6, 6)), np.empty((6, 6))
+    if not invert(prior, lower, inverse):  # its pose part, the first six
+        return False
+    _, _, done = solve(
+        rotation, translation, leds, cr, ct, xy, weight, inverse, prior_rotation,
+        prior_translation, _ITERATIONS, _TOLERANCE, information,
+    )  # fmt: skip
+    if not done:
+        return False
+    posterior = np.empty((6, 6))
+    if not invert(information, lower, posterior):
+        return False
+    moved = difference(rotation, translation, prior_rotation, prior_translation)
+    gain = (
+        np.ascontiguousarray(prior[6:, :6]) @ inverse
+    )  # what a pose's correction says of the rates
+    rates += gain @ moved
+    covariance[:6, :6] = posterior
+    covariance[6:, :6] = gain @ posterior
+    covariance[:6, 6:] = covariance[6:, :6].T
+    lost = np.ascontiguousarray(prior[:6, :6]) - posterior
+    covariance[6:, 6:] = prior[6:, 6:] - gain @ lost @ gain.T
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _breaks(
+    rotation: Array,
+    translation: Array,
+    covariance: Array,
+    seen_rotation: Array,
+    seen_translation: Array,
+    information: Array,
+) -> bool:
+    lower, both, solution = np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
+    if not invert(information, lower, both):
+        return False
+    both += covariance[:6, :6]
+    away = difference(seen_rotation, seen_translation, rotation, translation)
+    if not cholesky_solve(both, away, lower, solution):
+        return False
+    return bool(away @ solution > _BREAK)

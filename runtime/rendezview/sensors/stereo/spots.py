@@ -1,0 +1,156 @@
+"""Lights in a picture: bright blobs, each with a sub-pixel place and how sure it is.
+
+A blob's pixels give a first place; a Gaussian window of the spot's own width, moved until it
+is centred, gives the last. For a round Gaussian spot in white noise this is the
+least-squares place, whose variance is (2/π) (noise/peak)², whatever the spot's width
+(the Cramér–Rao bound).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.errors import RendezviewError
+from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
+
+Array = npt.NDArray[np.float64]
+GreyImage = npt.NDArray[np.uint8]
+
+_SATURATED = 254
+_ITERATIONS = 30
+_SETTLED_PX = 1e-4
+_LEAST_NOISE = 0.29  # grey, of rounding
+_NARROW_PX = 0.015  # what sampling does to a spot of σ below a pixel
+_MOST_BLOBS = 2000  # a frame with more shows no lights
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpotOptions:
+    """What counts as a light."""
+
+    threshold_grey: float | None = None  # above the sky; None: 8 σ of the noise, at least 12 grey
+    least_pixels: int = 2  # above the threshold: one alone may be a hot pixel
+    largest_px: float = 40.0  # diameter; a larger blob is no LED
+    least_sigma_px: float = 0.002  # of a place, at the best: the pixels themselves differ
+
+    def __post_init__(self) -> None:
+        if self.threshold_grey is not None and not 0.0 < self.threshold_grey < 255.0:
+            raise RendezviewError(f"a threshold must be 0 to 255 grey, not {self.threshold_grey}")
+
+
+def find_spots(image: npt.ArrayLike, options: SpotOptions | None = None) -> Spots:
+    """All lights in a grey picture (H, W) uint8, brightest first, without names.
+
+    Blobs at the border are left out: half a spot has no centre.
+
+    Raises:
+        RendezviewError: not an 8-bit grey picture.
+    """
+    options = options or SpotOptions()
+    grey = np.asarray(image)
+    if grey.ndim != 2 or grey.dtype != np.uint8 or min(grey.shape) < 8:
+        raise RendezviewError(
+            f"a picture must be (height, width) uint8 of at least 8 × 8, not {grey.shape} "
+            f"{grey.dtype}"
+        )
+    grey = np.ascontiguousarray(grey)
+    sky, noise = _sky(grey[::5, ::5])
+    level = options.threshold_grey if options.threshold_grey is not None else max(8 * noise, 12.0)
+    if sky + level >= 255.0:
+        return Spots.none()  # no sky to see a light against
+    _, mask = cv2.threshold(grey, sky + level, 255, cv2.THRESH_BINARY)
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if len(outlines) > _MOST_BLOBS:
+        return Spots.none()
+    found = []
+    height, width = grey.shape
+    for outline in outlines:
+        x, y, w, h = cv2.boundingRect(outline)
+        at_border = x == 0 or y == 0 or x + w == width or y + h == height
+        if at_border or max(w, h) > options.largest_px:
+            continue
+        if cv2.countNonZero(mask[y : y + h, x : x + w]) < options.least_pixels:
+            continue
+        spot = _centre(grey, x, y, w, h, sky, noise)
+        if spot[2] > 0.0:
+            found.append(spot)
+    if not found:
+        return Spots.none()
+    found.sort(key=lambda spot: -spot[3])
+    table = np.array(found)
+    sigma = np.hypot(table[:, 2], options.least_sigma_px)
+    return Spots(
+        table[:, :2], np.column_stack([sigma, sigma]), np.full(len(table), UNKNOWN), table[:, 3]
+    )
+
+
+def _sky(sample: GreyImage) -> tuple[float, float]:
+    """Level and r.m.s. noise of what is not lit, quantisation included."""
+    values = sample.ravel().astype(np.float64)
+    middle = np.median(values)
+    spread = 1.4826 * np.median(np.abs(values - middle))
+    # Whole grey levels make the median and its deviation coarse: mean and r.m.s. of the rest
+    unlit = values[np.abs(values - middle) <= 4.0 * spread + 2.0]
+    return float(unlit.mean()), max(float(unlit.std()), _LEAST_NOISE)
+
+
+@njit(cache=True, nogil=True)
+def _centre(
+    grey: GreyImage, x0: int, y0: int, w: int, h: int, sky: float, noise: float
+) -> tuple[float, float, float, float]:
+    """Centre, its σ (0: no spot) and the peak of the blob in a bounding box."""
+    total = sx = sy = 0.0
+    saturated = 0
+    for j in range(y0, y0 + h):
+        for i in range(x0, x0 + w):
+            value = max(float(grey[j, i]) - sky, 0.0)
+            total, sx, sy = total + value, sx + value * i, sy + value * j
+            saturated += grey[j, i] >= _SATURATED
+    if not total > 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    x, y = sx / total, sy / total
+    s2 = max(0.25, (max(w, h) / 4.0) ** 2)
+    height, width = grey.shape
+    peak = 0.0
+    for _ in range(_ITERATIONS):
+        reach = 3.0 * np.sqrt(s2) + 1.0
+        left, right = max(int(x - reach), 0), min(int(x + reach) + 2, width)
+        top, bottom = max(int(y - reach), 0), min(int(y + reach) + 2, height)
+        sw = sq = swx = swy = sw2 = 0.0
+        for j in range(top, bottom):
+            for i in range(left, right):
+                dx, dy = i - x, j - y
+                d2 = dx * dx + dy * dy
+                g = np.exp(-0.5 * d2 / s2)
+                value = g * (float(grey[j, i]) - sky)
+                sw, swx, swy, sq = sw + value, swx + value * dx, swy + value * dy, sq + value * d2
+                sw2 += g * g
+        if not sw > 0.0:
+            return 0.0, 0.0, 0.0, 0.0
+        peak = sw / sw2
+        mx, my = swx / sw, swy / sw
+        # Product of spot and window: its variance m, 1/m = 1/spot + 1/window
+        m = 0.5 * (sq / sw - mx * mx - my * my)
+        spot = 1.0 / (1.0 / m - 1.0 / s2) if 0.0 < m < 0.98 * s2 else 4.0 * s2
+        shift = 1.0 + s2 / max(spot, 0.25)  # the window holds the centre back by so much
+        x, y = x + shift * mx, y + shift * my
+        if abs(x - x0 - 0.5 * w) > w + 2 or abs(y - y0 - 0.5 * h) > h + 2:
+            return 0.0, 0.0, 0.0, 0.0  # it left its blob
+        s2_next = min(max(spot, 0.25), 4.0 * s2, 400.0)
+        settled = abs(shift * mx) + abs(shift * my) < _SETTLED_PX
+        if settled and abs(s2_next - s2) < 1e-3 * s2:
+            break
+        s2 = s2_next
+    if not peak > 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    sigma = np.sqrt(2.0 / np.pi) * noise / peak
+    if s2 < 1.0:
+        sigma = np.hypot(sigma, _NARROW_PX)
+    if saturated > 1:
+        sigma = max(sigma, 0.02 * np.sqrt(saturated))  # the flat top says little
+    return x, y, sigma, peak

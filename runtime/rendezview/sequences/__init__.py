@@ -1,7 +1,0 @@
-"""Image sequences: BOP scenes, folders of images, videos, SPEED and SPEED+, recordings."""
-
-from rendezview.sequences.bop_writer import BopSceneWriter
-from rendezview.sequences.frame import Frame, Sequence
-from rendezview.sequences.opening import open_sequence
-
-__all__ = ["BopSceneWriter", "Frame", "Sequence", "open_sequence"]

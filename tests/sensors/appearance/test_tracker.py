@@ -1,0 +1,208 @@
+"""The tracker's memory: what it expects of the next frame, and when it forgets."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, Sighting, Status, Tracker, TrackerOptions
+from rendezview.sensors.appearance.outline.votes import MatchOptions
+
+
+class Script:
+    """A recognizer that answers as told and keeps the priors it was asked with."""
+
+    def __init__(self) -> None:
+        self.priors: list[Pose | None] = []
+        self.reach_deg: list[float] = []
+        self.answer: Pose | None = None
+        self.matcher = SimpleNamespace(options=MatchOptions())
+        self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
+        self.finder = None
+
+    def recognize(
+        self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
+    ) -> Sighting:
+        self.priors.append(prior)
+        self.reach_deg.append(round(np.rad2deg(prior_error_rad), 6))
+        if self.answer is None:
+            return Sighting(Status.EMPTY, "nothing")
+        return Sighting(Status.OK, pose=self.answer)
+
+
+A, B = (Pose(np.eye(3), [0.0, 0.0, z]) for z in (5.0, 6.0))
+FRAME = np.zeros((4, 4), np.uint8)
+
+
+@pytest.fixture
+def script() -> Script:
+    return Script()
+
+
+def test_each_pose_is_the_prior_of_the_next_frame(script):
+    tracker = Tracker(script)
+    for time_s, answer in enumerate([A, A, A]):
+        script.answer = answer
+        assert tracker.update(time_s, FRAME).pose is answer
+        assert tracker.prior is answer
+    assert script.priors == [None, A, A]
+
+
+def test_the_next_pose_is_predicted_by_constant_velocity(script):
+    """Turning at 0.1 rad/s about the boresight and receding at 1 m/s, looked at after 2 s."""
+    tracker = Tracker(script)
+    start = Rotation.from_rotvec([0.2, -0.4, 0.1])
+    for time_s in (0.0, 1.0):
+        spin = Rotation.from_rotvec([0.0, 0.0, 0.1 * time_s]) * start
+        script.answer = Pose(spin.as_matrix(), [0.1, 0.0, 5.0 + time_s])
+        tracker.update(time_s, FRAME)
+    tracker.update(3.0, FRAME)
+    expected = Rotation.from_rotvec([0.0, 0.0, 0.3]) * start
+    assert script.priors[2].rotation == pytest.approx(expected.as_matrix())
+    assert script.priors[2].translation_m == pytest.approx([0.1, 0.0, 8.0])
+
+
+def test_the_first_frame_gets_the_prior_given(script):
+    Tracker(script, A).update(0.0, FRAME)
+    assert script.priors == [A]
+
+
+def test_the_prior_is_kept_over_misses_and_the_search_widens(script):
+    options = TrackerOptions(widening_rad=np.deg2rad(10.0), widest_rad=np.deg2rad(45.0))
+    tracker = Tracker(script, options=options)
+    script.answer = A
+    tracker.update(0.0, FRAME)
+    script.answer = None
+    for k in range(5):
+        assert tracker.update(1.0 + k, FRAME).status is Status.EMPTY
+        assert tracker.prior is A
+    assert script.priors == [None, A, A, A, A, A]
+    assert script.reach_deg == [20.0, 20.0, 30.0, 40.0, 45.0, 45.0]
+
+
+def test_a_hit_after_misses_narrows_the_search_again(script):
+    tracker = Tracker(script)
+    for time_s, answer in enumerate([A, None, A, None, A]):
+        script.answer = answer
+        tracker.update(time_s, FRAME)
+    assert script.priors == [None, A, A, A, A]
+    assert script.reach_deg == [20.0, 20.0, 30.0, 20.0, 30.0]
+
+
+def test_a_first_prior_that_is_never_met_is_forgotten_too(script):
+    tracker = Tracker(script, A, TrackerOptions(longest_outage_s=10.0))
+    for time_s in (100.0, 105.0, 110.0, 110.1):
+        tracker.update(time_s, FRAME)
+    assert script.priors == [A, A, A, None]
+
+
+def test_the_prior_is_forgotten_after_an_outage(script):
+    tracker = Tracker(script, options=TrackerOptions(longest_outage_s=10.0))
+    script.answer = A
+    tracker.update(0.0, FRAME)
+    tracker.update(10.0, FRAME)
+    tracker.update(20.5, FRAME)
+    assert script.priors == [None, A, None]
+
+
+@pytest.mark.parametrize("time_s", [4.9, 5.0, float("nan"), float("inf"), -1.0])
+def test_time_that_does_not_go_forward_is_refused_and_changes_nothing(script, time_s):
+    tracker = Tracker(script)
+    script.answer = A
+    tracker.update(5.0, FRAME)
+    script.answer = B
+    with pytest.raises(ValueError, match="order of time"):
+        tracker.update(time_s, FRAME)
+    assert tracker.prior is A
+    assert len(script.priors) == 1
+    tracker.update(5.1, FRAME)
+
+
+def test_a_tumbling_target_is_followed_from_frame_to_frame(tiny_model, camera, bumpy_mesh, draw):
+    rng = np.random.default_rng(0)
+    rate = np.deg2rad([4.0, -3.0, 2.0])  # per frame
+    start = Rotation.from_rotvec([0.4, 1.0, 0.2])
+    recognizer = Recognizer(tiny_model, camera)
+    tracker: Tracker | None = None
+    worst = 0.0
+    for k in range(12):
+        rotation = (Rotation.from_rotvec(k * rate) * start).as_matrix()
+        centre = np.array([0.5 - 0.1 * k, 0.05 * k, 9.0 + 0.3 * k])
+        truth = Pose(rotation, centre - rotation @ tiny_model.centre_m)
+        tracker = tracker or Tracker(recognizer, truth)
+        sighting = tracker.update(0.1 * k, draw(bumpy_mesh, truth, camera, rng))
+        assert sighting.status is Status.OK, sighting.reason
+        worst = max(worst, sighting.pose.angle_to(truth))
+        assert sighting.pose.apply(tiny_model.centre_m) == pytest.approx(centre, rel=0.1, abs=0.2)
+    assert np.rad2deg(worst) < 20.0
+
+
+def test_a_frame_of_the_wrong_size_leaves_the_prior(tiny_model, camera):
+    tracker = Tracker(Recognizer(tiny_model, camera), A)
+    with pytest.raises(RendezviewError, match="camera is"):
+        tracker.update(0.0, FRAME)
+    assert tracker.prior is A
+    line = tracker.prior.rotation[2]
+    assert float(angle_between(line, [0.0, 0.0, 1.0])) == 0.0
+
+
+class Rivals(Script):
+    """A recognizer that finds a pose near each prior, with the merits it is told."""
+
+    def __init__(self, merits: dict[int, list[float]]) -> None:
+        super().__init__()
+        self.poses = {
+            k: Pose(Rotation.from_rotvec([0.0, 0.0, k * np.pi]).as_matrix(), [0.0, 0.0, 5.0])
+            for k in merits
+        }
+        self.merits = merits
+
+    def recognize(
+        self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
+    ) -> Sighting:
+        if prior is None:
+            both = tuple(self.poses.values())
+            found = SimpleNamespace(
+                best=SimpleNamespace(pose=both[0], support=0.8),
+                alone=False,
+                rival=SimpleNamespace(pose=both[1]),
+                margin=0.0,
+                confidence=0.9,
+            )
+            return Sighting(Status.AMBIGUOUS, "two", found=found)
+        key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
+        pose = self.poses[key]
+        found = SimpleNamespace(
+            best=SimpleNamespace(pose=pose, support=0.8),
+            alone=False,
+            rival=None,
+            margin=1.0,
+            merit=self.merits[key].pop(0),
+            confidence=0.9,
+        )
+        return Sighting(Status.OK, pose=pose, found=found)
+
+
+def test_two_poses_are_followed_until_one_leads():
+    script = Rivals({0: [0.5, 0.5, 0.5], 1: [0.58, 0.58, 0.58]})
+    tracker = Tracker(script)
+    looks = [tracker.update(float(k), FRAME) for k in range(3)]
+    assert [s.status for s in looks] == [Status.AMBIGUOUS, Status.AMBIGUOUS, Status.OK]
+    assert looks[1].pose is None
+    assert looks[2].pose is script.poses[1]
+
+
+def test_two_poses_that_become_one_are_no_rivals():
+    script = Rivals({0: [0.5, 0.5], 1: [0.5, 0.5]})
+    script.poses[1] = Pose(
+        Rotation.from_rotvec([0.0, 0.0, np.deg2rad(1.0)]).as_matrix(), [0.0, 0.0, 5.0]
+    )
+    tracker = Tracker(script)
+    assert tracker.update(0.0, FRAME).status is Status.AMBIGUOUS
+    assert tracker.update(1.0, FRAME).status is Status.OK

@@ -1,0 +1,48 @@
+"""Blurred steps along an ellipse, on pictures drawn from the very model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
+from rendezview.sensors.ring.steps import step_basis, step_filters, step_support
+from rendezview.sensors.ring.support import COLUMNS, OFFSET, WEIGHT
+
+BLUR_PX = 0.85  # of the picture: reading it between pixels adds the rest
+SHAPE = np.array([101.3, 99.6, 60.2, 0.0, 60.2])
+
+
+def places(gap_px, near_grey, far_grey, windows=None):
+    """Weighted mean and number of the offsets of a circle with another edge beside it."""
+    rng = np.random.default_rng(4)
+    rows, columns = np.mgrid[:200, :200].astype(float)
+    off = np.hypot(columns - SHAPE[0], rows - SHAPE[1]) - SHAPE[2]
+    grey = 150.0 + (near_grey - 150.0) * ndtr(off / BLUR_PX)
+    grey += (far_grey - near_grey) * ndtr((off - gap_px) / BLUR_PX)
+    image = np.clip(np.rint(grey + 2.0 * rng.standard_normal(grey.shape)), 0, 255).astype(np.uint8)
+    lens = np.append(lens_vector(Camera(200, 200, 200.0, 200.0, 99.5, 99.5)), 0.0)
+    samples = np.zeros((400, COLUMNS))
+    filters = step_filters(0.9)[:windows]
+    count = step_support(
+        image, lens, SHAPE, 1.0, 0.0, 2.0, filters, step_basis(0.9), 0.9, np.empty((0, 5)), samples
+    )
+    weights = np.maximum(samples[:count, WEIGHT], 0.0)
+    return float(np.average(samples[:count, OFFSET], weights=weights)), int((weights > 0.0).sum())
+
+
+def test_a_lone_edge_is_where_it_is():
+    mean_px, count = places(50.0, 60.0, 60.0)
+    assert abs(mean_px) < 0.02
+    assert count > 350
+
+
+@pytest.mark.parametrize("gap_px", [3.0, 3.5])
+def test_an_edge_beside_it_that_nobody_knows_of_does_not_draw_it_away(gap_px):
+    mean_px, count = places(gap_px, 50.0, 95.0)
+    assert abs(mean_px) < 0.12
+    assert count > 200
+    drawn_px, _ = places(gap_px, 50.0, 95.0, windows=1)  # by the whole profile
+    assert abs(drawn_px) > 2.0 * abs(mean_px)

@@ -1,0 +1,161 @@
+"""Silhouettes of the parts of the target that the Sun lights, for first poses in hard light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import LIT_BINS, READING_UNIT
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
+from rendezview.training.drawn_view import draw_view
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import ViewGeometry
+from rendezview.training.zbuffer import draw_parallel, empty_buffers
+
+_SUN_ORDER = 1  # 42 directions, 32° apart
+_MAP_TEXELS = 256
+_PICTURE_PX = 128
+_BORDER_PX = 2.0
+_RANGE_RADII = 1.5  # sphere radii: between the nearest and the far views
+_PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # less is the whole silhouette
+_LEAST_COSINE = 0.06  # of the Sun's incidence: flatter, a face stays below the threshold
+_LEAST_SHARE = 0.08  # of the silhouette that must be lit
+_LEAST_OUTLINE = 10  # points; less is a speck
+_SMOOTH_BINS = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SunMaps:
+    """Shadow maps of the target from fixed directions."""
+
+    suns: Array  # (S, 3)
+    axes: Array  # (S, 3, 3) rows right, down, sunward
+    corner: Array  # (S, 3) on those axes: of sample (0, 0) at nearness 0
+    texel_m: Array  # (S,)
+    nearness: npt.NDArray[np.float32]  # (S, M, M)
+
+
+def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
+    """What every Sun sees of the target, view centre at the origin."""
+    suns = Geodesic.of_order(_SUN_ORDER).nodes
+    vertices = mesh.vertices_m - geometry.centre_m
+    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+    radius = 1.01 * geometry.target_radius_m
+    texel = 2.0 * radius / (_MAP_TEXELS - 2)
+    axes, nearness = [], []
+    for sun in suns:
+        across = np.cross(sun, np.eye(3)[np.argmin(np.abs(sun))])
+        across /= np.linalg.norm(across)
+        basis = np.stack([across, np.cross(sun, across), sun])
+        on_map = vertices @ basis.T + np.array([radius, radius, 1.01 * radius])
+        on_map[:, :2] /= texel
+        near, owner = empty_buffers(_MAP_TEXELS, _MAP_TEXELS)
+        draw_parallel(np.ascontiguousarray(on_map), faces, near, owner)
+        axes.append(basis)
+        nearness.append(near)
+    count = len(suns)
+    corner = np.tile([-radius, -radius, -1.01 * radius], (count, 1))
+    return SunMaps(suns, np.stack(axes), corner, np.full(count, texel), np.stack(nearness))
+
+
+def lit_views(
+    mesh: Mesh, maps: SunMaps, geometry: ViewGeometry, view: int, direction: Array
+) -> dict[str, npt.NDArray[Any]]:
+    """Lit silhouettes seen from a unit direction (3,), the lattice's number ``view``.
+
+    Returns:
+        The fields of `LitViews` but ``suns``.
+    """
+    range_m = _RANGE_RADII * geometry.sphere_radius_m
+    drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX)
+    rotation, nearness, owner = drawn.rotation, drawn.nearness, drawn.owner
+    focal, middle = drawn.focal, drawn.middle
+    corners = drawn.vertices[drawn.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
+    normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0
+    phase = np.arccos(np.clip(maps.suns @ direction, -1.0, 1.0))
+    chosen = np.flatnonzero((phase >= _PHASES_RAD[0]) & (phase <= _PHASES_RAD[1]))
+    incidence = normals @ (maps.suns[chosen] @ rotation.T).T  # (F, C)
+    whole = int(np.count_nonzero(owner >= 0))
+    rows: list[tuple[int, Array, npt.NDArray[np.float32], float, Array]] = []
+    mask = np.empty((_PICTURE_PX, _PICTURE_PX), dtype=np.uint8)
+    for k, sun in enumerate(chosen):
+        _light(
+            nearness, owner, focal, middle, range_m, rotation, incidence[:, k],
+            maps.axes[sun], maps.corner[sun], maps.texel_m[sun], maps.nearness[sun], mask,
+        )  # fmt: skip
+        if np.count_nonzero(mask) < _LEAST_SHARE * whole:
+            continue
+        outlines = [
+            _rays(points, focal, middle)
+            for points in outlines_of_mask(mask)
+            if len(points) >= _LEAST_OUTLINE
+        ]
+        signature = Signature.of_outlines(outlines, LIT_BINS, _SMOOTH_BINS)
+        if signature is None:
+            continue
+        centre = signature.centred_from_camera @ np.array([0.0, 0.0, range_m])
+        offset = centre[:2] / centre[2] * range_m
+        attitude = signature.centred_from_camera @ rotation
+        rows.append(
+            (int(sun), attitude, signature.readings, signature.area_sr * range_m**2, offset)
+        )
+    attitudes = np.array([r[1] for r in rows]).reshape(-1, 3, 3)
+    quaternions = np.zeros((0, 4))
+    if len(rows):
+        quaternions = Rotation.from_matrix(attitudes).as_quat()[:, [3, 0, 1, 2]]
+    readings = np.array([r[2] for r in rows]).reshape(-1, LIT_BINS)
+    return {
+        "sun": np.array([r[0] for r in rows], dtype=np.uint8),
+        "view": np.full(len(rows), view, dtype=np.uint16),
+        "quat_wxyz": quaternions.astype(np.float32),
+        "readings": np.minimum(np.rint(readings / READING_UNIT), 255).astype(np.uint8),
+        "area_m2": np.array([r[3] for r in rows], dtype=np.float32),
+        "offset_m": np.array([r[4] for r in rows]).reshape(-1, 2).astype(np.float32),
+    }
+
+
+def _rays(points_px: Array, focal: float, middle: float) -> Array:
+    rays = np.ones((len(points_px), 3))
+    rays[:, :2] = (points_px - middle) / focal
+    return rays
+
+
+@njit(cache=True, nogil=True)
+def _light(  # type: ignore[no-untyped-def]
+    nearness, owner, focal, middle, range_m, rotation, incidence, axes, corner, texel_m, sunward,
+    mask,
+):  # fmt: skip
+    """Mask of the pixels that the Sun reaches: faces turned to it that nothing shades."""
+    side = sunward.shape[0]
+    slack = 3.0 * texel_m
+    for i in range(owner.shape[0]):
+        for j in range(owner.shape[1]):
+            mask[i, j] = 0
+            face = owner[i, j]
+            if face < 0 or incidence[face] <= _LEAST_COSINE:
+                continue
+            z = 1.0 / nearness[i, j]
+            x, y = z * (j - middle) / focal, z * (i - middle) / focal
+            z -= range_m
+            p0 = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
+            p1 = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
+            p2 = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
+            u = axes[0, 0] * p0 + axes[0, 1] * p1 + axes[0, 2] * p2 - corner[0]
+            v = axes[1, 0] * p0 + axes[1, 1] * p1 + axes[1, 2] * p2 - corner[1]
+            w = axes[2, 0] * p0 + axes[2, 1] * p1 + axes[2, 2] * p2 - corner[2]
+            column, row = int(np.rint(u / texel_m)), int(np.rint(v / texel_m))
+            # A sloping face stands out of its own texel by the slope.
+            free = w + slack + texel_m / max(incidence[face], 0.1)
+            on_map = 0 <= column < side and 0 <= row < side
+            if not (on_map and sunward[row, column] > free):
+                mask[i, j] = 255
