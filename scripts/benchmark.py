@@ -82,9 +82,9 @@ LONG = (  # claim, command; {folder}: where the campaign writes and reads
     ("fusion: approaches",
      "fusion_approach.py {folder}/runs --model {folder}/client.rvm --seeds 50"),
     ("fusion: faults", "fusion_faults.py {folder}/runs --seeds 20"),
-    ("paths from frames", "trajectory_frames.py {folder}/sightings {folder}/client.rvm client "
+    ("paths from frames", "trajectory_frames.py {folder}/observations {folder}/client.rvm client "
      "circular spiral vbar spin tumble"),
-    ("paths: accuracy", "trajectory_accuracy.py {folder}/sightings"),
+    ("paths: accuracy", "trajectory_accuracy.py {folder}/observations"),
     ("closed loop", "closed_loop.py {folder}/client.rvm client --seeds 0 20"),
     ("many workers", "scale_out.py speed --model {folder}/hubble.rvm"),
     ("a worker killed", "scale_out.py kill"),

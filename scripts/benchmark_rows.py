@@ -82,11 +82,11 @@ def poses(bench: Bench) -> Iterator[Row]:
         calls = pose_speed.calls(full, fast, frame, prior)
         for name, spent in bench.race(dict(calls)).items():
             table.setdefault(name, []).append(spent)
-        for name, sighting in (
+        for name, observation in (
             ("with a prior", fast.recognize(frame, prior)),
             ("first pose", full.recognize(frame)),
         ):
-            errors[name].append(degrees_off(sighting.pose))
+            errors[name].append(degrees_off(observation.pose))
         nearest = calls[pose_speed.NEAREST]()
         errors[pose_speed.NEAREST].append(degrees_off(Pose(nearest, truth.translation_m)))
     spent = {name: float(np.median(values)) for name, values in table.items()}

@@ -32,14 +32,15 @@ from rendezview.fusion import (
 )
 from rendezview.fusion.kernels import rotation_vector
 from rendezview.fusion.logs import LogContext, merged, read_log
-from rendezview.fusion.models import tangents
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
 from rendezview.io.sequences import BopSceneWriter, Frame, Sequence, open_sequence
 from rendezview.io.target import DockingRing, Target
-from rendezview.sensors.appearance import Status, ViewModel
+from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow, record
+from rendezview.sensors.measurement import tangents
+from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingPrior
 from rendezview.sensors.ring.run import follow as follow_ring
 from rendezview.sensors.ring.run import record as ring_record
@@ -115,9 +116,9 @@ def track_run(folder: Path, seed: int, model: ViewModel) -> None:
     prior = Pose(Rotation.from_rotvec(tilt).as_matrix() @ truth.rotation, truth.translation_m)
     with JsonLinesWriter(folder / "appearance.jsonl") as writer:
         silent = 0
-        for frame, sighting in follow(model, sequence, prior=prior):
-            writer.write(record(frame, sighting))
-            silent = 0 if sighting.status is Status.OK else silent + 1
+        for frame, observation in follow(model, sequence, prior=prior):
+            writer.write(record(frame, observation))
+            silent = 0 if observation.status is Status.OK else silent + 1
             if silent >= SILENT_FRAMES and _overflows(frame, model):
                 break
 

@@ -26,7 +26,7 @@ from rendezview.evaluation.campaign import pose_error, second_earlier
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import Recognizer, Sighting, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.refinement import Sky
 from rendezview.sensors.appearance.edges.search import Found
 from rendezview.training.workers import open_workers
@@ -35,15 +35,15 @@ WRONG_DEG = 5.0
 _LONE_PRIORS = 3  # of a frame
 
 
-def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any]:
+def compared(observation: AppearanceObservation, truth: Pose, model: ViewModel) -> dict[str, Any]:
     """One answer beside the truth; everything that may tell right from wrong."""
     record: dict[str, Any] = {
-        "status": str(sighting.status),
-        "confidence": sighting.confidence,
-        "trees": float(sighting.weights.sum()),
-        "ms": sum(sighting.stage_ms.values()),
+        "status": str(observation.status),
+        "confidence": observation.confidence,
+        "trees": float(observation.weights.sum()),
+        "ms": sum(observation.stage_ms.values()),
     }
-    found = sighting.found
+    found = observation.found
     if found is not None:
         best = found.best
         record |= {
@@ -51,7 +51,7 @@ def compared(sighting: Sighting, truth: Pose, model: ViewModel) -> dict[str, Any
             "looked": found.shading is not None,
             "best_deg": float(np.rad2deg(angle_between(best.pose, truth, model.symmetries))),
         }
-    error = pose_error(sighting, truth, model)
+    error = pose_error(observation, truth, model)
     if error is not None:
         record |= {
             "rotation_deg": float(np.rad2deg(error.rotation_rad)),
@@ -68,8 +68,8 @@ def lone(
 
     Without a look at the surface, and with one.
     """
-    assert recognizer.finder is not None
-    refiner, sky = recognizer.finder.refiner, Sky.of(image, sun_camera)
+    assert recognizer.search is not None
+    refiner, sky = recognizer.search.refiner, Sky.of(image, sun_camera)
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []
@@ -106,13 +106,13 @@ def run(
         rng = np.random.default_rng([seed, k])
         prior = second_earlier(truth, model.centre_m, rng)
         light = {} if suns is None else {"sun_camera": np.array(suns[k])}
-        for mode, sighting in (
+        for mode, observation in (
             ("first", recognizer.recognize(image, **light)),
             ("tracked", recognizer.recognize(image, prior, np.deg2rad(6.0), **light)),
         ):
             records.append(
                 {"target": target, "condition": condition, "frame": k, "mode": mode}
-                | compared(sighting, truth, model)
+                | compared(observation, truth, model)
             )
         for other in range(_LONE_PRIORS if log else 0):
             prior = second_earlier(truth, model.centre_m, np.random.default_rng([seed, k, other]))

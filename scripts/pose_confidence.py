@@ -2,8 +2,8 @@
 
     python scripts/pose_confidence.py LOG.jsonl [LOG.jsonl …]
 
-Prints the coefficients of ``rendezview.sensors.appearance.edges.search`` (confidence) and of
-``rendezview.sensors.appearance.edges.refinement`` (inflation of the covariance, to multiply what it has), and, each
+Prints the coefficients of ``edges.search`` (confidence) and of
+``edges.refinement`` (inflation of the covariance, to multiply what it has), and, each
 target left out in turn, how many answers would be given and wrong at several least confidences.
 """
 

@@ -62,12 +62,12 @@ def run(target: str, models: Path, count: int, seed: int) -> list[dict[str, Any]
         sun = sun_at_phase(centre, np.deg2rad(rng.uniform(0.0, 60.0)), rng.uniform(0.0, 6.28))
         image = render_frame(mesh, camera, truth, sun, SceneOptions(), rng, 0.0)
         prior = second_earlier(truth, model.centre_m, rng)
-        for mode, sighting in (
+        for mode, observation in (
             ("first", recognizer.recognize(image)),
             ("tracked", recognizer.recognize(image, prior, np.deg2rad(6.0))),
         ):
             what = {"target": model.name, "condition": "off" if k % 2 else "close", "frame": k}
-            records.append(what | {"mode": mode} | compared(sighting, truth, model))
+            records.append(what | {"mode": mode} | compared(observation, truth, model))
     return records
 
 

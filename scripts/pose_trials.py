@@ -86,13 +86,13 @@ def sequence(
         frame = render_frame(mesh, camera, pose, sun, options, rng)
         if tracker is None:
             tracker = Tracker(Recognizer(model, camera), prior=pose)
-        sighting = tracker.update(float(k), frame)
-        if sighting.pose is None or error_deg(sighting.pose, pose, model) > WRONG_DEG:
+        observation = tracker.update(float(k), frame)
+        if observation.pose is None or error_deg(observation.pose, pose, model) > WRONG_DEG:
             losses += 1
             continue
-        errors.append(error_deg(sighting.pose, pose, model))
+        errors.append(error_deg(observation.pose, pose, model))
         centre = pose.apply(centre_m)
-        shares.append(float(np.linalg.norm(sighting.pose.apply(centre_m) - centre) / depth))
+        shares.append(float(np.linalg.norm(observation.pose.apply(centre_m) - centre) / depth))
     return FRAMES, losses, errors, shares
 
 
@@ -152,11 +152,11 @@ def refusals(
     for k in range(count):
         rng = np.random.default_rng([seed, KINDS.index(kind), k])
         frame, truth = other_frame(kind, mesh, another, camera, rng)
-        sighting = recognizer.recognize(frame)
-        if sighting.pose is None:
+        observation = recognizer.recognize(frame)
+        if observation.pose is None:
             continue
         given += 1
-        wrong += truth is None or error_deg(sighting.pose, truth, model) > WRONG_DEG
+        wrong += truth is None or error_deg(observation.pose, truth, model) > WRONG_DEG
     return given, wrong
 
 
@@ -190,15 +190,15 @@ def inexact(path: str, seed: int) -> None:
                 frame = render_frame(mesh, camera, pose, sun, scene, rng)
                 start = Rotation.from_rotvec(rng.normal(size=3) * 0.03).as_matrix() @ rotation
                 prior = Pose(start, np.array([0.0, 0.0, depth]) - start @ centre_m)
-                sighting = recognizer.recognize(frame, prior, np.deg2rad(6.0))
-                if sighting.pose is None or sighting.covariance is None:
+                observation = recognizer.recognize(frame, prior, np.deg2rad(6.0))
+                if observation.pose is None or observation.covariance is None:
                     continue
                 given += 1
-                turn = Rotation.from_matrix(rotation @ sighting.pose.rotation.T).as_rotvec()
-                error = np.concatenate([turn, pose.translation_m - sighting.pose.translation_m])
+                turn = Rotation.from_matrix(rotation @ observation.pose.rotation.T).as_rotvec()
+                error = np.concatenate([turn, pose.translation_m - observation.pose.translation_m])
                 errors.append(np.rad2deg(np.linalg.norm(turn)))
                 shares.append(np.linalg.norm(error[3:]) / depth)
-                nees.append(error @ np.linalg.solve(sighting.covariance, error))
+                nees.append(error @ np.linalg.solve(observation.covariance, error))
             print(
                 f"{name}, model {what}: given {given} of 100, rotation "
                 f"{np.median(errors):.3f}° median, {np.percentile(errors, 95):.2f}° 95 %, "

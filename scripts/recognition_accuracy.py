@@ -199,21 +199,21 @@ def end_to_end(
     model, tally = recognizer.model, Tally()
     sphere = model.geodesic
     edge = sphere.mean_edge_rad
-    sighting = recognizer.recognize(frame, prior)
+    observation = recognizer.recognize(frame, prior)
     nodes = sphere.within(direction, OUT_EDGES[1] * edge)
     distance = angle_between(sphere.nodes[nodes], direction) / edge
-    tally.add(np.isin(nodes, sighting.on_nodes), distance)
-    tally.on[-1] = len(sighting.on_nodes)
-    if sighting.pose is None:
+    tally.add(np.isin(nodes, observation.active_nodes), distance)
+    tally.on[-1] = len(observation.active_nodes)
+    if observation.pose is None:
         for errors in (tally.direction_deg, tally.rotation_deg, tally.range_percent):
             errors.append(np.inf)
         return tally
-    camera_m = sighting.pose.inverse().translation_m - model.centre_m
+    camera_m = observation.pose.inverse().translation_m - model.centre_m
     found = camera_m / np.linalg.norm(camera_m)
     true_range = np.linalg.norm(truth.apply(model.centre_m))
     tally.direction_deg.append(float(np.rad2deg(angle_between(found, direction))))
     tally.rotation_deg.append(
-        float(np.rad2deg(rotation_angle(sighting.pose.rotation @ truth.rotation.T)))
+        float(np.rad2deg(rotation_angle(observation.pose.rotation @ truth.rotation.T)))
     )
     tally.range_percent.append(float(100.0 * abs(np.linalg.norm(camera_m) / true_range - 1.0)))
     return tally

@@ -32,10 +32,10 @@ from reflector_accuracy import random_pose
 from reflector_run import CAMERA, CLIENT
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
+from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import (
     Acquirer,
     LitDark,
-    Status,
     find_spots,
     patterns_of,
     predict_spots,

@@ -175,8 +175,8 @@ def by_tracker(
     tracker = StereoTracker.of_target(rig, target, TrackerOptions(motion=motion))
     rotations = []
     for k, reading in enumerate(currents):
-        sighting = tracker.update(k / RATE_HZ, spots_of(rig, reading))
-        rotations.append((sighting.estimate or sighting.fit).rotation)
+        observation = tracker.update(k / RATE_HZ, spots_of(rig, reading))
+        rotations.append((observation.estimate or observation.fit).rotation)
     return np.stack(rotations)
 
 
@@ -319,8 +319,8 @@ def faults(arguments: argparse.Namespace, target: Target) -> None:
                     last = pose.perturbed(np.append(rng.normal(0.0, np.deg2rad(2.0), 3), [0, 0, 0]))
                     other = StereoTracker.of_target(tracker.rig, target)
                     other.update(0.0, spots_of(tracker.rig, laboratory.currents([last], rng)[0]))
-                    sighting = other.update(0.1, spots_of(tracker.rig, light))
-                    found = sighting.fit or Disagreement(sighting.reason or "")
+                    observation = other.update(0.1, spots_of(tracker.rig, light))
+                    found = observation.fit or Disagreement(observation.reason or "")
                 else:
                     found = tracker.locate(sights)
                 outcome[judge(tracker, sights, found, pose)] += 1
@@ -351,13 +351,13 @@ def identity(arguments: argparse.Namespace, target: Target) -> None:
                 seen = seen + rng.normal(0.0, sigma_px, seen.shape)
                 spots.append(Spots(seen, np.full(seen.shape, sigma_px), np.full(len(seen), -1)))
             start = time.perf_counter()
-            sighting = tracker.update(0.0, spots)
+            observation = tracker.update(0.0, spots)
             spent.append(1e3 * (time.perf_counter() - start))
-            if sighting.fit is None:
+            if observation.fit is None:
                 outcome["refused"] += 1
                 continue
-            sights = rig.sights(sighting.spots, len(tracker.leds))
-            outcome[judge(tracker, sights, sighting.fit, pose)] += 1
+            sights = rig.sights(observation.spots, len(tracker.leds))
+            outcome[judge(tracker, sights, observation.fit, pose)] += 1
         table.add_row(name, *(str(n) for n in outcome.values()), f"{np.median(spent):.0f}")
     Console(width=100).print(table)
 

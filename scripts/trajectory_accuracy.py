@@ -22,7 +22,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.outline.interpolation import Between
+from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
@@ -42,7 +42,7 @@ from trajectory_frames import CAMERA, KINDS, SPAN_S, true_path
 SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR}
 
 
-def clouds(data: dict[str, Array], between: Between | None) -> dict[str, PointCloud]:
+def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, PointCloud]:
     """On nodes alone; refined poses, with the target's attitude as reference and with one's own."""
     centre, times = data["centre_m"], data["times_s"]
     nodes = PointCloud.of_nodes(
@@ -76,7 +76,7 @@ def clouds(data: dict[str, Array], between: Between | None) -> dict[str, PointCl
     return found
 
 
-def between_nodes(data: dict[str, Array], between: Between) -> tuple[Array, Array, Array]:
+def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
     """Times, points about the centre and weights, from stored signatures and on nodes alone."""
     times, points, weights = [], [], []
     for k, frame in enumerate(data["outline_frame"]):
@@ -98,7 +98,9 @@ def between_nodes(data: dict[str, Array], between: Between) -> tuple[Array, Arra
     return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
 
 
-def spins(data: dict[str, Array], kind: str, between: Between | None) -> dict[str, Spin | Nothing]:
+def spins(
+    data: dict[str, Array], kind: str, between: Interpolator | None
+) -> dict[str, Spin | Nothing]:
     """From directions of on nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
@@ -171,7 +173,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
     parser.add_argument("--model", type=Path, help="also between its nodes (has far readings)")
     args = parser.parse_args()
-    between = None if args.model is None else Between(ViewModel.load(args.model))
+    between = None if args.model is None else Interpolator(ViewModel.load(args.model))
     seeds = range(*args.seeds)
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")

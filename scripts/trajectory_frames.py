@@ -1,4 +1,4 @@
-"""The sightings on which docs/trajectory.md judges segments: frames drawn, then recognised.
+"""The observations on which docs/trajectory.md judges segments: frames drawn, then recognised.
 
     python scripts/trajectory_frames.py SIGHTINGS MODEL TARGET circular --seeds 0 20
 
@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import Recognizer, Sighting, Tracker, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.trajectories import looking_at, torque_free
 from rendezview.training.bundled import find_target
@@ -95,7 +95,7 @@ def true_path(
     return flown, turned
 
 
-def sightings(
+def observations(
     model: ViewModel, target: str, kind: str, seed: int, sun_phase_rad: float
 ) -> dict[str, Array]:
     """One segment through the renderer and both trackers, as arrays."""
@@ -112,7 +112,7 @@ def sightings(
     jitter = Rotation.from_rotvec(JITTER_RAD * rng.standard_normal((FRAMES, 3))).as_matrix()
     options = SceneOptions()
     trackers: tuple[Tracker, Tracker] | None = None
-    seen: list[tuple[Sighting, Sighting]] = []
+    seen: list[tuple[AppearanceObservation, AppearanceObservation]] = []
     for k in range(FRAMES):
         rotation = jitter[k] @ rotations[k]
         pose = Pose(rotation, -rotation @ truth[k])
@@ -173,7 +173,7 @@ def main() -> None:
             path = args.folder / f"{model.name}-{kind}-{seed}.npz"
             if path.exists():
                 continue
-            arrays = sightings(model, args.target, kind, seed, math.radians(args.sun_phase))
+            arrays = observations(model, args.target, kind, seed, math.radians(args.sun_phase))
             np.savez_compressed(path, **arrays)
             print(
                 f"{path.name}: {len(arrays['pose_frame'])} poses, "

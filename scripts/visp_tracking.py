@@ -170,8 +170,8 @@ def recognized(frames: Iterable[tuple[Frame, Pose, Pose]], model: ViewModel) -> 
     for image, truth, prior in frames:
         recognizer.recognize(image, prior, 1.2 * WRONG_RAD)  # ViSP has seen the frame before, too
         start = time.process_time()
-        sighting = recognizer.recognize(image, prior, 1.2 * WRONG_RAD)
-        score.add(time.process_time() - start, sighting.pose, truth, model)
+        observation = recognizer.recognize(image, prior, 1.2 * WRONG_RAD)
+        score.add(time.process_time() - start, observation.pose, truth, model)
     return score
 
 
@@ -193,8 +193,8 @@ def follow_ours(frames: list[tuple[Frame, Pose]], model: ViewModel) -> Score:
     tracker.update(0.0, frames[0][0])
     for k, (image, truth) in enumerate(frames[1:], start=1):
         start = time.process_time()
-        sighting = tracker.update(float(k), image)
-        score.add(time.process_time() - start, sighting.pose, truth, model)
+        observation = tracker.update(float(k), image)
+        score.add(time.process_time() - start, observation.pose, truth, model)
     return score
 
 

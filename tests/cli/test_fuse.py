@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rendezview.fusion.models import tangents
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
+from rendezview.sensors.measurement import tangents
 
 SIGMA = np.array([4e-3, 4e-3, 2e-3, 0.01, 0.01, 0.05])
 TARGET = """

@@ -13,7 +13,7 @@ from rendezview.evaluation.show_command import show
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.results import JsonLinesWriter
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.recognizer import Sighting
+from rendezview.sensors.appearance.recognizer import AppearanceObservation
 from rendezview.sensors.observation import Status
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import Follower, Shape, load_plan
@@ -28,13 +28,15 @@ towards = [0.0, 1.0, 0.0]
 COVARIANCE = np.diag([1e-7] * 3 + [1e-5] * 3)
 
 
-def sighting(time_s: float) -> Sighting:
+def observation(time_s: float) -> AppearanceObservation:
     """Of a camera on a circle a metre too wide."""
     angle = 0.05 * time_s
     place = 31.0 * np.array([np.cos(angle), np.sin(angle), 0.0])
     pose = looking_at(place, np.zeros(3), [0.0, 0.0, 1.0])
     nodes = place + np.array([[1.0, 0.5, 2.0], [-1.0, -0.5, -2.0]])
-    return Sighting(Status.OK, pose=pose, covariance=COVARIANCE, weights=np.ones(2), points_m=nodes)
+    return AppearanceObservation(
+        Status.OK, pose=pose, covariance=COVARIANCE, weights=np.ones(2), points_m=nodes
+    )
 
 
 def test_plan_to_words_messages_and_pictures(tmp_path: Path):
@@ -43,10 +45,10 @@ def test_plan_to_words_messages_and_pictures(tmp_path: Path):
     spoken = []
     with JsonLinesWriter(tmp_path / "log.jsonl") as log:
         for k in range(45):
-            told, words = guide.update(float(k), sighting(float(k)))
+            told, words = guide.update(float(k), observation(float(k)))
             if words:
                 spoken.append(words)
-            seen = sighting(float(k))
+            seen = observation(float(k))
             frame = {"im_id": k, "time_s": float(k), "pose": seen.pose, "on_nodes": [1, 2]}
             log.write(frame | {"points_m": seen.points_m, "trajectory": told})
     assert len(spoken) == 2
@@ -96,9 +98,9 @@ def test_attitudes_of_the_chaser_must_reach(tmp_path: Path):
     path = tmp_path / "chaser.csv"
     path.write_text("time_s,qw,qx,qy,qz\n0,1,0,0,0\n10,0,1,0,0\n")
     guide = Guide(Follower(np.zeros(3), Shape.CIRCULAR), chaser_attitudes(path))
-    guide.update(5.0, sighting(5.0))
+    guide.update(5.0, observation(5.0))
     with pytest.raises(RendezviewError, match="0 to 10 s"):
-        guide.update(11.0, sighting(11.0))
+        guide.update(11.0, observation(11.0))
 
 
 def test_an_unknown_shape_is_refused():

@@ -16,9 +16,9 @@ from rendezview.errors import RendezviewError
 from rendezview.evaluation import Evaluation, evaluate
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
-from rendezview.io.target import Symmetry
 
 TRUTH = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
 

@@ -19,10 +19,10 @@ from rendezview.evaluation import (
     evaluate,
     frame_overlay,
     model_picture,
+    observation_curves,
     pixels,
     png,
     point_cloud,
-    sighting_curves,
     signature_picture,
     sphere_picture,
     stage_picture,
@@ -34,7 +34,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Sequence, open_sequence
-from rendezview.sensors.appearance import Recognizer, Sighting, Status, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
+from rendezview.sensors.observation import Status
 from rendezview.simulation import (
     SceneOptions,
     ShadingOptions,
@@ -53,7 +54,7 @@ ON_NODE_RGB = (230, 159, 0)
 class Run:
     model: ViewModel
     sequence: Sequence
-    sightings: list[Sighting]
+    observations: list[AppearanceObservation]
 
 
 @pytest.fixture(scope="module")
@@ -80,14 +81,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     simulate(mesh, camera, poses, light, scene, seed=2)
     sequence = open_sequence(scene)
     recognizer = Recognizer(model, camera)
-    sightings = [recognizer.recognize(f.read(), f.camera_from_target) for f in sequence]
-    return Run(model, sequence, sightings)
+    observations = [recognizer.recognize(f.read(), f.camera_from_target) for f in sequence]
+    return Run(model, sequence, observations)
 
 
 def evaluation_of(run: Run) -> Evaluation:
     rows = [
         ResultRow(run.sequence.scene_id, frame.im_id, frame.obj_id, s.score, s.pose, 0.001)
-        for frame, s in zip(run.sequence, run.sightings, strict=True)
+        for frame, s in zip(run.sequence, run.observations, strict=True)
         if s.pose is not None
     ]
     return evaluate(run.sequence, rows, centre_m=run.model.centre_m)
@@ -112,19 +113,19 @@ def has_colour(picture: npt.NDArray[np.uint8], rgb: tuple[int, int, int]) -> boo
 def test_the_scene_has_poses_and_one_frame_without(run: Run) -> None:
     found = evaluation_of(run)
     assert found.missing == (3,)
-    assert run.sightings[3].status is Status.BORDER
+    assert run.observations[3].status is Status.BORDER
 
 
 def test_an_overlay_shows_the_frame_with_its_outline(run: Run) -> None:
-    frame, sighting = run.sequence.frames[0], run.sightings[0]
-    picture = drawn(frame_overlay(frame.read(), sighting, frame.camera, run.model))
+    frame, observation = run.sequence.frames[0], run.observations[0]
+    picture = drawn(frame_overlay(frame.read(), observation, frame.camera, run.model))
     assert picture.shape[1] == 640
     assert picture.shape[0] > 480
     # the frame itself is at the top, each of its 160 × 120 pixels four wide and high
     image = frame.read()
     corner = picture[402:480:4, 2:80:4, 0].astype(int) - image[100:, :20]
     assert np.abs(corner).max() <= 2
-    plain = replace(sighting, silhouette=None)
+    plain = replace(observation, silhouette=None)
     without = drawn(frame_overlay(image, plain, frame.camera, run.model))
     assert has_colour(picture, ON_NODE_RGB)
     assert not has_colour(without, ON_NODE_RGB)
@@ -132,7 +133,7 @@ def test_an_overlay_shows_the_frame_with_its_outline(run: Run) -> None:
 
 def test_an_overlay_without_a_pose_says_why(run: Run) -> None:
     frame = run.sequence.frames[3]
-    figure = frame_overlay(frame.read(), run.sightings[3], frame.camera, run.model)
+    figure = frame_overlay(frame.read(), run.observations[3], frame.camera, run.model)
     drawn(figure)
     words = " ".join(text.get_text() for axes in figure.axes for text in axes.texts)
     assert "No pose: border" in words
@@ -142,7 +143,7 @@ def test_an_overlay_without_a_pose_says_why(run: Run) -> None:
 def test_the_sphere_outlines_the_nodes_that_are_on(run: Run) -> None:
     direction = run.model.geodesic.nodes[4]
     quiet = drawn(sphere_picture(run.model, direction=direction))
-    on = drawn(sphere_picture(run.model, direction=direction, truth=direction, on_nodes=[4]))
+    on = drawn(sphere_picture(run.model, direction=direction, truth=direction, active_nodes=[4]))
     assert has_colour(on, ON_NODE_RGB)
     assert not has_colour(quiet, ON_NODE_RGB)
 
@@ -152,7 +153,7 @@ def test_the_sphere_is_drawn_from_the_poles_and_with_values_that_are_missing(run
     values = np.full(count, np.nan)
     for direction in ((0.0, 0.0, 1.0), (0.0, 0.0, -2.0)):
         drawn(sphere_picture(run.model, direction=direction, values=values, label="nothing"))
-        drawn(sphere_picture(run.model, on_nodes=range(count), truth=direction))
+        drawn(sphere_picture(run.model, active_nodes=range(count), truth=direction))
     unmeasured = replace(run.model, held_out_accuracy=values)
     drawn(model_picture(unmeasured))
 
@@ -177,7 +178,7 @@ def test_a_signature_is_drawn_with_and_without_a_node(run: Run) -> None:
 
 def test_error_curves_break_where_there_is_no_pose(run: Run) -> None:
     found = evaluation_of(run)
-    figure = error_curves(found, [len(s.on_nodes) for s in run.sightings])
+    figure = error_curves(found, [len(s.active_nodes) for s in run.observations])
     drawn(figure)
     y = np.asarray(figure.axes[0].lines[0].get_ydata())
     assert np.flatnonzero(np.isnan(y)).tolist() == [3]
@@ -206,9 +207,9 @@ def test_clouds_and_curves_without_truth_are_drawn(run: Run) -> None:
     drawn(point_cloud(np.zeros((0, 3))))
     track = np.array([[9.0, 0.0, 0.0], [np.nan] * 3, [0.0, 9.0, 1.0]])
     drawn(point_cloud(track + 0.1, estimates_m=track, truth_m=track, joined=False))
-    drawn(sighting_curves([0.0, 1.0], [5.0, np.nan], [3, 0], x_label="time, s"))
-    drawn(sighting_curves([0.0], [np.nan], [0], x_label="frame"))
-    drawn(stage_picture(run.sightings))
+    drawn(observation_curves([0.0, 1.0], [5.0, np.nan], [3, 0], x_label="time, s"))
+    drawn(observation_curves([0.0], [np.nan], [0], x_label="frame"))
+    drawn(stage_picture(run.observations))
 
 
 def test_a_picture_is_a_png_of_the_same_bytes_each_time(run: Run) -> None:
@@ -238,7 +239,7 @@ def test_a_report_is_one_page_that_needs_nothing_else(run: Run, tmp_path: Path) 
         target_name="Box <b>&",
         model=run.model,
         sequence=run.sequence,
-        sightings=run.sightings,
+        observations=run.observations,
         evaluation=evaluation_of(run),
     )
     text = path.read_text(encoding="utf-8")
@@ -256,21 +257,25 @@ def test_a_report_is_one_page_that_needs_nothing_else(run: Run, tmp_path: Path) 
 
 def test_a_report_without_truth_or_without_any_pose_is_whole(run: Run, tmp_path: Path) -> None:
     short = replace(run.sequence, frames=run.sequence.frames[:2])
-    blind = [Sighting(Status.EMPTY, "nothing stands out from the background")] * 2
-    for sequence, sightings in ((run.sequence, run.sightings), (short, blind)):
+    blind = [AppearanceObservation(Status.EMPTY, "nothing stands out from the background")] * 2
+    for sequence, observations in ((run.sequence, run.observations), (short, blind)):
         path = write_report(
-            tmp_path, target_name="box", model=run.model, sequence=sequence, sightings=sightings
+            tmp_path,
+            target_name="box",
+            model=run.model,
+            sequence=sequence,
+            observations=observations,
         )
         text = path.read_text(encoding="utf-8")
         assert "has no truth" in text
         assert "median attitude error" not in text
     assert "0 of 2" in text
     assert len(list(tmp_path.glob("frame_*.png"))) == 2  # those of the first report are gone
-    with pytest.raises(ValueError, match="9 sightings for 10 frames"):
+    with pytest.raises(ValueError, match="9 observations for 10 frames"):
         write_report(
             tmp_path,
             target_name="box",
             model=run.model,
             sequence=run.sequence,
-            sightings=run.sightings[:9],
+            observations=run.observations[:9],
         )

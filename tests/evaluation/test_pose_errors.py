@@ -17,7 +17,7 @@ from rendezview.evaluation import (
     speed_terms,
 )
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry
 
 X, Y, Z = np.eye(3)
 

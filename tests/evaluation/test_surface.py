@@ -15,7 +15,7 @@ from rendezview.evaluation import Surface, alike_of, surface_errors
 from rendezview.evaluation.bop_models import bop_model
 from rendezview.evaluation.surface import turns_about
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry
 
 Z = np.array([0.0, 0.0, 1.0])
 K = np.array([[800.0, 0.0, 320.0], [0.0, 790.0, 240.0], [0.0, 0.0, 1.0]])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from rendezview.fusion import Fusion, FusionOptions, MotionOptions, SensorOptions, Status
+from rendezview.fusion import Fusion, FusionOptions, MotionOptions, SensorOptions
+from rendezview.sensors.observation import Status
 
 WHITE = SensorOptions(lasting=0.0)
 OPTIONS = FusionOptions(

@@ -13,7 +13,7 @@ from rich.console import Console
 from rendezview.cli.progress import ProgressBar, outcome_words
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions
-from rendezview.fusion.fusion import Estimate, Status
+from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import (
     LogContext,
     merged,
@@ -28,6 +28,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place
 from rendezview.io.results import JsonLinesWriter
 from rendezview.io.target import Target
+from rendezview.sensors.observation import Status
 
 
 def fuse(

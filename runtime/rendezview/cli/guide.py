@@ -15,7 +15,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.io.ccsds import Names, attitude_message, orbit_message
 from rendezview.io.files import atomic_write_text, read_text
-from rendezview.sensors.appearance import Sighting, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.trajectory import (
     Correction,
     Follower,
@@ -54,7 +54,7 @@ def chaser_attitudes(path: Path) -> Slerp:
 
 @dataclass(slots=True)
 class Guide:
-    """Feeds sightings to a follower; words for the screen, records for the log, messages."""
+    """Feeds observations to a follower; words for the screen, records for the log, messages."""
 
     follower: Follower
     chaser: Slerp | None = None
@@ -91,7 +91,9 @@ class Guide:
         follower = Follower(model.centre_m, chosen, plan, told)
         return cls(follower, chaser_attitudes(chaser) if chaser else None)
 
-    def update(self, time_s: float, sighting: Sighting) -> tuple[dict[str, Any], str | None]:
+    def update(
+        self, time_s: float, observation: AppearanceObservation
+    ) -> tuple[dict[str, Any], str | None]:
         """Record of a frame, and words when a segment ends.
 
         Raises:
@@ -107,9 +109,9 @@ class Guide:
                     f"the chaser's attitudes are of {first_s:g} to {last_s:g} s, the frame of "
                     f"{time_s:g} s: give attitudes of the whole sequence"
                 ) from None
-        points_m, weights = sighting.cloud
+        points_m, weights = observation.cloud
         report = self.follower.update(
-            time_s, sighting.pose, sighting.covariance, points_m, weights, attitude
+            time_s, observation.pose, observation.covariance, points_m, weights, attitude
         )
         self.last = report
         if isinstance(report.segment, Segment):
@@ -121,13 +123,15 @@ class Guide:
             self.attitudes.append(report.spin.at(time_s)[0][0])
         told = record(report)
         told["centre_m"] = self.follower.centre_m
-        told["path_from_target"] = self._path_from_target(time_s, attitude, sighting)
+        told["path_from_target"] = self._path_from_target(time_s, attitude, observation)
         return told, describe(report) if report.ended else None
 
-    def _path_from_target(self, time_s: float, attitude: Array | None, sighting: Sighting) -> Array:
+    def _path_from_target(
+        self, time_s: float, attitude: Array | None, observation: AppearanceObservation
+    ) -> Array:
         """(3, 3) as the follower took it; the identity for a frame that it could not use."""
         if attitude is not None:
-            return np.eye(3) if sighting.pose is None else attitude @ sighting.pose.rotation
+            return np.eye(3) if observation.pose is None else attitude @ observation.pose.rotation
         plan = self.follower.plan
         return np.eye(3) if plan is None else plan.path_from_target(time_s)
 

@@ -21,7 +21,8 @@ from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import DockingRing, Target
-from rendezview.sensors.ring import RingOptions, RingPrior, Status
+from rendezview.sensors.observation import Status
+from rendezview.sensors.ring import RingOptions, RingPrior
 from rendezview.sensors.ring.overlay import draw_reading
 from rendezview.sensors.ring.run import follow, record
 

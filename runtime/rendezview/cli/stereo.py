@@ -18,11 +18,11 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import check_place
 from rendezview.io.results import JsonLinesWriter, ResultRow, write_results
 from rendezview.io.target import Target
+from rendezview.sensors.observation import Status
 from rendezview.sensors.stereo import (
     MotionOptions,
     Rig,
-    Sighting,
-    Status,
+    StereoObservation,
     StereoTracker,
     TrackerOptions,
 )
@@ -139,17 +139,17 @@ def track(
         with ProgressBar() as progress:
             for done, reading in enumerate(series, start=1):
                 start = time.perf_counter()
-                sighting = tracker.update(reading.time_s, reading.fetch())
+                observation = tracker.update(reading.time_s, reading.fetch())
                 spent_ms.append(1e3 * (time.perf_counter() - start))
-                outcomes[sighting.status] += 1
-                if sighting.pose is not None:
-                    believed = sum(int((found.led >= 0).sum()) for found in sighting.spots)
-                    score = float(believed - len(sighting.left_out))
+                outcomes[observation.status] += 1
+                if observation.pose is not None:
+                    believed = sum(int((found.led >= 0).sum()) for found in observation.spots)
+                    score = float(believed - len(observation.left_out))
                     rows.append(
-                        ResultRow(1, reading.im_id, 1, score, sighting.pose, 1e-3 * spent_ms[-1])
+                        ResultRow(1, reading.im_id, 1, score, observation.pose, 1e-3 * spent_ms[-1])
                     )
                 if writer:
-                    writer.write(_record(reading, sighting, loaded, names, spent_ms[-1]))
+                    writer.write(_record(reading, observation, loaded, names, spent_ms[-1]))
                 progress("readings", done, len(series))
     finally:
         try:
@@ -168,31 +168,35 @@ def track(
 
 
 def _record(
-    reading: Reading, sighting: Sighting, rig: Rig, names: tuple[str, ...], spent_ms: float
+    reading: Reading,
+    observation: StereoObservation,
+    rig: Rig,
+    names: tuple[str, ...],
+    spent_ms: float,
 ) -> dict[str, Any]:
-    angles, fit = sighting.yaw_pitch_roll, sighting.fit
+    angles, fit = observation.yaw_pitch_roll, observation.fit
     return {
         "im_id": reading.im_id,
         "time_s": reading.time_s,
-        "status": str(sighting.status),
-        "reason": sighting.reason,
-        "pose": sighting.pose,
-        "covariance": sighting.covariance,
-        "rig_from_target": sighting.rig_from_target,
+        "status": str(observation.status),
+        "reason": observation.reason,
+        "pose": observation.pose,
+        "covariance": observation.covariance,
+        "rig_from_target": observation.rig_from_target,
         "yaw_pitch_roll_rad": None if angles is None else list(angles),
-        "rates": None if sighting.estimate is None else sighting.estimate.rates,
+        "rates": None if observation.estimate is None else observation.estimate.rates,
         "sum_of_squares": None if fit is None else fit.cost,
         "degrees_of_freedom": None if fit is None else fit.spare,
         "left_out": [
             {"camera": rig.cameras[camera].name, "led": names[light]}
-            for camera, light in sighting.left_out
+            for camera, light in observation.left_out
         ],
-        "exchanged": [[names[a], names[b]] for a, b in sighting.exchanged],
+        "exchanged": [[names[a], names[b]] for a, b in observation.exchanged],
         "leds": [
             [names[number] if number >= 0 else None for number in found.led]
-            for found in sighting.spots
+            for found in observation.spots
         ],
-        "found_anew": sighting.found_anew,
+        "found_anew": observation.found_anew,
         "stage_ms": {"track": spent_ms},
     }
 

@@ -19,8 +19,9 @@ from rendezview.io.ccsds import parse_epoch
 from rendezview.io.files import check_place, read_json
 from rendezview.io.results import JsonLinesWriter, ResultRow, write_results
 from rendezview.io.sequences import Sequence, open_sequence
-from rendezview.sensors.appearance import SilhouetteOptions, Status, Threshold, ViewModel
+from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
+from rendezview.sensors.observation import Status
 
 
 def track(
@@ -107,16 +108,16 @@ def track(
                 sun_camera=light,
                 refine=refine,
             )
-            for done, (frame, sighting) in enumerate(frames, start=1):
-                outcomes[sighting.status] += 1
-                times_ms.append(sum(sighting.stage_ms.values()))
-                row = result_row(sequence.scene_id, frame, sighting)
+            for done, (frame, observation) in enumerate(frames, start=1):
+                outcomes[observation.status] += 1
+                times_ms.append(sum(observation.stage_ms.values()))
+                row = result_row(sequence.scene_id, frame, observation)
                 if row is not None:
                     rows.append(row)
-                noted = record(frame, sighting)
+                noted = record(frame, observation)
                 if guide is not None:
                     time_s = float(done - 1) if frame.time_s is None else frame.time_s
-                    noted["trajectory"], words = guide.update(time_s, sighting)
+                    noted["trajectory"], words = guide.update(time_s, observation)
                     if words:
                         console.print(words, highlight=False, soft_wrap=True)
                 if writer:

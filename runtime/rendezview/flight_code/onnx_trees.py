@@ -26,8 +26,8 @@ def write_onnx(model: ViewModel, path: Path) -> None:
     """Write the trees as an ONNX graph, atomically.
 
     Inputs: ``readings`` float (N,), a signature; ``rolls_rad`` double (T,), of the view against
-    each node, see `rendezview.sensors.appearance.outline.signature.twist`. Outputs: ``trust`` float (T,), how
-    surely each node means on; ``on`` bool (T,).
+    each node, see `twist` of the signature. Outputs: ``trust`` float (T,), how surely each
+    node means on; ``on`` bool (T,).
 
     Raises:
         RendezviewError: the package onnx is not installed, or the file cannot be written.

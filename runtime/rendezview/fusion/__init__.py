@@ -1,7 +1,10 @@
 """Several sensors, one state: an error-state filter on relative pose and rates."""
 
-from rendezview.fusion.fusion import Estimate, Fusion, Status
-from rendezview.fusion.measurements import (
+from rendezview.fusion.fusion import Estimate, Fusion
+from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
+from rendezview.fusion.state import Innovation, Rejected, State, innovation, predict, update
+from rendezview.fusion.trust import Trust, Verdict
+from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
@@ -9,9 +12,6 @@ from rendezview.fusion.measurements import (
     RingMeasurement,
     Surface,
 )
-from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
-from rendezview.fusion.state import Innovation, Rejected, State, innovation, predict, update
-from rendezview.fusion.trust import Trust, Verdict
 
 __all__ = [
     "Estimate",
@@ -27,7 +27,6 @@ __all__ = [
     "RingMeasurement",
     "SensorOptions",
     "State",
-    "Status",
     "Surface",
     "Trust",
     "Verdict",

@@ -6,12 +6,12 @@ import bisect
 import math
 from dataclasses import dataclass
 
-from rendezview.fusion.measurements import Measurement
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import State, predict
 from rendezview.fusion.step import Snapshot, step, useless
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Status
 
 _ROUNDING_S = 1e-9

@@ -17,20 +17,20 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion.measurements import (
+from rendezview.fusion.options import FusionOptions
+from rendezview.geometry.pose import Pose
+from rendezview.io.files import StrPath, checked, read_json
+from rendezview.io.results import read_json_lines
+from rendezview.io.target import DockingRing
+from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingCandidate,
     RingMeasurement,
     Surface,
+    tangents,
 )
-from rendezview.fusion.models import tangents
-from rendezview.fusion.options import FusionOptions
-from rendezview.geometry.pose import Pose
-from rendezview.io.files import StrPath, checked, read_json
-from rendezview.io.results import read_json_lines
-from rendezview.io.target import DockingRing
 
 _RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
 _SERVED = "a session of the service: its `fusion`"

@@ -13,15 +13,15 @@ import numpy as np
 from scipy.special import chdtri
 
 from rendezview.fusion.kernels import square_root
-from rendezview.fusion.measurements import (
+from rendezview.fusion.model_kernels import pose_model, ring_expected
+from rendezview.fusion.options import SensorOptions
+from rendezview.geometry.pose import Array
+from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingMeasurement,
 )
-from rendezview.fusion.model_kernels import pose_model, ring_expected
-from rendezview.fusion.options import SensorOptions
-from rendezview.geometry.pose import Array
 
 if TYPE_CHECKING:
     from rendezview.fusion.state import State
@@ -139,25 +139,6 @@ def _range(state: State, measurement: RangeMeasurement) -> Expected | str:
             np.array([[surface.relief_m]]),
         )
     return told
-
-
-def tangents(axis: Array) -> Array:
-    """(3, 2) unit vectors e₁, e₂ across an axis n, as in logs of rings (docs/files.md).
-
-    e₁ is camera x less its part along n, normalised (camera y where n is along x); e₂ = n × e₁.
-    """
-    along_x = abs(axis[0]) > 1.0 - 1e-6
-    first = np.array([0.0, 1.0, 0.0]) if along_x else np.array([1.0, 0.0, 0.0])
-    first = first - (first @ axis) * axis
-    first /= np.sqrt(first @ first)
-    second = np.array(
-        [
-            axis[1] * first[2] - axis[2] * first[1],
-            axis[2] * first[0] - axis[0] * first[2],
-            axis[0] * first[1] - axis[1] * first[0],
-        ]
-    )
-    return np.column_stack([first, second])
 
 
 _POSE_SLOPE = np.hstack([np.eye(6), np.zeros((6, _COLUMNS - 6))])

@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from rendezview.fusion.kernels import corrected, predicted, rotation_vector
-from rendezview.fusion.measurements import Measurement, PoseMeasurement
 from rendezview.fusion.model_kernels import pose_covariance
 from rendezview.fusion.models import expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 MOTION = 12  # attitude, place, angular rate, velocity
 RADIUS, DEPTH = 12, 13  # of the ring

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rendezview.fusion.measurements import Measurement, PoseMeasurement
 from rendezview.fusion.models import gate_of
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import (
@@ -26,6 +25,7 @@ from rendezview.fusion.state import (
 )
 from rendezview.fusion.trust import Trust, Verdict, is_sharp, judge
 from rendezview.geometry.pose import Array
+from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 _VOTES = 2  # sensors that must agree against the state to overrule it
 _DOUBT = 2  # times in a row that a sensor was turned away, or not taken whole, to have a vote

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
+from typing import Any
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing
+from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 
 class Status(StrEnum):
@@ -35,3 +41,51 @@ class Status(StrEnum):
     STARTING = "starting"  # a first pose, not confirmed yet
     TRACKING = "tracking"
     COASTING = "coasting"  # no accepted measurement: the rates carry the state on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """What a sensor says of one frame: a pose with its covariance, or the reason for none.
+
+    Each sensor adds its own fields in a subclass, and overrides `record` to add them to the line.
+    """
+
+    status: Status
+    reason: str | None = None
+    _: KW_ONLY
+    time_s: float | None = None  # when the light fell on the sensor; None: a single frame
+    pose: Pose | None = None  # camera_from_target
+    covariance: Array | None = None  # (6, 6) rotation vector rad, translation m; camera frame, left
+    confidence: float | None = None  # probability that the pose is right, 0 … 1, where it is known
+    stage_ms: dict[str, float] = field(default_factory=dict)  # computing time by stage
+
+    def measurement(
+        self, sensor: str, *, ring: DockingRing | None = None, mount: Pose | None = None
+    ) -> Measurement | None:
+        """What the filter takes of this observation; ``None`` where there is nothing to take.
+
+        Args:
+            sensor: name of the sensor; the filter keeps biases and trust by it.
+            ring: where the ring is on the target; only rings need it.
+            mount: ``sensor_from_camera``, where the sensor is not at the filter's camera.
+
+        Raises:
+            ValueError: the observation has no time, or a ring is not given where it is needed.
+        """
+        if self.pose is None or self.covariance is None:
+            return None
+        if self.time_s is None:
+            raise ValueError(f"{sensor}: an observation without a time cannot be fused")
+        taken = PoseMeasurement(self.time_s, sensor, self.pose, self.covariance)
+        return taken if mount is None else taken.in_camera(mount)
+
+    def record(self) -> dict[str, Any]:
+        """The observation as its line of JSON: the same in logs, service and results."""
+        return {
+            "time_s": self.time_s,
+            "status": str(self.status),
+            "reason": self.reason,
+            "pose": self.pose,
+            "covariance": self.covariance,
+            "stage_ms": self.stage_ms,
+        }

@@ -184,7 +184,7 @@ class State(Message):
     rates: Rates | None
     candidates: list[PoseMessage] = Field(description="poses that fit but are not given")
     fit: Fit | None
-    on_nodes: list[OnNode]
+    active_nodes: list[OnNode]
     stage_ms: dict[str, float]
     track_ms: float = Field(description="of the tracker, all stages")
     latency_ms: float = Field(description="from the frame's arrival to this answer")

@@ -14,7 +14,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.sequences.frame import GreyImage
-from rendezview.sensors.appearance import Recognizer, Sighting, Tracker, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.edges.refinement import Sky
@@ -105,7 +105,7 @@ class Follower:
 
     def look(
         self, image: GreyImage, time_s: float, received_unix_s: float
-    ) -> tuple[StateDict, Sighting]:
+    ) -> tuple[StateDict, AppearanceObservation]:
         """The state that a frame gives; ``latency_ms``, ``drops`` and ``recorded`` are to be set.
 
         Raises:
@@ -118,16 +118,16 @@ class Follower:
                 "beyond 1e10: send frames in order of time"
             )
         start = time.perf_counter()
-        sighting = self.tracker.update(time_s, image, self.sun_camera)
+        observation = self.tracker.update(time_s, image, self.sun_camera)
         track_ms = 1e3 * (time.perf_counter() - start)
         self._last_s = time_s
-        if sighting.pose is not None:
+        if observation.pose is not None:
             self._last_pose_s = time_s
-        state = self._state(sighting, time_s, received_unix_s, track_ms)
+        state = self._state(observation, time_s, received_unix_s, track_ms)
         if self.filter.running:
-            state["fused"] = self.filter.look(time_s, sighting.pose, sighting.covariance)
+            state["fused"] = self.filter.look(time_s, observation.pose, observation.covariance)
         self._frames += 1
-        return state, sighting
+        return state, observation
 
     @property
     def frames(self) -> int:
@@ -140,28 +140,32 @@ class Follower:
         return self._last_s
 
     def _state(
-        self, sighting: Sighting, time_s: float, received_unix_s: float, track_ms: float
+        self,
+        observation: AppearanceObservation,
+        time_s: float,
+        received_unix_s: float,
+        track_ms: float,
     ) -> StateDict:
-        pose, found, confidence = sighting.pose, sighting.found, sighting.confidence
+        pose, found, confidence = observation.pose, observation.found, observation.confidence
         rates = None if pose is None else self.tracker.rates
-        covariance = sighting.covariance
+        covariance = observation.covariance
         return {
             "session": self.session,
             "frame": self._frames,
             "time_s": time_s,
             "received_unix_s": received_unix_s,
-            "phase": self._phase(sighting, time_s),
-            "status": str(sighting.status),
-            "reason": sighting.reason,
+            "phase": self._phase(observation, time_s),
+            "status": str(observation.status),
+            "reason": observation.reason,
             "pose": None if pose is None else pose.as_dict(),
             "covariance": None if covariance is None else covariance.tolist(),
             "confidence": confidence,
-            "score": sighting.score if confidence is None else confidence,
+            "score": observation.score if confidence is None else confidence,
             "range_m": None if pose is None else math.hypot(*pose.apply(self.model.centre_m)),
             "rates": None
             if rates is None
             else {"angular_rad_s": rates[0].tolist(), "linear_m_s": rates[1].tolist()},
-            "candidates": [p.as_dict() for p in sighting.candidates],
+            "candidates": [p.as_dict() for p in observation.candidates],
             "fit": None
             if found is None
             else {
@@ -174,18 +178,18 @@ class Follower:
             "on_nodes": [
                 {"index": node, "weight": weight, "direction": self._nodes[node]}
                 for node, weight in zip(
-                    sighting.on_nodes.tolist(), sighting.weights.tolist(), strict=True
+                    observation.active_nodes.tolist(), observation.weights.tolist(), strict=True
                 )
             ],
-            "stage_ms": dict(sighting.stage_ms),
+            "stage_ms": dict(observation.stage_ms),
             "track_ms": track_ms,
             "latency_ms": 0.0,
             "drops": 0,
             "recorded": False,
         }
 
-    def _phase(self, sighting: Sighting, time_s: float) -> Phase:
-        if sighting.pose is not None:
+    def _phase(self, observation: AppearanceObservation, time_s: float) -> Phase:
+        if observation.pose is not None:
             return Phase.TRACKING
         since_s = math.inf if self._last_pose_s is None else time_s - self._last_pose_s
         if since_s <= self.tracker.options.longest_prediction_s:
@@ -216,8 +220,8 @@ def warm_up(model: ViewModel) -> int:
             image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
             for known in (None, prior):
                 recognizer.recognize(image, known)
-            if recognizer.finder is not None:
-                recognizer.finder.at(image, Sky.of(image), prior, np.pi)
+            if recognizer.search is not None:
+                recognizer.search.at(image, Sky.of(image), prior, np.pi)
         contour_at(model, camera, prior)
         fusing.warm_up()
     return len(recorder.buffer) // 2  # each has a start and an end
@@ -242,10 +246,10 @@ def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
     )
 
 
-def silhouette_px(sighting: Sighting) -> list[list[list[float]]] | None:
+def silhouette_px(observation: AppearanceObservation) -> list[list[list[float]]] | None:
     """The outlines that were found, thinned for drawing."""
-    if sighting.silhouette is None:
+    if observation.silhouette is None:
         return None
-    outlines: tuple[npt.NDArray[np.float64], ...] = sighting.silhouette.outlines_px
+    outlines: tuple[npt.NDArray[np.float64], ...] = observation.silhouette.outlines_px
     step = 1 + sum(len(o) for o in outlines) // _OUTLINE_POINTS
     return [np.round(o[::step], 1).tolist() for o in outlines]

@@ -29,7 +29,7 @@ from pydantic_core import to_json
 
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences.frame import GreyImage
-from rendezview.sensors.appearance import Sighting, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.service.frames import read_frame
 from rendezview.service.logs import set_up_logging
 from rendezview.service.messages import Contour, SessionRequest
@@ -130,7 +130,7 @@ class Worker:
         content = self._memory[: request["length"]]
         image = read_frame(content, follower.camera)
         time_s = request["time_s"]
-        state, sighting = follower.look(image, time_s, request["received_unix_s"])
+        state, observation = follower.look(image, time_s, request["received_unix_s"])
         state["frame"] += request["first_frame"]
         state["drops"] = request["drops"]
         state["recorded"] = session.log is not None
@@ -152,7 +152,7 @@ class Worker:
             answer["log_path"] = str(session.log.path)
         self._send(answer, text)
         if more:
-            self._extras(more, follower, image, state["frame"], sighting)
+            self._extras(more, follower, image, state["frame"], observation)
 
     def _measure(self, request: Header) -> None:
         """Lines of another sensor: all checked, then taken one by one, logged, answered."""
@@ -204,13 +204,18 @@ class Worker:
         self._send(answer, to_json(told, inf_nan_mode="null"))
 
     def _extras(
-        self, more: Header, follower: Follower, image: GreyImage, frame: int, sighting: Sighting
+        self,
+        more: Header,
+        follower: Follower,
+        image: GreyImage,
+        frame: int,
+        observation: AppearanceObservation,
     ) -> None:
         """What watchers asked for; the frame's sender has been answered already."""
         contour: Contour | None = None
-        if more["contour"] and sighting.pose is not None:
-            contour = contour_at(follower.model, follower.camera, sighting.pose)
-        outlines = silhouette_px(sighting) if more["silhouette"] else None
+        if more["contour"] and observation.pose is not None:
+            contour = contour_at(follower.model, follower.camera, observation.pose)
+        outlines = silhouette_px(observation) if more["silhouette"] else None
         picture = jpeg(image, more["width"]) if more["width"] else b""
         header: Header = {
             "kind": "extras",

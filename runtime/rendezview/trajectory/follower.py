@@ -1,4 +1,4 @@
-"""From sighting to correction, frame by frame: cloud, segment, prediction, spin."""
+"""From observation to correction, frame by frame: cloud, segment, prediction, spin."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import pytest
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.interpolation import Between
+from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.training.mesh import Mesh
@@ -41,7 +41,7 @@ def exact(bumpy_mesh: Mesh, tiny_options: TrainingOptions, directions: Array) ->
 
 def places(model: ViewModel, views: ViewSet) -> tuple[Array, Array]:
     """Errors of direction of the nearest node alone, and between the nodes; range ratios."""
-    between, errors, ranges = Between(model), [], []
+    between, errors, ranges = Interpolator(model), [], []
     for k, direction in enumerate(views.direction):
         node = model.geodesic.nearest(direction)
         only = model.geodesic.nodes[node]
@@ -76,7 +76,7 @@ def test_a_fat_outline_is_farther_than_it_looks(tiny_model: ViewModel, exact: Vi
     node = tiny_model.geodesic.nearest(exact.direction[0])
     only = tiny_model.geodesic.nodes[node]
     match = Match(np.array([node]), np.ones(1), only, exact.centred_from_target[0])
-    between = Between(tiny_model)
+    between = Interpolator(tiny_model)
     thin, fat = (between.points(match, signature, px)[0] for px in (0.0, 1e-3))
     far = [np.linalg.norm(p - tiny_model.centre_m, axis=1).mean() for p in (thin, fat)]
     assert 1.0005 < far[1] / far[0] < 1.05
@@ -89,7 +89,7 @@ def test_model_without_far_readings_gives_the_points_of_its_nodes(
     old.save(tmp_path / "old.rvm")
     loaded = ViewModel.load(tmp_path / "old.rvm")
     with pytest.raises(ValueError, match="no far readings"):
-        Between(loaded)
+        Interpolator(loaded)
     rotation = look_from(np.array([0.6, 0.64, 0.48]))
     away = np.array([0.0, 0.0, 1.5 * tiny_model.sphere_radius_m])
     pose = Pose(rotation, away - rotation @ tiny_model.centre_m)

@@ -12,10 +12,11 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer, Sighting, Status
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer
 from rendezview.sensors.appearance.outline.placement import range_from_area
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Matcher
+from rendezview.sensors.observation import Status
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 
@@ -39,10 +40,12 @@ def tilted(pose: Pose, rng: np.random.Generator, angle_deg: float) -> Pose:
     return Pose(Rotation.from_rotvec(axis).as_matrix() @ pose.rotation, pose.translation_m)
 
 
-def errors(model, sighting: Sighting, truth: Pose) -> tuple[float, float, float, float]:
+def errors(
+    model, observation: AppearanceObservation, truth: Pose
+) -> tuple[float, float, float, float]:
     """Direction and roll (degrees), range (fraction), bearing (degrees)."""
-    assert sighting.status is Status.OK, sighting.reason
-    pose = sighting.pose
+    assert observation.status is Status.OK, observation.reason
+    pose = observation.pose
     true_centre, centre = truth.apply(model.centre_m), pose.apply(model.centre_m)
     line = true_centre / np.linalg.norm(true_centre)
     turn = Rotation.from_matrix(pose.rotation @ truth.rotation.T).as_rotvec()
@@ -62,13 +65,13 @@ def all_errors(model, camera, mesh, draw, seed: int, prior_deg: float | None) ->
     for _ in range(POSES):
         truth = some_pose(rng, model)
         prior = None if prior_deg is None else tilted(truth, rng, prior_deg)
-        sighting = recognizer.recognize(draw(mesh, truth, camera, rng), prior)
-        if sighting.status is Status.OK:
-            rows.append(errors(model, sighting, truth))
+        observation = recognizer.recognize(draw(mesh, truth, camera, rng), prior)
+        if observation.status is Status.OK:
+            rows.append(errors(model, observation, truth))
         else:
-            assert sighting.status in (Status.AMBIGUOUS, Status.UNRECOGNIZED), sighting.reason
-            assert sighting.reason
-            assert sighting.pose is None
+            assert observation.status in (Status.AMBIGUOUS, Status.UNRECOGNIZED), observation.reason
+            assert observation.reason
+            assert observation.pose is None
     return np.array(rows)
 
 
@@ -103,12 +106,12 @@ def test_errors_stated_by_the_model_are_those_met(tiny_model, camera, bumpy_mesh
     squares = []
     for _ in range(40):
         truth = some_pose(rng, tiny_model)
-        sighting = recognizer.recognize(draw(bumpy_mesh, truth, camera, rng), truth)
-        if sighting.status is not Status.OK:
+        observation = recognizer.recognize(draw(bumpy_mesh, truth, camera, rng), truth)
+        if observation.status is not Status.OK:
             continue
-        turn = Rotation.from_matrix(sighting.pose.rotation @ truth.rotation.T).as_rotvec()
-        error = np.concatenate([turn, sighting.pose.translation_m - truth.translation_m])
-        squares.append(error @ np.linalg.solve(sighting.covariance, error))
+        turn = Rotation.from_matrix(observation.pose.rotation @ truth.rotation.T).as_rotvec()
+        error = np.concatenate([turn, observation.pose.translation_m - truth.translation_m])
+        squares.append(error @ np.linalg.solve(observation.covariance, error))
     assert len(squares) > 30
     assert 2.0 < np.mean(squares) < 12.0  # six degrees of freedom
 
@@ -132,18 +135,23 @@ def test_points_stand_around_the_camera_where_it_is_in_the_target_frame(
     off = []
     for _ in range(POSES):
         truth = some_pose(rng, tiny_model)
-        sighting = recognizer.recognize(draw(bumpy_mesh, truth, camera, rng), truth)
-        if sighting.status is not Status.OK:
-            assert len(sighting.points_m) == 0
+        observation = recognizer.recognize(draw(bumpy_mesh, truth, camera, rng), truth)
+        if observation.status is not Status.OK:
+            assert len(observation.points_m) == 0
             continue
-        assert len(sighting.points_m) == len(sighting.on_nodes) == len(sighting.weights) > 0
+        assert (
+            len(observation.points_m)
+            == len(observation.active_nodes)
+            == len(observation.weights)
+            > 0
+        )
         where = truth.inverse().translation_m
-        mean = sighting.weights @ sighting.points_m / sighting.weights.sum()
+        mean = observation.weights @ observation.points_m / observation.weights.sum()
         off.append(np.linalg.norm(mean - where) / np.linalg.norm(where - tiny_model.centre_m))
         # each point lies on its node's direction from the view centre
-        arms = sighting.points_m - tiny_model.centre_m
+        arms = observation.points_m - tiny_model.centre_m
         arms /= np.linalg.norm(arms, axis=1, keepdims=True)
-        assert np.allclose(arms, tiny_model.geodesic.nodes[sighting.on_nodes])
+        assert np.allclose(arms, tiny_model.geodesic.nodes[observation.active_nodes])
     assert len(off) >= 0.8 * POSES
     assert np.median(off) < 0.15
     assert max(off) < 0.4
@@ -188,16 +196,16 @@ def test_pose_is_that_of_the_cad_frame_however_far_its_origin(
         plain = Recognizer(tiny_model, camera).recognize(frame, truth).pose
         cad_truth = truth @ Pose(np.eye(3), -shift)
         assert np.allclose(cad_truth.apply(model.centre_m), truth.apply(tiny_model.centre_m))
-        sighting = Recognizer(model, camera).recognize(frame, cad_truth)
-        direction, roll, range_error, bearing = errors(model, sighting, cad_truth)
+        observation = Recognizer(model, camera).recognize(frame, cad_truth)
+        direction, roll, range_error, bearing = errors(model, observation, cad_truth)
         assert direction < WORST_DEG
         assert roll < 8.0
         assert range_error < 0.1
         assert bearing < 1.0
         # the same body recognised in either frame is in one place
         expected = plain @ Pose(np.eye(3), -shift)
-        assert np.linalg.norm(sighting.pose.apply(shift) - expected.apply(shift)) < 0.3
-        assert np.linalg.eigvalsh(sighting.covariance).min() > 0.0
+        assert np.linalg.norm(observation.pose.apply(shift) - expected.apply(shift)) < 0.3
+        assert np.linalg.eigvalsh(observation.covariance).min() > 0.0
 
 
 def test_a_turn_about_the_view_centre_moves_a_far_origin_in_the_covariance(
@@ -206,9 +214,9 @@ def test_a_turn_about_the_view_centre_moves_a_far_origin_in_the_covariance(
     far = dataclasses.replace(tiny_model, centre_m=tiny_model.centre_m + np.array([50.0, 0.0, 0.0]))
     truth = some_pose(np.random.default_rng(8), tiny_model)
     frame = draw(bumpy_mesh, truth, camera)
-    sighting = Recognizer(far, camera).recognize(frame, truth)
+    observation = Recognizer(far, camera).recognize(frame, truth)
     # t = centre − R centre_m: propagate by differences and compare
-    pose, covariance = sighting.pose, sighting.covariance
+    pose, covariance = observation.pose, observation.covariance
     centre = pose.apply(far.centre_m)
     jacobian = np.zeros((3, 3))
     for k, w in enumerate(1e-6 * np.eye(3)):
@@ -226,9 +234,11 @@ def test_a_camera_of_half_the_resolution_gives_the_same_poses(tiny_model, camera
     found = []
     for _ in range(POSES):
         truth = some_pose(rng, tiny_model)
-        sighting = Recognizer(tiny_model, half).recognize(draw(bumpy_mesh, truth, half, rng), truth)
-        if sighting.status is Status.OK:
-            found.append(errors(tiny_model, sighting, truth))
+        observation = Recognizer(tiny_model, half).recognize(
+            draw(bumpy_mesh, truth, half, rng), truth
+        )
+        if observation.status is Status.OK:
+            found.append(errors(tiny_model, observation, truth))
     assert len(found) >= 0.75 * POSES
     assert np.median(found, axis=0)[0] < 1.5 * MEDIAN_DEG
     assert np.median(found, axis=0)[2] < 0.05
@@ -243,9 +253,9 @@ def test_a_roll_of_the_camera_rolls_the_pose_and_nothing_else(tiny_model, camera
     for roll in np.linspace(0.0, 2.0 * np.pi, 7)[:-1]:
         turn = Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix()
         rolled = Pose(turn @ truth.rotation, turn @ truth.translation_m)
-        sighting = recognizer.recognize(draw(bumpy_mesh, rolled, camera), rolled)
-        assert errors(tiny_model, sighting, rolled)[1] < 5.0
-        directions.append(sighting.pose.rotation.T @ turn @ [0.0, 0.0, 1.0])
+        observation = recognizer.recognize(draw(bumpy_mesh, rolled, camera), rolled)
+        assert errors(tiny_model, observation, rolled)[1] < 5.0
+        directions.append(observation.pose.rotation.T @ turn @ [0.0, 0.0, 1.0])
     assert np.rad2deg(angle_between(directions, directions[0])).max() < 5.0
 
 
@@ -259,22 +269,22 @@ def test_a_wrong_prior_is_not_answered_by_a_pose_far_from_it(tiny_model, camera,
     for _ in range(8):
         truth = some_pose(rng, tiny_model)
         wrong = tilted(truth, rng, 150.0)
-        sighting = recognizer.recognize(draw(bumpy_mesh, truth, camera), wrong)
-        if sighting.status is Status.OK:
-            lines = [p.rotation.T @ [0.0, 0.0, 1.0] for p in (sighting.pose, wrong)]
+        observation = recognizer.recognize(draw(bumpy_mesh, truth, camera), wrong)
+        if observation.status is Status.OK:
+            lines = [p.rotation.T @ [0.0, 0.0, 1.0] for p in (observation.pose, wrong)]
             assert float(angle_between(*lines)) < reach
         else:
-            assert sighting.status is Status.UNRECOGNIZED
+            assert observation.status is Status.UNRECOGNIZED
 
 
 def test_a_frame_without_a_target_has_a_status_and_a_reason_and_no_pose(tiny_model, camera):
-    sighting = Recognizer(tiny_model, camera).recognize(np.zeros((400, 400), np.uint8))
-    assert sighting.status is Status.EMPTY
-    assert sighting.reason
-    assert sighting.pose is None
-    assert sighting.covariance is None
-    assert sighting.score == 0.0
-    assert len(sighting.points_m) == 0
+    observation = Recognizer(tiny_model, camera).recognize(np.zeros((400, 400), np.uint8))
+    assert observation.status is Status.EMPTY
+    assert observation.reason
+    assert observation.pose is None
+    assert observation.covariance is None
+    assert observation.score == 0.0
+    assert len(observation.points_m) == 0
 
 
 def test_of_two_like_bodies_the_prior_chooses(tiny_model, camera, bumpy_mesh, draw):
@@ -292,8 +302,8 @@ def test_of_two_like_bodies_the_prior_chooses(tiny_model, camera, bumpy_mesh, dr
 def test_a_prior_behind_the_camera_does_no_harm(tiny_model, camera, bumpy_mesh, draw):
     truth = some_pose(np.random.default_rng(12), tiny_model)
     behind = Pose(truth.rotation, -truth.translation_m)
-    sighting = Recognizer(tiny_model, camera).recognize(draw(bumpy_mesh, truth, camera), behind)
-    assert errors(tiny_model, sighting, truth)[0] < WORST_DEG
+    observation = Recognizer(tiny_model, camera).recognize(draw(bumpy_mesh, truth, camera), behind)
+    assert errors(tiny_model, observation, truth)[0] < WORST_DEG
 
 
 @pytest.mark.parametrize(

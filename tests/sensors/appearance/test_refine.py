@@ -12,10 +12,11 @@ from scipy.special import ndtr
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer, Status, Tracker, ViewModel
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges.profile import strip_place
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner, Sky
+from rendezview.sensors.observation import Status
 from rendezview.simulation import (
     Earth,
     SceneOptions,
@@ -240,15 +241,15 @@ def test_first_poses_without_a_prior_are_right_or_not_given(refining_model, bump
     errors = []
     for seed in range(40, 52):
         truth = random_pose(seed)
-        sighting = recognizer.recognize(shaded(bumpy_mesh, camera, truth, seed))
-        if sighting.pose is None:
-            assert sighting.status is not Status.OK
-            assert sighting.reason
+        observation = recognizer.recognize(shaded(bumpy_mesh, camera, truth, seed))
+        if observation.pose is None:
+            assert observation.status is not Status.OK
+            assert observation.reason
             errors.append(np.inf)
         else:
-            assert sighting.confidence is not None
-            assert sighting.confidence >= recognizer.least_confidence
-            errors.append(np.rad2deg(sighting.pose.angle_to(truth)))
+            assert observation.confidence is not None
+            assert observation.confidence >= recognizer.least_confidence
+            errors.append(np.rad2deg(observation.pose.angle_to(truth)))
     found = np.isfinite(errors)
     assert np.mean(found) >= 0.75
     assert np.max(np.array(errors)[found]) < 5.0
@@ -258,15 +259,15 @@ def test_the_trees_of_a_sure_first_pose_are_asked_around_it(refining_model, bump
     recognizer = Recognizer(refining_model, camera)
     asked = 0
     for seed in range(40, 52):
-        sighting = recognizer.recognize(shaded(bumpy_mesh, camera, random_pose(seed), seed))
-        if sighting.pose is None or len(sighting.on_nodes) == 0:
+        observation = recognizer.recognize(shaded(bumpy_mesh, camera, random_pose(seed), seed))
+        if observation.pose is None or len(observation.active_nodes) == 0:
             continue
-        centred = sighting.signature.centred_from_camera @ sighting.pose.rotation
-        cosines = refining_model.geodesic.nodes[sighting.on_nodes] @ -centred[2]
+        centred = observation.signature.centred_from_camera @ observation.pose.rotation
+        cosines = refining_model.geodesic.nodes[observation.active_nodes] @ -centred[2]
         options = recognizer.matcher.options
         reach = (options.margin_edges + 2.0) * refining_model.geodesic.mean_edge_rad
         assert np.all(cosines >= np.cos(reach) - 1e-9)
-        assert set(sighting.stage_ms) >= {"silhouette", "signature", "refine", "trees"}
+        assert set(observation.stage_ms) >= {"silhouette", "signature", "refine", "trees"}
         asked += 1
     assert asked >= 8
 
@@ -280,8 +281,8 @@ def test_hard_light_is_told_apart_with_lit_silhouettes(refining_model, bumpy_mes
         sun = sun_at_phase(truth.translation_m, np.deg2rad(55.0), rng.uniform(0.0, 6.28))
         options = SceneOptions(sky_frame="camera", shading=ShadingOptions(samples=3))
         frame = render_frame(bumpy_mesh, camera, truth, sun, options, rng)
-        sighting = recognizer.recognize(frame, sun_camera=sun)
-        best = sighting.found
+        observation = recognizer.recognize(frame, sun_camera=sun)
+        best = observation.found
         if best is not None and np.rad2deg(best.best.pose.angle_to(truth)) < 5.0:
             found += 1
     assert found >= 6
@@ -313,11 +314,11 @@ def test_a_sequence_survives_a_jump_and_an_outage(refining_model, bumpy_mesh, ca
         if 9 <= k < 12:
             frame = np.full_like(frame, 5)
         time_s += 1.0
-        sighting = tracker.update(time_s, frame)
+        observation = tracker.update(time_s, frame)
         if 9 <= k < 12:
-            assert sighting.pose is None
-        elif sighting.pose is not None:
-            errors.append(np.rad2deg(sighting.pose.angle_to(truth)))
+            assert observation.pose is None
+        elif observation.pose is not None:
+            errors.append(np.rad2deg(observation.pose.angle_to(truth)))
     assert len(errors) >= 10
     assert np.max(errors) < 2.0
 

@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer, Status, Tracker, TrackerOptions, ViewModel
+from rendezview.sensors.appearance import Recognizer, Tracker, TrackerOptions, ViewModel
 from rendezview.sensors.appearance.edges.refinement import Refiner, Sky
-from rendezview.sensors.appearance.edges.search import FinderOptions
+from rendezview.sensors.appearance.edges.search import SearchOptions
+from rendezview.sensors.observation import Status
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
 
@@ -79,14 +80,14 @@ def test_a_model_without_its_surface_finds_poses_by_edges_alone(
     model = ViewModel.load(tmp_path / "old.rvm")
     assert model.surface is None
     pose = seen_at(refining_model, 5)
-    sighting = Recognizer(model, camera).recognize(
+    observation = Recognizer(model, camera).recognize(
         shaded(bumpy_mesh, camera, pose, 5, 10.0), pose, np.deg2rad(5.0)
     )
-    assert sighting.status is Status.OK
-    assert sighting.found is not None
-    assert sighting.found.shading is None
-    assert sighting.pose is not None
-    assert sighting.pose.angle_to(pose) < np.deg2rad(1.0)
+    assert observation.status is Status.OK
+    assert observation.found is not None
+    assert observation.found.shading is None
+    assert observation.pose is not None
+    assert observation.pose.angle_to(pose) < np.deg2rad(1.0)
 
 
 @pytest.mark.parametrize("name", ["point", "normal", "albedo", "seen"])
@@ -105,9 +106,9 @@ def test_a_pose_that_a_search_bore_out_is_kept_with_less_support_for_a_while(
     pose = seen_at(refining_model, 5)
     image = shaded(bumpy_mesh, camera, pose, 5, 10.0)
     recognizer = Recognizer(refining_model, camera)
-    assert recognizer.finder is not None
-    recognizer.finder.options = FinderOptions(sure_support=2.0)  # nothing is sure by itself
+    assert recognizer.search is not None
+    recognizer.search.options = SearchOptions(sure_support=2.0)  # nothing is sure by itself
     tracker = Tracker(recognizer, pose, TrackerOptions(vouched_frames=3))
-    sightings = [tracker.update(float(k), image) for k in range(9)]
-    assert [s.found.alone for s in sightings] == [*2 * [False, True, True, True], False]
-    assert all(s.pose.angle_to(pose) < np.deg2rad(1.0) for s in sightings)
+    observations = [tracker.update(float(k), image) for k in range(9)]
+    assert [s.found.alone for s in observations] == [*2 * [False, True, True, True], False]
+    assert all(s.pose.angle_to(pose) < np.deg2rad(1.0) for s in observations)

@@ -11,8 +11,14 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer, Sighting, Status, Tracker, TrackerOptions
+from rendezview.sensors.appearance import (
+    AppearanceObservation,
+    Recognizer,
+    Tracker,
+    TrackerOptions,
+)
 from rendezview.sensors.appearance.outline.votes import MatchOptions
+from rendezview.sensors.observation import Status
 
 
 class Script:
@@ -24,16 +30,16 @@ class Script:
         self.answer: Pose | None = None
         self.matcher = SimpleNamespace(options=MatchOptions())
         self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
-        self.finder = None
+        self.search = None
 
     def recognize(
         self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
-    ) -> Sighting:
+    ) -> AppearanceObservation:
         self.priors.append(prior)
         self.reach_deg.append(round(np.rad2deg(prior_error_rad), 6))
         if self.answer is None:
-            return Sighting(Status.EMPTY, "nothing")
-        return Sighting(Status.OK, pose=self.answer)
+            return AppearanceObservation(Status.EMPTY, "nothing")
+        return AppearanceObservation(Status.OK, pose=self.answer)
 
 
 A, B = (Pose(np.eye(3), [0.0, 0.0, z]) for z in (5.0, 6.0))
@@ -136,10 +142,12 @@ def test_a_tumbling_target_is_followed_from_frame_to_frame(tiny_model, camera, b
         centre = np.array([0.5 - 0.1 * k, 0.05 * k, 9.0 + 0.3 * k])
         truth = Pose(rotation, centre - rotation @ tiny_model.centre_m)
         tracker = tracker or Tracker(recognizer, truth)
-        sighting = tracker.update(0.1 * k, draw(bumpy_mesh, truth, camera, rng))
-        assert sighting.status is Status.OK, sighting.reason
-        worst = max(worst, sighting.pose.angle_to(truth))
-        assert sighting.pose.apply(tiny_model.centre_m) == pytest.approx(centre, rel=0.1, abs=0.2)
+        observation = tracker.update(0.1 * k, draw(bumpy_mesh, truth, camera, rng))
+        assert observation.status is Status.OK, observation.reason
+        worst = max(worst, observation.pose.angle_to(truth))
+        assert observation.pose.apply(tiny_model.centre_m) == pytest.approx(
+            centre, rel=0.1, abs=0.2
+        )
     assert np.rad2deg(worst) < 20.0
 
 
@@ -165,7 +173,7 @@ class Rivals(Script):
 
     def recognize(
         self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
-    ) -> Sighting:
+    ) -> AppearanceObservation:
         if prior is None:
             both = tuple(self.poses.values())
             found = SimpleNamespace(
@@ -175,7 +183,7 @@ class Rivals(Script):
                 margin=0.0,
                 confidence=0.9,
             )
-            return Sighting(Status.AMBIGUOUS, "two", found=found)
+            return AppearanceObservation(Status.AMBIGUOUS, "two", found=found)
         key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
         pose = self.poses[key]
         found = SimpleNamespace(
@@ -186,7 +194,7 @@ class Rivals(Script):
             merit=self.merits[key].pop(0),
             confidence=0.9,
         )
-        return Sighting(Status.OK, pose=pose, found=found)
+        return AppearanceObservation(Status.OK, pose=pose, found=found)
 
 
 def test_two_poses_are_followed_until_one_leads():

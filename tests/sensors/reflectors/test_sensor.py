@@ -9,6 +9,7 @@ import pytest
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Reflector, Target
+from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import (
     Acquirer,
     LitDark,
@@ -16,7 +17,6 @@ from rendezview.sensors.reflectors import (
     ReflectorPattern,
     ReflectorSensor,
     SixNumbers,
-    Status,
     SwitchingSensor,
     TrackingOptions,
     find_spots,

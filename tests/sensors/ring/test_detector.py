@@ -10,11 +10,11 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import (
     RingDetector,
     RingPrior,
     RingSensor,
-    Status,
     shape_of_circle,
     tangent_basis,
 )

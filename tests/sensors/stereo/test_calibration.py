@@ -80,9 +80,9 @@ def test_the_calibrated_rig_tracks(truth, made, scole, read):
     tracker = StereoTracker.of_target(made.rig, scole)
     pose = Pose(rotation_of(1.0, 0.1, 0.2), [0.02, 0.0, 0.1])
     for k, reading in enumerate(truth.currents([pose] * 20, rng)):
-        sighting = tracker.update(float(k), read(made.rig, reading))
-        assert sighting.fit is not None, sighting.reason
-        assert sighting.fit.left_out == ()
+        observation = tracker.update(float(k), read(made.rig, reading))
+        assert observation.fit is not None, observation.reason
+        assert observation.fit.left_out == ()
 
 
 def test_a_record_and_a_rig_survive_their_files(tmp_path: Path, record, made):

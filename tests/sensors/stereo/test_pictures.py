@@ -7,7 +7,8 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.stereo import Spots, Status, StereoTracker, rotation_of
+from rendezview.sensors.observation import Status
+from rendezview.sensors.stereo import Spots, StereoTracker, rotation_of
 from rendezview.sensors.stereo.spots import SpotOptions, find_spots
 from rendezview.simulation.led_laboratory import Laboratory
 from rendezview.simulation.led_pictures import PictureOptions, draw, picture_rig
@@ -65,11 +66,11 @@ def test_unnamed_lights_in_two_pictures_give_the_pose(laboratory: Laboratory, sc
     for k in range(3):
         pose = Pose(rotation_of(0.7 + 0.03 * k, 0.2, -0.1), POSE.translation_m)
         spots = [find_spots(draw(rig, c, pose.apply(tracker.leds), options, rng)) for c in (0, 1)]
-        sighting = tracker.update(float(k), spots)
-        assert sighting.status is Status.OK, sighting.reason
-        assert sighting.found_anew == (k == 0)
-        assert np.rad2deg(sighting.rig_from_target.angle_to(pose)) < 0.02
-        assert sorted(sighting.spots[0].led) == list(range(6))
+        observation = tracker.update(float(k), spots)
+        assert observation.status is Status.OK, observation.reason
+        assert observation.found_anew == (k == 0)
+        assert np.rad2deg(observation.rig_from_target.angle_to(pose)) < 0.02
+        assert sorted(observation.spots[0].led) == list(range(6))
 
 
 @pytest.mark.parametrize(("hidden", "false"), [(0, 0), (1, 0), (1, 2)])
@@ -87,9 +88,9 @@ def test_identity_survives_hidden_lights_and_false_spots(
             seen = np.concatenate([rng.uniform(0.0, 1023.0, (false, 2)), seen])
             seen = seen + rng.normal(0.0, 0.05, seen.shape)
             spots.append(Spots(seen, np.full(seen.shape, 0.05), np.full(len(seen), -1)))
-        sighting = tracker.update(0.0, spots)
-        assert sighting.status is Status.OK, sighting.reason
-        assert np.rad2deg(sighting.rig_from_target.angle_to(pose)) < 0.1
+        observation = tracker.update(0.0, spots)
+        assert observation.status is Status.OK, observation.reason
+        assert np.rad2deg(observation.rig_from_target.angle_to(pose)) < 0.1
 
 
 def test_unnamed_spots_that_are_not_the_target_are_refused(laboratory: Laboratory, scole):
@@ -101,6 +102,6 @@ def test_unnamed_spots_that_are_not_the_target_are_refused(laboratory: Laborator
             Spots(rng.uniform(0, 1023, (count, 2)), np.full((count, 2), 0.05), np.full(count, -1))
             for _ in rig.cameras
         ]
-        sighting = tracker.update(0.0, spots)
-        assert sighting.pose is None
-        assert sighting.reason
+        observation = tracker.update(0.0, spots)
+        assert observation.pose is None
+        assert observation.reason

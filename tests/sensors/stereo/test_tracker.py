@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
+from rendezview.sensors.observation import Status
 from rendezview.sensors.stereo import (
     MotionOptions,
     Spots,
-    Status,
     StereoTracker,
     TrackerOptions,
     reprocess,
@@ -28,21 +28,21 @@ def tracker(laboratory: Laboratory, scole) -> StereoTracker:
     return StereoTracker.of_target(laboratory.rig, scole)
 
 
-def away(pose: Pose, sighting) -> float:
+def away(pose: Pose, observation) -> float:
     """Squared distance from the truth in standard deviations."""
-    fit = sighting.fit
+    fit = observation.fit
     return distance(fit, Fit(pose.rotation, pose.translation_m, fit.information, 0, 0, 0, None))
 
 
 def test_without_noise_the_pose_is_exact_in_the_first_cameras_frame(tracker, laboratory, read):
     spots = read(laboratory.rig, laboratory.currents([POSE], None)[0])
-    sighting = tracker.update(0.0, spots)
+    observation = tracker.update(0.0, spots)
     truth = laboratory.rig.cameras[0].camera_from_rig @ POSE
-    assert sighting.status is Status.OK
-    assert sighting.found_anew
-    assert sighting.pose.angle_to(truth) < 1e-6
-    assert sighting.pose.translation_m == pytest.approx(truth.translation_m, abs=1e-6)
-    assert sighting.yaw_pitch_roll == pytest.approx((0.7, 0.2, -0.1), abs=1e-6)
+    assert observation.status is Status.OK
+    assert observation.found_anew
+    assert observation.pose.angle_to(truth) < 1e-6
+    assert observation.pose.translation_m == pytest.approx(truth.translation_m, abs=1e-6)
+    assert observation.yaw_pitch_roll == pytest.approx((0.7, 0.2, -0.1), abs=1e-6)
 
 
 def test_errors_are_those_of_the_covariance_and_of_the_bound(tracker, laboratory, read):
@@ -51,10 +51,10 @@ def test_errors_are_those_of_the_covariance_and_of_the_bound(tracker, laboratory
     errors, told = [], []
     truth = laboratory.rig.cameras[0].camera_from_rig @ POSE
     for k, reading in enumerate(currents):
-        sighting = tracker.update(float(k), read(laboratory.rig, reading))
-        turned = Rotation.from_matrix(sighting.pose.rotation @ truth.rotation.T).as_rotvec()
-        errors.append([*turned, *(sighting.pose.translation_m - truth.translation_m)])
-        told.append(np.diag(sighting.covariance))
+        observation = tracker.update(float(k), read(laboratory.rig, reading))
+        turned = Rotation.from_matrix(observation.pose.rotation @ truth.rotation.T).as_rotvec()
+        errors.append([*turned, *(observation.pose.translation_m - truth.translation_m)])
+        told.append(np.diag(observation.covariance))
     scatter = np.std(errors, axis=0)
     assert scatter == pytest.approx(np.sqrt(np.mean(told, axis=0)), rel=0.12)
     both = np.kron(np.eye(2), laboratory.rig.rotations[0])
@@ -70,8 +70,8 @@ def test_no_attitude_is_singular(laboratory, pitch_deg: float):
     tracker = StereoTracker(laboratory.rig, leds)
     currents = laboratory.currents([Pose.identity()], np.random.default_rng(2))[0]
     spots = [c.photodiode.read(x) for c, x in zip(laboratory.rig.cameras, currents, strict=True)]
-    sighting = tracker.update(0.0, spots)
-    assert away(Pose(pole, np.zeros(3)), sighting) < 30.0
+    observation = tracker.update(0.0, spots)
+    assert away(Pose(pole, np.zeros(3)), observation) < 30.0
 
 
 def test_from_nothing_the_pose_is_found_at_any_yaw(tracker, laboratory, read):
@@ -104,22 +104,22 @@ def test_false_and_missing_lights_do_not_spoil_the_pose(
         bad[:, [0, 5]] = np.nan
     if known:
         tracker.update(0.0, read(laboratory.rig, light[0]))
-    sighting = tracker.update(1.0, read(laboratory.rig, bad))
-    assert sighting.status is Status.OK, sighting.reason
-    assert sighting.found_anew != known
-    assert away(POSE, sighting) < 40.0
-    assert sighting.exchanged == {"swapped": ((1, 4),), "swapped once": ((0, 3),)}.get(fault, ())
-    assert sighting.left_out == (((1, 2),) if fault == "reflected" else ())
+    observation = tracker.update(1.0, read(laboratory.rig, bad))
+    assert observation.status is Status.OK, observation.reason
+    assert observation.found_anew != known
+    assert away(POSE, observation) < 40.0
+    assert observation.exchanged == {"swapped": ((1, 4),), "swapped once": ((0, 3),)}.get(fault, ())
+    assert observation.left_out == (((1, 2),) if fault == "reflected" else ())
 
 
 def test_spots_that_are_not_the_target_are_refused(tracker, laboratory, read):
     rng = np.random.default_rng(5)
     wrong = np.stack([laboratory.light(k, rng.uniform(-0.004, 0.004, (6, 2))) for k in range(2)])
-    sighting = tracker.update(0.0, read(laboratory.rig, wrong))
-    assert sighting.pose is None
-    assert sighting.covariance is None
-    assert sighting.status is Status.DISAGREE
-    assert "do not fit the target" in sighting.reason
+    observation = tracker.update(0.0, read(laboratory.rig, wrong))
+    assert observation.pose is None
+    assert observation.covariance is None
+    assert observation.status is Status.DISAGREE
+    assert "do not fit the target" in observation.reason
 
 
 def test_too_few_lights_are_no_pose_and_the_next_reading_finds_it_again(tracker, laboratory, read):
@@ -142,9 +142,9 @@ def test_three_lights_in_one_camera_are_ambiguous_until_a_forecast_chooses(labor
     light = laboratory.currents([POSE, POSE, POSE], rng)
     light[[0, 2], 1] = np.nan
     light[0, 0, 3:] = np.nan
-    sighting = tracker.update(0.0, read(laboratory.rig, light[0]))
-    assert (sighting.status, sighting.pose) == (Status.AMBIGUOUS, None)
-    assert "poses fit" in sighting.reason
+    observation = tracker.update(0.0, read(laboratory.rig, light[0]))
+    assert (observation.status, observation.pose) == (Status.AMBIGUOUS, None)
+    assert "poses fit" in observation.reason
     assert tracker.update(1.0, read(laboratory.rig, light[1])).status is Status.OK
     alone = tracker.update(2.0, read(laboratory.rig, light[2]))  # six lights, one camera
     assert away(POSE, alone) < 40.0
@@ -160,11 +160,11 @@ def test_the_filter_scatters_less_and_gives_every_reading(laboratory, scole, rea
         tracker = StereoTracker.of_target(laboratory.rig, scole, TrackerOptions(motion=motion))
         errors, told = [], []
         for k, (pose, reading) in enumerate(zip(poses, currents, strict=True)):
-            sighting = tracker.update(0.1 * k, read(laboratory.rig, reading))
-            assert sighting.status is Status.OK
-            turned = sighting.rig_from_target.rotation @ pose.rotation.T
+            observation = tracker.update(0.1 * k, read(laboratory.rig, reading))
+            assert observation.status is Status.OK
+            turned = observation.rig_from_target.rotation @ pose.rotation.T
             errors.append(Rotation.from_matrix(turned).as_rotvec())
-            told.append(np.trace(sighting.covariance[:3, :3]))
+            told.append(np.trace(observation.covariance[:3, :3]))
         scatter[name] = np.sqrt(np.mean(np.square(errors[20:])) * 3)
         assert scatter[name] == pytest.approx(np.sqrt(np.mean(told[20:])), rel=0.4)
     assert scatter["filter"] < 0.6 * scatter["alone"]
@@ -177,15 +177,15 @@ def test_the_filter_lives_through_two_lights_and_believes_a_jump(laboratory, sco
     light[10, :, 2:] = np.nan
     options = TrackerOptions(motion=MotionOptions())
     tracker = StereoTracker.of_target(laboratory.rig, scole, options)
-    sightings = [
+    observations = [
         tracker.update(0.1 * k, read(laboratory.rig, reading)) for k, reading in enumerate(light)
     ]
-    partial = sightings[10]
+    partial = observations[10]
     assert partial.status is Status.PARTIAL
     assert "2 lights" in partial.reason
     assert partial.rig_from_target.angle_to(POSE) < np.deg2rad(3.0)
     assert partial.fit is None
-    last = sightings[12].rig_from_target
+    last = observations[12].rig_from_target
     assert last.angle_to(jumped) < np.deg2rad(8.0)
     assert last.angle_to(POSE) > 1.0
 
@@ -200,10 +200,10 @@ def test_a_log_at_once_is_the_tracker_one_by_one(laboratory, tracker, read):
     assert out.ok.tolist() == [k != 12 for k in range(len(poses))]
     assert np.isnan(out.rotation[12]).all()
     for k, reading in enumerate(currents):
-        sighting = tracker.update(float(k), read(laboratory.rig, reading))
+        observation = tracker.update(float(k), read(laboratory.rig, reading))
         if out.ok[k]:
-            assert out.rotation[k] == pytest.approx(sighting.fit.rotation, abs=3e-3)
-            told = np.linalg.inv(sighting.fit.information)
+            assert out.rotation[k] == pytest.approx(observation.fit.rotation, abs=3e-3)
+            told = np.linalg.inv(observation.fit.information)
             assert np.diag(out.covariance[k]) == pytest.approx(np.diag(told), rel=0.05)
     with pytest.raises(ValueError, match="currents must be"):
         reprocess(tracker, currents[:, :1])

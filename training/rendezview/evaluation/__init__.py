@@ -25,8 +25,8 @@ from rendezview.evaluation.sphere_pictures import model_picture, sphere_picture
 from rendezview.evaluation.surface import Surface, SurfaceErrors, alike_of, surface_errors
 from rendezview.evaluation.track_pictures import (
     error_curves,
+    observation_curves,
     point_cloud,
-    sighting_curves,
     stage_picture,
 )
 from rendezview.geometry.symmetry import discrete_turns, nearest_alike
@@ -52,12 +52,12 @@ __all__ = [
     "frame_overlay",
     "model_picture",
     "nearest_alike",
+    "observation_curves",
     "pixels",
     "png",
     "point_cloud",
     "pose_errors",
     "scores",
-    "sighting_curves",
     "signature_picture",
     "speed_terms",
     "sphere_picture",

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.surface import combined, turns_about
 from rendezview.geometry.pose import Pose, nearest_rotation
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.files import checked, read_json
-from rendezview.io.target import Symmetry
 
 _NAME = re.compile(r"obj_(\d+)\.ply", re.IGNORECASE)
 _INFO = "models_info.json"

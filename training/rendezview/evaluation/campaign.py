@@ -21,7 +21,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.files import atomic_write_text, check_place
-from rendezview.sensors.appearance import Recognizer, Sighting, Status, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
+from rendezview.sensors.observation import Status
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.training.mesh import Mesh
 from rendezview.training.stages import Arrays, Progress, Shards, shares
@@ -91,16 +92,18 @@ class PoseError:
     nees: float  # error squared, by the covariance: 6 on average if that is right
 
 
-def pose_error(sighting: Sighting, truth: Pose, model: ViewModel) -> PoseError | None:
-    """How far off a sighting is; ``None`` where it has no pose."""
-    if sighting.pose is None or sighting.covariance is None:
+def pose_error(
+    observation: AppearanceObservation, truth: Pose, model: ViewModel
+) -> PoseError | None:
+    """How far off an observation is; ``None`` where it has no pose."""
+    if observation.pose is None or observation.covariance is None:
         return None
-    pose = nearest_alike(sighting.pose, truth, model.symmetries)
+    pose = nearest_alike(observation.pose, truth, model.symmetries)
     turn = Rotation.from_matrix(truth.rotation @ pose.rotation.T).as_rotvec()
     error = np.concatenate([turn, truth.translation_m - pose.translation_m])
     centre = truth.apply(model.centre_m)
     off = float(np.linalg.norm(pose.apply(model.centre_m) - centre) / np.linalg.norm(centre))
-    nees = float(error @ np.linalg.solve(sighting.covariance, error))
+    nees = float(error @ np.linalg.solve(observation.covariance, error))
     return PoseError(float(np.linalg.norm(turn)), off, nees)
 
 
@@ -219,11 +222,11 @@ def _frame(
     return pose, render_frame(mesh, camera, pose, sun, scene, rng)
 
 
-def _answer(sighting: Sighting, truth: Pose, model: ViewModel) -> list[float]:
+def _answer(observation: AppearanceObservation, truth: Pose, model: ViewModel) -> list[float]:
     """Status, confidence, errors of rotation and translation, normalised error squared."""
-    status = float(_STATUSES.index(sighting.status))
-    confidence = math.nan if sighting.confidence is None else sighting.confidence
-    error = pose_error(sighting, truth, model)
+    status = float(_STATUSES.index(observation.status))
+    confidence = math.nan if observation.confidence is None else observation.confidence
+    error = pose_error(observation, truth, model)
     if error is None:
         return [status, confidence, math.nan, math.nan, math.nan]
     return [status, confidence, error.rotation_rad, error.translation, error.nees]

@@ -16,8 +16,8 @@ from rendezview.evaluation.report import write_report
 from rendezview.io.files import make_folder
 from rendezview.io.results import JsonLinesWriter, write_results
 from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import Status
 from rendezview.sensors.appearance.following import follow, record, result_row
+from rendezview.sensors.observation import Status
 from rendezview.simulation.command import default_camera
 from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
@@ -108,15 +108,15 @@ def demo(
         error = rng.normal(size=3)
         error *= _PRIOR_ERROR_RAD / np.linalg.norm(error)
         prior = truth.perturbed(np.concatenate([error, np.zeros(3)]))
-        sightings, rows = [], []
+        observations, rows = [], []
         with JsonLinesWriter(output / "log.jsonl") as log:
-            for frame, sighting in follow(model, sequence, prior=prior):
-                sightings.append(sighting)
-                log.write(record(frame, sighting))
-                row = result_row(sequence.scene_id, frame, sighting)
+            for frame, observation in follow(model, sequence, prior=prior):
+                observations.append(observation)
+                log.write(record(frame, observation))
+                row = result_row(sequence.scene_id, frame, observation)
                 if row is not None:
                     rows.append(row)
-                progress("tracking", len(sightings), len(sequence))
+                progress("tracking", len(observations), len(sequence))
         write_results(output / "poses.csv", rows)
     evaluation = evaluate_rows(sequence, rows, target.symmetries, model.centre_m)
     report = write_report(
@@ -124,14 +124,14 @@ def demo(
         target_name=target.name,
         model=model,
         sequence=sequence,
-        sightings=sightings,
+        observations=observations,
         evaluation=evaluation,
     )
     console.print(evaluation.as_table())
-    lost = sum(s.status is not Status.OK for s in sightings)
-    on = [len(s.on_nodes) for s in sightings]
+    lost = sum(s.status is not Status.OK for s in observations)
+    on = [len(s.active_nodes) for s in observations]
     console.print(
-        f"{len(rows)} poses in {len(sightings)} frames, {lost} without; "
+        f"{len(rows)} poses in {len(observations)} frames, {lost} without; "
         f"{np.mean(on):.1f} nodes on per frame; {time.perf_counter() - start:.0f} s in all"
     )
     console.print(f"Look at {report}")

@@ -12,9 +12,9 @@ from rendezview.errors import RendezviewError
 from rendezview.evaluation.evaluation import WRONG_RAD, Evaluation, FrameResult
 from rendezview.evaluation.pose_errors import pose_errors
 from rendezview.evaluation.surface import Surface, surface_errors
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Sequence
-from rendezview.io.target import Symmetry
 
 
 def evaluate(

@@ -15,7 +15,7 @@ from matplotlib.patheffects import withStroke
 from rendezview.evaluation.palette import AXIS_COLOURS, BACKGROUND, ESTIMATE, INK, ON_NODE, PROBLEM
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Sighting, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 
 _WIDTH_IN = 6.4  # text has the same share of the picture whatever the camera
 _LEAST_PX, _MOST_PX = 640, 960  # frames of other cameras are shown larger or smaller
@@ -26,7 +26,7 @@ _HALO = [withStroke(linewidth=3.0, foreground="black", alpha=0.7)]
 
 def frame_overlay(
     image: npt.NDArray[np.uint8],
-    sighting: Sighting,
+    observation: AppearanceObservation,
     camera: Camera,
     model: ViewModel,
     *,
@@ -38,7 +38,7 @@ def frame_overlay(
 
     Args:
         image: (height, width) grey levels of the camera.
-        sighting: of this frame. Without a pose its reason stands in the picture.
+        observation: of this frame. Without a pose its reason stands in the picture.
         camera: that took it.
         model: for the view centre and the length of the axes.
         title: words for the top left corner, such as the frame's number.
@@ -59,18 +59,18 @@ def frame_overlay(
     axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="antialiased")
     axes.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
     axes.set_axis_off()
-    if sighting.silhouette is not None:
-        for outline in sighting.silhouette.outlines_px:
+    if observation.silhouette is not None:
+        for outline in observation.silhouette.outlines_px:
             closed = np.vstack([outline, outline[:1]])
             axes.plot(*closed.T, color=ON_NODE, linewidth=1.1)
-    if sighting.pose is not None:
-        _draw_pose(axes, sighting.pose, camera, model)
+    if observation.pose is not None:
+        _draw_pose(axes, observation.pose, camera, model)
     if title:
         axes.text(
             0.018, 0.975, title, transform=axes.transAxes, va="top", color=INK, fontsize=15,
             path_effects=_HALO,
         )  # fmt: skip
-    _status(figure.add_axes((0.0, 0.0, 1.0, share)), sighting, model, note, bad)
+    _status(figure.add_axes((0.0, 0.0, 1.0, share)), observation, model, note, bad)
     return figure
 
 
@@ -103,18 +103,20 @@ def _draw_pose(axes: Axes, pose: Pose, camera: Camera, model: ViewModel) -> None
         )  # fmt: skip
 
 
-def _status(axes: Axes, sighting: Sighting, model: ViewModel, note: str, bad: bool) -> None:
+def _status(
+    axes: Axes, observation: AppearanceObservation, model: ViewModel, note: str, bad: bool
+) -> None:
     axes.set(xlim=(0.0, 1.0), ylim=(_BAR_IN / _LINE_IN, 0.0))
     axes.set_axis_off()
-    bad = bad or sighting.pose is None
-    if sighting.pose is None:
-        reason = sighting.reason or "no reason given"
-        first = f"No pose: {sighting.status.value}"
+    bad = bad or observation.pose is None
+    if observation.pose is None:
+        reason = observation.reason or "no reason given"
+        first = f"No pose: {observation.status.value}"
         rest = textwrap.wrap(reason[0].upper() + reason[1:], 56, max_lines=2, placeholder=" …")
     else:
-        range_m = float(np.linalg.norm(sighting.pose.apply(model.centre_m)))
-        count = len(sighting.on_nodes)
-        first = f"Range {range_m:.2f} m{_sigma(sighting, model)}, {count} on node"
+        range_m = float(np.linalg.norm(observation.pose.apply(model.centre_m)))
+        count = len(observation.active_nodes)
+        first = f"Range {range_m:.2f} m{_sigma(observation, model)}, {count} on node"
         first += "" if count == 1 else "s"
         rest = textwrap.wrap(note, 56, max_lines=2, placeholder=" …")
     axes.add_patch(Rectangle((0.0, 0.0), 0.009, 9.0, color=PROBLEM if bad else ESTIMATE))
@@ -125,13 +127,13 @@ def _status(axes: Axes, sighting: Sighting, model: ViewModel, note: str, bad: bo
         )  # fmt: skip
 
 
-def _sigma(sighting: Sighting, model: ViewModel) -> str:
+def _sigma(observation: AppearanceObservation, model: ViewModel) -> str:
     """± one σ of the range, where there is a covariance."""
-    if sighting.pose is None or sighting.covariance is None:
+    if observation.pose is None or observation.covariance is None:
         return ""
-    arm = sighting.pose.rotation @ model.centre_m
-    sight = sighting.pose.apply(model.centre_m)
+    arm = observation.pose.rotation @ model.centre_m
+    sight = observation.pose.apply(model.centre_m)
     sight = sight / np.linalg.norm(sight)
     # centre = R c + t, so d(centre) = w × (R c) + v; its part along the line of sight
     slope = np.concatenate([np.cross(arm, sight), sight])
-    return f" ± {np.sqrt(max(0.0, slope @ sighting.covariance @ slope)):.2f}"
+    return f" ± {np.sqrt(max(0.0, slope @ observation.covariance @ slope)):.2f}"

@@ -20,7 +20,7 @@ from rendezview.evaluation.palette import (
     PROBLEM,
 )
 from rendezview.io.sequences import Sequence
-from rendezview.sensors.appearance import Sighting, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def page(
     target_name: str,
     model: ViewModel,
     sequence: Sequence,
-    sightings: Ordered[Sighting],
+    observations: Ordered[AppearanceObservation],
     evaluation: Evaluation | None,
     cards: Ordered[Card],
 ) -> str:
@@ -87,7 +87,7 @@ def page(
         target_name: for the title.
         model: that recognised.
         sequence: the frames.
-        sightings: of these.
+        observations: of these.
         evaluation: where there is a truth.
         cards: those named ``frame_…`` make the strip.
     """
@@ -114,7 +114,7 @@ def page(
 <h1>{escape(target_name)}</h1>
 <p class="quiet">Pose from one camera, {camera.width} × {camera.height} px, in {len(sequence)}
 frames of {escape(sequence.source.name)}</p>
-<div class="tiles">{_tiles(sightings, evaluation)}</div>
+<div class="tiles">{_tiles(observations, evaluation)}</div>
 {_table(evaluation)}
 <h2>Frames</h2>
 <p class="quiet key"><i style="color:{ON_NODE}">Outline</i>: silhouette found. Axes: the target's
@@ -132,10 +132,10 @@ without a pose, or with a wrong one.</p>
 """
 
 
-def _tiles(sightings: Ordered[Sighting], evaluation: Evaluation | None) -> str:
-    found = sum(sighting.pose is not None for sighting in sightings)
-    spent = [sum(s.stage_ms.values()) for s in sightings if s.stage_ms]
-    tiles = [(f"{found} of {len(sightings)}", "frames with a pose", found < len(sightings))]
+def _tiles(observations: Ordered[AppearanceObservation], evaluation: Evaluation | None) -> str:
+    found = sum(observation.pose is not None for observation in observations)
+    spent = [sum(s.stage_ms.values()) for s in observations if s.stage_ms]
+    tiles = [(f"{found} of {len(observations)}", "frames with a pose", found < len(observations))]
     if evaluation is not None:
         wrong, degrees = len(evaluation.wrong), np.rad2deg(evaluation.wrong_rad)
         tiles.append((str(wrong), f"wrong by more than {degrees:g}°", wrong > 0))

@@ -15,8 +15,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array, Pose, minimal_rotation, rotation_angle
-from rendezview.geometry.symmetry import nearest_alike
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry, nearest_alike
 from rendezview.sensors.appearance.outline.signature import twist
 
 # SPEED+ forgives what its own truth cannot tell (Park et al. 2023, calibration of the test bed).

@@ -16,7 +16,7 @@ from rendezview.evaluation.signature_pictures import signature_picture, tree_tes
 from rendezview.evaluation.sphere_pictures import sphere_picture
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.sequences import Sequence
-from rendezview.sensors.appearance import Sighting, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.outline.signature import rolled, twist
 
 _STRIP = 8  # frames shown
@@ -47,21 +47,21 @@ def _spread(items: list[int], most: int) -> list[int]:
 def strip(
     model: ViewModel,
     sequence: Sequence,
-    sightings: Ordered[Sighting],
+    observations: Ordered[AppearanceObservation],
     results: dict[int, FrameResult],
     evaluation: Evaluation | None,
 ) -> list[tuple[int, bytes]]:
     """Position and picture (PNG) of each frame shown."""
     wrong_ids = set() if evaluation is None else set(evaluation.wrong)
-    missing = {k for k, sighting in enumerate(sightings) if sighting.pose is None}
+    missing = {k for k, observation in enumerate(observations) if observation.pose is None}
     wrong = {k for k, f in enumerate(sequence) if f.im_id in wrong_ids} - missing
     pictures = []
     for k in shown_frames(len(sequence), missing, wrong):
-        frame, sighting = sequence.frames[k], sightings[k]
+        frame, observation = sequence.frames[k], observations[k]
         title = f"#{frame.im_id}" + ("" if frame.time_s is None else f"   {frame.time_s:.1f} s")
         note, image = "", None
         errors = results[frame.im_id].errors if frame.im_id in results else None
-        if errors is not None and sighting.pose is not None:
+        if errors is not None and observation.pose is not None:
             note = (
                 f"{'Wrong: e' if k in wrong else 'E'}rror "
                 f"{np.rad2deg(errors.rotation_rad):.1f}° in attitude, "
@@ -70,11 +70,11 @@ def strip(
         try:
             image = frame.read()
         except RendezviewError:
-            if sighting.pose is not None:
+            if observation.pose is not None:
                 raise
             image = np.zeros((frame.camera.height, frame.camera.width), dtype=np.uint8)
         figure = frame_overlay(
-            image, sighting, frame.camera, model, title=title, note=note, bad=k in wrong
+            image, observation, frame.camera, model, title=title, note=note, bad=k in wrong
         )
         pictures.append((k, png(figure)))
     return pictures
@@ -83,15 +83,15 @@ def strip(
 def details(
     model: ViewModel,
     sequence: Sequence,
-    sightings: Ordered[Sighting],
+    observations: Ordered[AppearanceObservation],
     results: dict[int, FrameResult],
 ) -> list[Card]:
     """Sphere and signature of one typical frame."""
-    chosen = _typical(sequence, sightings, results)
+    chosen = _typical(sequence, observations, results)
     if chosen is None:
         return []
-    frame, sighting = sequence.frames[chosen], sightings[chosen]
-    assert sighting.pose is not None
+    frame, observation = sequence.frames[chosen], observations[chosen]
+    assert observation.pose is not None
     cards = [
         Card(
             "sphere",
@@ -101,8 +101,8 @@ def details(
             png(
                 sphere_picture(
                     model,
-                    on_nodes=sighting.on_nodes,
-                    direction=_direction(model, sighting.pose),
+                    active_nodes=observation.active_nodes,
+                    direction=_direction(model, observation.pose),
                     truth=None
                     if frame.camera_from_target is None
                     else _direction(model, frame.camera_from_target),
@@ -110,7 +110,7 @@ def details(
             ),
         )
     ]
-    figure = _signature(model, sighting)
+    figure = _signature(model, observation)
     if figure is not None:
         cards.append(
             Card(
@@ -125,14 +125,16 @@ def details(
 
 
 def _typical(
-    sequence: Sequence, sightings: Ordered[Sighting], results: dict[int, FrameResult]
+    sequence: Sequence,
+    observations: Ordered[AppearanceObservation],
+    results: dict[int, FrameResult],
 ) -> int | None:
     """Position of the recognised frame with the median error, or else the median score."""
     ranked = []
-    for k, (frame, sighting) in enumerate(zip(sequence, sightings, strict=True)):
-        if sighting.pose is not None:
+    for k, (frame, observation) in enumerate(zip(sequence, observations, strict=True)):
+        if observation.pose is not None:
             errors = results[frame.im_id].errors if frame.im_id in results else None
-            ranked.append((sighting.score if errors is None else errors.rotation_rad, k))
+            ranked.append((observation.score if errors is None else errors.rotation_rad, k))
     return sorted(ranked)[len(ranked) // 2][1] if ranked else None
 
 
@@ -141,12 +143,16 @@ def _direction(model: ViewModel, camera_from_target: Pose) -> Array:
     return np.asarray(camera_from_target.inverse().translation_m - model.centre_m)
 
 
-def _signature(model: ViewModel, sighting: Sighting) -> Figure | None:
-    if sighting.signature is None or sighting.pose is None or not len(sighting.on_nodes):
+def _signature(model: ViewModel, observation: AppearanceObservation) -> Figure | None:
+    if (
+        observation.signature is None
+        or observation.pose is None
+        or not len(observation.active_nodes)
+    ):
         return None
-    node = int(sighting.on_nodes[int(np.argmax(sighting.weights))])
-    attitude = sighting.signature.centred_from_camera @ sighting.pose.rotation
+    node = int(observation.active_nodes[int(np.argmax(observation.weights))])
+    attitude = observation.signature.centred_from_camera @ observation.pose.rotation
     roll = float(twist(attitude, model.views.centred_from_target[node]))
-    readings = rolled(sighting.signature.readings, roll)
+    readings = rolled(observation.signature.readings, roll)
     tests = tree_tests(model.forest, node, readings)
     return signature_picture(readings, model.views.readings[node], tests, node=node)

@@ -16,7 +16,7 @@ from rich.console import Console
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.sphere_pictures import model_picture
-from rendezview.evaluation.track_pictures import point_cloud, sighting_curves
+from rendezview.evaluation.track_pictures import observation_curves, point_cloud
 from rendezview.evaluation.trajectory_pictures import path_picture, rate_picture
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.camera_files import load_camera
@@ -109,7 +109,7 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
     try:
         poses = [_pose(r["pose"]) for r in records]
         points = [p for r in records for p in r["points_m"]]
-        on_nodes = [len(r["on_nodes"]) for r in records]
+        active_nodes = [len(r["on_nodes"]) for r in records]
         timed = all(r["time_s"] is not None for r in records)
         x = [r["time_s"] if timed else r["im_id"] for r in records]
     except (KeyError, TypeError, ValueError) as error:
@@ -118,7 +118,7 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
         [np.full(3, np.nan) if p is None else p.inverse().translation_m for p in poses]
     )
     ranges = np.linalg.norm(places, axis=1)
-    curves = sighting_curves(x, ranges, on_nodes, x_label="time, s" if timed else "frame")
+    curves = observation_curves(x, ranges, active_nodes, x_label="time, s" if timed else "frame")
     cloud = point_cloud(
         np.reshape(points, (-1, 3)),
         target_radius_m=0.1 * float(np.nanmedian(ranges)) if points else 1.0,

@@ -59,7 +59,7 @@ def signature_picture(
     """A signature as the silhouette's outer shape, against the node's own and the thresholds.
 
     Args:
-        readings: (N,) of the view, rolled to the node (`rendezview.sensors.appearance.outline.signature`).
+        readings: (N,) of the view, rolled to the node (`outline.signature`).
         node_readings: (N,) of the node's clean view.
         tests: what the node's tree asked; see `tree_tests`.
         node: its number, for the legend.

@@ -38,7 +38,7 @@ _TRAINING = "right decisions on training views"
 def sphere_picture(
     model: ViewModel,
     *,
-    on_nodes: npt.ArrayLike = (),
+    active_nodes: npt.ArrayLike = (),
     direction: npt.ArrayLike | None = None,
     truth: npt.ArrayLike | None = None,
     values: npt.ArrayLike | None = None,
@@ -48,7 +48,7 @@ def sphere_picture(
 
     Args:
         model: whose sphere it is.
-        on_nodes: (K,) indices of nodes to outline.
+        active_nodes: (K,) indices of nodes to outline.
         direction: (3,) estimated, view centre → camera, target frame; looked from there.
         truth: (3,) the true one.
         values: (nodes,) to colour the cells by; None: the accuracy on held-out views.
@@ -61,7 +61,7 @@ def sphere_picture(
     axes = figure.add_subplot()
     painted = _Sphere(model.geodesic, np.array([1.0, 0.0, 0.0]) if seen_from is None else seen_from)
     colours = painted.draw(axes, np.asarray(values, dtype=np.float64))
-    painted.outline(axes, np.asarray(on_nodes, dtype=np.intp))
+    painted.outline(axes, np.asarray(active_nodes, dtype=np.intp))
     if truth is not None:
         painted.mark(axes, truth, "o", TRUTH, "true direction", hollow=True)
     if direction is not None:

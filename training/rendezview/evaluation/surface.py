@@ -17,8 +17,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import discrete_turns
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry, discrete_turns
 
 # The toolkit's step: the farthest point moves by at most this share of the diameter.
 STEP = 0.01

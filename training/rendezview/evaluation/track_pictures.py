@@ -30,7 +30,7 @@ from rendezview.evaluation.palette import (
     new_figure,
 )
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance import Sighting
+from rendezview.sensors.appearance import AppearanceObservation
 
 _LOG_ABOVE = 30.0  # largest over median: on a linear axis the rest would be a flat line
 _CURVES: tuple[tuple[str, tuple[tuple[str, str, float, str], ...]], ...] = (
@@ -47,12 +47,12 @@ _CURVES: tuple[tuple[str, tuple[tuple[str, str, float, str], ...]], ...] = (
 )
 
 
-def error_curves(evaluation: Evaluation, on_nodes: Sequence[int] | None = None) -> Figure:
+def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = None) -> Figure:
     """Errors over the frames; where there was no pose the curves break and a band says so.
 
     Args:
         evaluation: of a sequence.
-        on_nodes: how many nodes were on in each frame of the evaluation.
+        active_nodes: how many nodes were on in each frame of the evaluation.
     """
     frames = evaluation.frames
     times = [frame.time_s for frame in frames]
@@ -61,7 +61,7 @@ def error_curves(evaluation: Evaluation, on_nodes: Sequence[int] | None = None) 
     if not timed:
         x = np.array([frame.im_id for frame in frames])
     missing = np.isnan(evaluation.values("rotation_rad"))
-    panels = len(_CURVES) + (on_nodes is not None)
+    panels = len(_CURVES) + (active_nodes is not None)
     figure = new_figure(9.6, 1.75 * panels + 0.6)
     grid = figure.subplots(panels, 1, sharex=True, squeeze=False)[:, 0]
     for axes, (label, curves) in zip(grid, _CURVES, strict=False):
@@ -75,11 +75,11 @@ def error_curves(evaluation: Evaluation, on_nodes: Sequence[int] | None = None) 
         _scale(axes, np.concatenate(drawn))
         if len(curves) > 1:
             dress_legend(axes.legend(loc="upper right", ncols=3, fontsize=8.5))
-    if on_nodes is not None:
+    if active_nodes is not None:
         axes = grid[-1]
         dress(axes, y="on nodes")
         wide = 0.7 * float(np.median(np.diff(x))) if len(x) > 1 else 0.7
-        axes.bar(x, np.asarray(on_nodes), width=wide, color=ON_NODE)
+        axes.bar(x, np.asarray(active_nodes), width=wide, color=ON_NODE)
         axes.grid(False, axis="x")
         axes.yaxis.get_major_locator().set_params(integer=True)
     grid[-1].set_xlabel("time, s" if timed else "frame", color=MUTED, fontsize=10)
@@ -87,8 +87,8 @@ def error_curves(evaluation: Evaluation, on_nodes: Sequence[int] | None = None) 
     return figure
 
 
-def sighting_curves(
-    x: npt.ArrayLike, ranges_m: npt.ArrayLike, on_nodes: npt.ArrayLike, *, x_label: str
+def observation_curves(
+    x: npt.ArrayLike, ranges_m: npt.ArrayLike, active_nodes: npt.ArrayLike, *, x_label: str
 ) -> Figure:
     """Range and on nodes over the frames, for sequences without truth; NaN: no pose."""
     frames, ranges = np.asarray(x, dtype=np.float64), np.asarray(ranges_m, dtype=np.float64)
@@ -98,7 +98,7 @@ def sighting_curves(
     top.plot(frames, ranges, ".-", color=ESTIMATE, linewidth=1.4, markersize=4.5)
     dress(below, x=x_label, y="on nodes")
     wide = 0.7 * float(np.median(np.diff(frames))) if len(frames) > 1 else 0.7
-    below.bar(frames, np.asarray(on_nodes), width=wide, color=ON_NODE)
+    below.bar(frames, np.asarray(active_nodes), width=wide, color=ON_NODE)
     below.grid(False, axis="x")
     _bands([top, below], frames, np.isnan(ranges))
     return figure
@@ -173,11 +173,11 @@ def space_axes(axes: Axes3D) -> None:
     axes.set_box_aspect(None, zoom=0.88)  # room for the labels
 
 
-def stage_picture(sightings: Iterable[Sighting]) -> Figure:
+def stage_picture(observations: Iterable[AppearanceObservation]) -> Figure:
     """Median and 95 % of the time of each stage, ms."""
     spent: dict[str, list[float]] = {}
-    for sighting in sightings:
-        for stage, time_ms in sighting.stage_ms.items():
+    for observation in observations:
+        for stage, time_ms in observation.stage_ms.items():
             spent.setdefault(stage, []).append(time_ms)
     figure = new_figure(9.6, 0.8 + 0.42 * max(len(spent), 1))
     axes = figure.add_subplot()

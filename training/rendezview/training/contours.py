@@ -57,7 +57,8 @@ def contour_points(
         options: for the number of points and the resolution at which the view is drawn.
 
     Returns:
-        The fields of `Contours` for this one view, but instead of ``strip`` the ``surfaces`` (N, SURFACES, 4) for ``surface_palette``.
+        The fields of `Contours` for this one view, but instead of
+        ``strip`` the ``surfaces`` (N, SURFACES, 4) for ``surface_palette``.
     """
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)

@@ -21,10 +21,10 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.edges.contours import Contours
 from rendezview.sensors.appearance.edges.shading import Surface
-from rendezview.sensors.appearance.edges.shadowed_silhouettes import LitViews
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model import HeldOut, ViewModel, Views
 from rendezview.sensors.appearance.outline.signature import Readings
 from rendezview.sensors.appearance.outline.trees import Forest
@@ -256,7 +256,7 @@ class _Drawn:
             **{n: a.reshape(*shape, *a.shape[1:]) for n, a in views.items()},
         )
 
-    def lit(self) -> LitViews | None:
+    def lit(self) -> ShadowedSilhouettes | None:
         """What the Sun lights of every view of the lattice, from every side."""
         if not self.options.lit_views:
             return None
@@ -269,7 +269,7 @@ class _Drawn:
         ]
         shards = self._run("lit", _lit_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
-        return LitViews(suns=maps.suns, **views)
+        return ShadowedSilhouettes(suns=maps.suns, **views)
 
     def surface(self) -> Surface | None:
         """Points of the surface, and from where each is seen; they serve refined poses."""

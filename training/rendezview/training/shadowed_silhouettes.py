@@ -72,7 +72,7 @@ def lit_views(
     """Lit silhouettes seen from a unit direction (3,), the lattice's number ``view``.
 
     Returns:
-        The fields of `LitViews` but ``suns``.
+        The fields of `ShadowedSilhouettes` but ``suns``.
     """
     range_m = _RANGE_RADII * geometry.sphere_radius_m
     drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX)

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.training.mesh import Mesh
 
 _POINTS = 4000  # on the surface

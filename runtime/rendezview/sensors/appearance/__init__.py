@@ -8,19 +8,17 @@ from rendezview.sensors.appearance.outline.silhouette import (
     Threshold,
 )
 from rendezview.sensors.appearance.outline.votes import Match, MatchOptions
-from rendezview.sensors.appearance.recognizer import Recognizer, Sighting
+from rendezview.sensors.appearance.recognizer import AppearanceObservation, Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
-from rendezview.sensors.observation import Status
 
 __all__ = [
+    "AppearanceObservation",
     "Cleaning",
     "Match",
     "MatchOptions",
     "Recognizer",
-    "Sighting",
     "Silhouette",
     "SilhouetteOptions",
-    "Status",
     "Threshold",
     "Tracker",
     "TrackerOptions",

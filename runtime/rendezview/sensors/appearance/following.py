@@ -14,7 +14,7 @@ from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
-from rendezview.sensors.appearance.recognizer import Recognizer, Sighting
+from rendezview.sensors.appearance.recognizer import AppearanceObservation, Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
 from rendezview.sensors.observation import Status
 
@@ -29,8 +29,8 @@ def follow(
     options: TrackerOptions | None = None,
     sun_camera: npt.ArrayLike | None = None,
     refine: bool = True,
-) -> Iterator[tuple[Frame, Sighting]]:
-    """One sighting for each frame, in order.
+) -> Iterator[tuple[Frame, AppearanceObservation]]:
+    """One observation for each frame, in order.
 
     Args:
         model: of the target.
@@ -62,7 +62,7 @@ def follow(
         try:
             image = frame.read()
         except RendezviewError as error:
-            yield frame, Sighting(Status.UNREADABLE, str(error))
+            yield frame, AppearanceObservation(Status.UNREADABLE, str(error))
             continue
         if independent:
             yield frame, recognizer.recognize(image, sun_camera=sun_camera)
@@ -77,45 +77,47 @@ def follow(
         yield frame, tracker.update(time_s, image, sun_camera)
 
 
-def result_row(scene_id: int, frame: Frame, sighting: Sighting) -> ResultRow | None:
+def result_row(scene_id: int, frame: Frame, observation: AppearanceObservation) -> ResultRow | None:
     """One frame as it stands in the results; ``None`` without a pose."""
-    if sighting.pose is None:
+    if observation.pose is None:
         return None
-    spent_s = 1e-3 * sum(sighting.stage_ms.values())
-    return ResultRow(scene_id, frame.im_id, frame.obj_id, sighting.score, sighting.pose, spent_s)
+    spent_s = 1e-3 * sum(observation.stage_ms.values())
+    return ResultRow(
+        scene_id, frame.im_id, frame.obj_id, observation.score, observation.pose, spent_s
+    )
 
 
-def record(frame: Frame, sighting: Sighting) -> dict[str, Any]:
+def record(frame: Frame, observation: AppearanceObservation) -> dict[str, Any]:
     """One frame as it stands in a log of JSON lines."""
     return {
         "im_id": frame.im_id,
         "image": frame.name,
         "time_s": frame.time_s,
-        "status": str(sighting.status),
-        "reason": sighting.reason,
-        "pose": sighting.pose,
-        "covariance": sighting.covariance,
-        "score": sighting.score,
-        "confidence": sighting.confidence,
-        "candidates": list(sighting.candidates),
-        "refinement": _refinement(sighting),
-        "on_nodes": sighting.on_nodes,
-        "weights": sighting.weights,
-        "points_m": sighting.points_m,
-        "stage_ms": sighting.stage_ms,
+        "status": str(observation.status),
+        "reason": observation.reason,
+        "pose": observation.pose,
+        "covariance": observation.covariance,
+        "score": observation.score,
+        "confidence": observation.confidence,
+        "candidates": list(observation.candidates),
+        "refinement": _refinement(observation),
+        "on_nodes": observation.active_nodes,
+        "weights": observation.weights,
+        "points_m": observation.points_m,
+        "stage_ms": observation.stage_ms,
     }
 
 
-def _refinement(sighting: Sighting) -> dict[str, float] | None:
+def _refinement(observation: AppearanceObservation) -> dict[str, float] | None:
     """How the best refined pose stands, given or not."""
-    if sighting.found is None:
+    if observation.found is None:
         return None
-    best = sighting.found.best
+    best = observation.found.best
     return {
         "outline": best.outline,
         "inner": best.inner,
         "seen": best.seen,
         "residual_px": best.residual_px,
-        "excess": sighting.found.excess,
-        "margin": sighting.found.margin,
+        "excess": observation.found.excess,
+        "margin": observation.found.margin,
     }

@@ -13,11 +13,11 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
-from rendezview.io.target import Symmetry
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges.contours import Contours, surfaces_of_cells
 from rendezview.sensors.appearance.edges.shading import Surface
-from rendezview.sensors.appearance.edges.shadowed_silhouettes import LitViews
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
 
 _Part = TypeVar("_Part")
@@ -91,7 +91,7 @@ class ViewModel:
     held_out_accuracy: Array  # (T,) the same on held-out samples; NaN where not measured
     held_out: HeldOut
     contours: Contours | None  # for refinement; None: trained without
-    lit: LitViews | None  # for first poses in hard light; None: trained without
+    lit: ShadowedSilhouettes | None  # for first poses in hard light; None: trained without
     symmetries: tuple[Symmetry, ...]  # turns that change nothing
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
@@ -126,7 +126,9 @@ class ViewModel:
                 f"contours.{f.name}": getattr(self.contours, f.name) for f in fields(Contours)
             }
         if self.lit is not None:
-            arrays |= {f"lit.{f.name}": getattr(self.lit, f.name) for f in fields(LitViews)}
+            arrays |= {
+                f"lit.{f.name}": getattr(self.lit, f.name) for f in fields(ShadowedSilhouettes)
+            }
         if self.surface is not None:
             arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
         header = {
@@ -171,7 +173,7 @@ class ViewModel:
                 forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
                 held_out=HeldOut(**header["held_out"]),
                 contours=_part(arrays, "contours", Contours),
-                lit=_part(arrays, "lit", LitViews),
+                lit=_part(arrays, "lit", ShadowedSilhouettes),
                 surface=_part(arrays, "surface", Surface),
                 symmetries=tuple(
                     Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])

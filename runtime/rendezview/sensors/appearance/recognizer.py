@@ -1,4 +1,4 @@
-"""One frame in, one sighting out: status, on nodes, points in space, pose, covariance."""
+"""One frame in, one observation out: status, on nodes, points in space, pose, covariance."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.io.grey_frame import check_frame
 from rendezview.sensors.appearance.edges.refinement import Sky
-from rendezview.sensors.appearance.edges.search import Found, Outlines, PoseFinder
+from rendezview.sensors.appearance.edges.search import Found, Outlines, PoseSearch
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.bright_sky import find_bodies
 from rendezview.sensors.appearance.outline.foreground import Foreground
-from rendezview.sensors.appearance.outline.interpolation import Between
+from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.placement import node_points, place
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import (
@@ -39,14 +39,14 @@ _MOST_RESIDUAL = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class AppearanceObservation:
     """What one frame showed. Without a pose there is a status and a reason."""
 
     status: Status
     reason: str | None = None
     pose: Pose | None = None  # camera_from_target
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
-    on_nodes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    active_nodes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     weights: Array = field(default_factory=lambda: np.zeros(0))  # (K,) trust in each on node
     points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))  # camera seen by each on node
     # Where views between the nodes see the camera (J, 3), and weights (J,): a millisecond, so it
@@ -116,12 +116,12 @@ class Recognizer:
         self.camera = camera
         self.silhouette_options = silhouette or SilhouetteOptions()
         self.matcher = Matcher(model, match)
-        self.between = None if model.views.far_change is None else Between(model)
+        self.between = None if model.views.far_change is None else Interpolator(model)
         self.trees = trees
         self._foreground = Foreground()
         self.least_confidence = least_confidence
-        self.finder = PoseFinder(model, camera) if refine and model.contours is not None else None
-        if silhouette is None and self.finder is not None:
+        self.search = PoseSearch(model, camera) if refine and model.contours is not None else None
+        if silhouette is None and self.search is not None:
             # Shadow cuts a body in pieces; refinement tells whether they are the target's.
             self.silhouette_options = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
 
@@ -132,7 +132,7 @@ class Recognizer:
         prior_error_rad: float | None = None,
         sun_camera: npt.ArrayLike | None = None,
         enough_support: float = 1.0,
-    ) -> Sighting:
+    ) -> AppearanceObservation:
         """Look at one frame.
 
         Args:
@@ -151,11 +151,11 @@ class Recognizer:
         """
         clock = _Clock()
         frame = check_frame(image, self.camera.width, self.camera.height)
-        if self.finder is None:
+        if self.search is None:
             bodies = self._bodies(frame, None, prior)
             clock.lap("silhouette")
             if isinstance(bodies, Missing):
-                return Sighting(bodies.status, bodies.reason, stage_ms=clock.stages)
+                return AppearanceObservation(bodies.status, bodies.reason, stage_ms=clock.stages)
             outlines = self._outlines(bodies)
             clock.lap("signature")
             return self._by_trees(bodies, outlines, prior, prior_error_rad, clock)
@@ -164,10 +164,10 @@ class Recognizer:
         found = None
         error = prior_error_rad or self.matcher.options.prior_error_rad
         if prior is not None:
-            found = self.finder.at(frame, sky, prior, error, enough_support)
+            found = self.search.at(frame, sky, prior, error, enough_support)
             clock.lap("refine")
             if found is not None and not self.trees:
-                return _sighting(Sighting(Status.OK, stage_ms=clock.stages), found)
+                return _observation(AppearanceObservation(Status.OK, stage_ms=clock.stages), found)
         bodies = self._bodies(frame, sky, prior)
         clock.lap("silhouette")
         outlines = []
@@ -175,16 +175,16 @@ class Recognizer:
             outlines = self._outlines(bodies)
             clock.lap("signature")
         if prior is None and outlines:
-            found = self.finder.anywhere(frame, sky, outlines, sun)
+            found = self.search.anywhere(frame, sky, outlines, sun)
             clock.lap("refine")
         sure = found if found is not None and self._trusted(found) else None
         if isinstance(bodies, Missing):
-            seen = Sighting(bodies.status, bodies.reason, stage_ms=clock.stages)
+            seen = AppearanceObservation(bodies.status, bodies.reason, stage_ms=clock.stages)
         else:
             seen = self._by_trees(bodies, outlines, prior, prior_error_rad, clock, sure)
         if found is None and prior is not None:
             also = [] if seen.pose is None else [seen.pose]
-            found = self.finder.near(frame, sky, prior, error, outlines, also)
+            found = self.search.near(frame, sky, prior, error, outlines, also)
             clock.lap("refine")
         return self._judged(seen, found)
 
@@ -193,8 +193,8 @@ class Recognizer:
         close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
         return found.confidence >= self.least_confidence and not close
 
-    def _judged(self, seen: Sighting, found: Found | None) -> Sighting:
-        """The sighting with the refined pose, or with the reason why there is none."""
+    def _judged(self, seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:
+        """The observation with the refined pose, or with the reason why there is none."""
         nothing = replace(seen, pose=None, covariance=None, points_m=np.zeros((0, 3)))
         if found is None:
             if seen.status in (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED):
@@ -205,7 +205,7 @@ class Recognizer:
                 )
             return nothing
         if self._trusted(found):
-            return _sighting(seen, found)
+            return _observation(seen, found)
         if found.rival is not None and found.margin < _CLOSE_MARGIN:
             apart = found.best.pose.angle_to(found.rival.pose)
             return replace(
@@ -252,12 +252,12 @@ class Recognizer:
         prior_error_rad: float | None,
         clock: _Clock,
         sure: Found | None = None,
-    ) -> Sighting:
+    ) -> AppearanceObservation:
         """On nodes of the first silhouette, and the coarse pose they mean.
 
         Where the pose is ``sure`` already, the trees are only asked at its attitude.
         """
-        seen = Sighting(Status.OK, silhouette=bodies[0], stage_ms=clock.stages)
+        seen = AppearanceObservation(Status.OK, silhouette=bodies[0], stage_ms=clock.stages)
         if not outlines:
             return replace(seen, status=Status.SMALL, reason="the silhouette encloses no area")
         signature = outlines[0].signature
@@ -274,7 +274,7 @@ class Recognizer:
                 status=Status.UNRECOGNIZED,
                 reason=f"no node of the sphere recognises this view{near}",
             )
-        seen = replace(seen, on_nodes=match.on_nodes, weights=match.weights)
+        seen = replace(seen, active_nodes=match.active_nodes, weights=match.weights)
         limit = _MOST_RESIDUAL * self.model.held_out.residual
         if match.residual > limit:
             return replace(
@@ -328,7 +328,7 @@ def _unit(direction: npt.ArrayLike | None) -> Array | None:
     return np.asarray(vector / length)
 
 
-def _sighting(seen: Sighting, found: Found) -> Sighting:
+def _observation(seen: AppearanceObservation, found: Found) -> AppearanceObservation:
     return replace(
         seen,
         status=Status.OK,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.recognizer import Recognizer, Sighting
+from rendezview.sensors.appearance.recognizer import AppearanceObservation, Recognizer
 from rendezview.sensors.observation import Status
 
 _SAME_RAD = np.deg2rad(3.0)  # attitudes nearer than this are the same answer
@@ -84,7 +84,7 @@ class Tracker:
 
     def update(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
-    ) -> Sighting:
+    ) -> AppearanceObservation:
         """Look at the next frame.
 
         Args:
@@ -103,17 +103,17 @@ class Tracker:
             self._time_s = time_s  # a first prior is of the first frame's time
         if time_s - self._time_s > self.options.longest_outage_s:
             self._pose = None
-        sighting = self._look(time_s, image, sun_camera)
-        if sighting.pose is None:
+        observation = self._look(time_s, image, sun_camera)
+        if observation.pose is None:
             self._misses += 1
         else:
-            self._follow(sighting.pose, time_s)
-            self._vouch(sighting)
-        return sighting
+            self._follow(observation.pose, time_s)
+            self._vouch(observation)
+        return observation
 
     def _look(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
-    ) -> Sighting:
+    ) -> AppearanceObservation:
         if self._pose is None and self._rivals:
             return self._decide(image, sun_camera)
         error_rad = min(
@@ -122,27 +122,27 @@ class Tracker:
             self.options.widest_rad,
         )
         prior = self.predicted(time_s)
-        sighting = self.recognizer.recognize(
+        observation = self.recognizer.recognize(
             image, prior, error_rad, sun_camera, self._enough_support()
         )
-        refines = self.recognizer.finder is not None
+        refines = self.recognizer.search is not None
         if (
             refines
             and prior is not None
-            and sighting.pose is None
+            and observation.pose is None
             and self._misses >= self.options.anew_after
         ):
             anew = self.recognizer.recognize(image, None, None, sun_camera)
             if anew.pose is not None and (anew.confidence or 0.0) >= self.options.anew_confidence:
                 self._time_s = None  # a new start: no rate across it
                 return anew
-        if sighting.status is Status.AMBIGUOUS and self._pose is None:
-            self._rivals = [(pose, 0.0) for pose in sighting.candidates]
-        return sighting
+        if observation.status is Status.AMBIGUOUS and self._pose is None:
+            self._rivals = [(pose, 0.0) for pose in observation.candidates]
+        return observation
 
-    def _vouch(self, sighting: Sighting) -> None:
+    def _vouch(self, observation: AppearanceObservation) -> None:
         """Remember what support the pose has where it was the best of several."""
-        found = sighting.found
+        found = observation.found
         if found is None:
             self._vouched = (0.0, 0)
         elif found.alone:
@@ -157,14 +157,16 @@ class Tracker:
             return 1.0
         return self.options.vouched_share * support
 
-    def _decide(self, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None) -> Sighting:
+    def _decide(
+        self, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
+    ) -> AppearanceObservation:
         """Both rivals against the next frame; the answer when one leads."""
         looks = []
         for pose, merit in self._rivals:
-            sighting = self.recognizer.recognize(image, pose, None, sun_camera)
-            found = sighting.found
+            observation = self.recognizer.recognize(image, pose, None, sun_camera)
+            found = observation.found
             if found is not None:
-                looks.append((merit + found.merit, sighting, found.best.pose))
+                looks.append((merit + found.merit, observation, found.best.pose))
         looks.sort(key=lambda look: -look[0])
         # Rivals that end at one pose are one.
         for k in range(len(looks) - 1, 0, -1):

@@ -1,6 +1,5 @@
 """The video guidance sensor: retro-reflectors to six numbers (Book et al. 1992, Bales 1995)."""
 
-from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import Acquirer, AcquisitionOptions
 from rendezview.sensors.reflectors.cameras import RangedCamera, SwitchingSensor
 from rendezview.sensors.reflectors.closed_form import Calibration, calibrate, closed_form
@@ -14,7 +13,7 @@ from rendezview.sensors.reflectors.pattern import (
     pose_of,
     six_numbers,
 )
-from rendezview.sensors.reflectors.reading import Reading
+from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.refinement import refine
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.spots import Centroid, Spots, find_spots
@@ -28,12 +27,11 @@ __all__ = [
     "LitDark",
     "Opening",
     "RangedCamera",
-    "Reading",
+    "ReflectorObservation",
     "ReflectorPattern",
     "ReflectorSensor",
     "SixNumbers",
     "Spots",
-    "Status",
     "SwitchingSensor",
     "ThresholdOptions",
     "TrackingOptions",

@@ -10,7 +10,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.difference import LitDark
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
-from rendezview.sensors.reflectors.reading import Reading
+from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 
 
@@ -63,7 +63,7 @@ class SwitchingSensor:
         """The groups of the camera in use."""
         return self.active.sensor.patterns
 
-    def update(self, time_s: float, frames: LitDark) -> tuple[Reading, Pose | None]:
+    def update(self, time_s: float, frames: LitDark) -> tuple[ReflectorObservation, Pose | None]:
         """A reading of the active camera and ``chaser_from_target``; then the next is chosen."""
         camera = self.active
         reading = camera.sensor.update(time_s, frames)

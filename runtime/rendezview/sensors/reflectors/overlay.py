@@ -12,7 +12,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.reflectors.difference import Grey, LitDark
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
-from rendezview.sensors.reflectors.reading import Reading
+from rendezview.sensors.reflectors.reading import ReflectorObservation
 
 _SCALE = 2
 _SPOT, _REFLECTOR, _WORDS = (120, 120, 120), (0, 165, 255), (230, 230, 230)  # blue green red
@@ -20,7 +20,7 @@ _AXES = ((80, 80, 255), (80, 220, 80), (255, 160, 80))
 
 
 def draw_reading(
-    frames: LitDark, reading: Reading, camera: Camera, patterns: list[ReflectorPattern]
+    frames: LitDark, reading: ReflectorObservation, camera: Camera, patterns: list[ReflectorPattern]
 ) -> npt.NDArray[np.uint8]:
     """(2 H, 2 W, 3) blue-green-red: the difference, every spot, and what was made of them.
 

@@ -14,7 +14,7 @@ from rendezview.sensors.reflectors.spots import COLUMNS, Spots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reading:
+class ReflectorObservation:
     """What the sensor says of one pair of pictures; no pose without ``Status.OK``."""
 
     status: Status

@@ -25,7 +25,7 @@ from rendezview.sensors.reflectors.closed_form import (
 )
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, registered
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
-from rendezview.sensors.reflectors.reading import Reading
+from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.track import TrackingOptions
 
@@ -90,7 +90,7 @@ def follow(
     tracking: TrackingOptions | None = None,
     independent: bool = False,
     lit_from_dark: npt.ArrayLike | None = None,
-) -> Iterator[tuple[FramePair, Reading]]:
+) -> Iterator[tuple[FramePair, ReflectorObservation]]:
     """One reading for each pair, in order; a picture that cannot be read says so and is passed.
 
     Args:
@@ -130,14 +130,14 @@ def follow(
                 dark = registered(dark, lit_from_dark)
             frames = LitDark(pair.lit.read(), dark)
         except RendezviewError as error:
-            yield pair, Reading(Status.UNREADABLE, str(error))
+            yield pair, ReflectorObservation(Status.UNREADABLE, str(error))
             continue
         yield pair, sensors[camera].update(time_s, frames)
 
 
 def record(
     pair: FramePair,
-    reading: Reading,
+    reading: ReflectorObservation,
     patterns: list[ReflectorPattern],
     calibration: Calibration | None = None,
 ) -> dict[str, Any]:
@@ -180,7 +180,7 @@ def record(
 
 def _closed(
     pair: FramePair,
-    reading: Reading,
+    reading: ReflectorObservation,
     patterns: list[ReflectorPattern],
     calibration: Calibration,
 ) -> SixNumbers | None:
@@ -195,7 +195,7 @@ def _closed(
         return None
 
 
-def _outer_and_centre(pattern: ReflectorPattern, reading: Reading) -> Array | None:
+def _outer_and_centre(pattern: ReflectorPattern, reading: ReflectorObservation) -> Array | None:
     """(3, 2) spots of left, centre and right reflector, where all are seen."""
     if len(pattern) != 3:
         return None

@@ -22,7 +22,7 @@ from rendezview.sensors.reflectors.discs import camera_numbers
 from rendezview.sensors.reflectors.matching import expect_spots
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
-from rendezview.sensors.reflectors.reading import Reading
+from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, Spots, find_spots
 from rendezview.sensors.reflectors.track import Track, TrackingOptions
@@ -96,7 +96,7 @@ class ReflectorSensor:
 
     def update(
         self, time_s: float, frames: LitDark, acceleration: npt.ArrayLike | None = None
-    ) -> Reading:
+    ) -> ReflectorObservation:
         """Read the next pair of pictures.
 
         Args:
@@ -124,7 +124,7 @@ class ReflectorSensor:
 
     # --- acquisition
 
-    def _acquire(self, time_s: float, frames: LitDark) -> Reading:
+    def _acquire(self, time_s: float, frames: LitDark) -> ReflectorObservation:
         prior = None
         if self._track is not None:
             if self._track.misses <= self.tracking.memory:
@@ -141,7 +141,7 @@ class ReflectorSensor:
             if self._track is not None:
                 self._track.misses += 1
             self._unconfirmed = None
-            return Reading(
+            return ReflectorObservation(
                 found.status, found.reason, spots=spots, reflectors=(None,) * len(spots),
                 stage_ms=stage_ms,
             )  # fmt: skip
@@ -153,7 +153,7 @@ class ReflectorSensor:
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(time_s, pose):
             self._unconfirmed = (time_s, pose, self._table_of(found, spots))
-            return Reading(
+            return ReflectorObservation(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
                 spots=spots, reflectors=tuple(names), group=found.group, stage_ms=stage_ms,
             )  # fmt: skip
@@ -188,7 +188,7 @@ class ReflectorSensor:
 
     # --- tracking
 
-    def _follow(self, time_s: float, frames: LitDark, push: Array | None) -> Reading:
+    def _follow(self, time_s: float, frames: LitDark, push: Array | None) -> ReflectorObservation:
         track, options = self._track, self.tracking
         assert track is not None
         begin = time.perf_counter()
@@ -296,7 +296,7 @@ class ReflectorSensor:
         spots: Spots,
         names: tuple[str, ...],
         stage_ms: dict[str, float],
-    ) -> Reading:
+    ) -> ReflectorObservation:
         track.misses += 1
         self._rates.clear()
         if len(seen) and track.misses <= self.tracking.coast:
@@ -309,13 +309,13 @@ class ReflectorSensor:
             track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
         if len(seen):
             lost = [n for n in self._wanted() if n not in names]
-            return Reading(
+            return ReflectorObservation(
                 Status.PARTIAL,
                 f"{len(seen)} of the reflectors seen ({', '.join(names)}), which fixes no pose; "
                 f"not seen: {', '.join(lost)}",
                 spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
             )  # fmt: skip
-        return Reading(
+        return ReflectorObservation(
             Status.LOST,
             "no reflector where it was expected"
             + ("" if self.is_tracking else ": the whole picture is searched next"),
@@ -381,7 +381,7 @@ class ReflectorSensor:
         stage_ms: dict[str, float],
         ambiguous: bool,
         tracked: bool,
-    ) -> Reading:
+    ) -> ReflectorObservation:
         begin = time.perf_counter()
         pose = refined.camera_from_target
         whole = next(
@@ -391,7 +391,7 @@ class ReflectorSensor:
         six = self._faces[whole.name].six_numbers(pose)
         rates = self._rates.add(time_s, pose, six, refined.covariance)
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
-        return Reading(
+        return ReflectorObservation(
             Status.OK, None, pose, refined.covariance, six, rates, spots, names, whole.name,
             ambiguous, tracked, stage_ms,
         )  # fmt: skip

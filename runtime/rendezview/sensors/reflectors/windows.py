@@ -1,4 +1,4 @@
-"""Reading the spots inside small windows about where they are expected."""
+"""ReflectorObservation the spots inside small windows about where they are expected."""
 
 from __future__ import annotations
 

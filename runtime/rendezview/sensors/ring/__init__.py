@@ -1,6 +1,5 @@
 """The docking ring: ellipses in a frame to the ring's pose (Zhai et al.)."""
 
-from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_point
 from rendezview.sensors.ring.circle_pose import (
     CirclePose,
@@ -10,7 +9,7 @@ from rendezview.sensors.ring.circle_pose import (
 )
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse, fit_hyper, fit_paper
-from rendezview.sensors.ring.sensor import RingPrior, RingReading, RingSensor
+from rendezview.sensors.ring.sensor import RingObservation, RingPrior, RingSensor
 
 __all__ = [
     "Choice",
@@ -20,11 +19,10 @@ __all__ = [
     "MotionChooser",
     "RingDetector",
     "RingEdge",
+    "RingObservation",
     "RingOptions",
     "RingPrior",
-    "RingReading",
     "RingSensor",
-    "Status",
     "by_attitude",
     "by_point",
     "circle_poses",

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.ring.circle_pose import CirclePose
 from rendezview.sensors.ring.ellipse import Ellipse
-from rendezview.sensors.ring.sensor import RingReading
+from rendezview.sensors.ring.sensor import RingObservation
 
 Picture = npt.NDArray[np.uint8]
 
@@ -19,7 +19,7 @@ _BEST, _OTHER = (0, 165, 255), (170, 140, 90)  # blue green red
 _CHOSEN, _REFUSED, _WORDS = (80, 220, 80), (120, 120, 120), (230, 230, 230)
 
 
-def draw_reading(image: npt.ArrayLike, reading: RingReading, camera: Camera) -> Picture:
+def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera) -> Picture:
     """(H, W, 3) blue-green-red: all ellipses, the ring's in orange, and the axes of its poses.
 
     The chosen pose's axis is green, the other's grey; both are as long as the ring's radius.

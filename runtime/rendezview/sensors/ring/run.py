@@ -10,7 +10,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.detector import RingOptions
-from rendezview.sensors.ring.sensor import RingPrior, RingReading, RingSensor
+from rendezview.sensors.ring.sensor import RingObservation, RingPrior, RingSensor
 
 
 def follow(
@@ -20,7 +20,7 @@ def follow(
     options: RingOptions | None = None,
     prior: Callable[[Frame], RingPrior | None] | None = None,
     independent: bool = False,
-) -> Iterator[tuple[Frame, GreyImage | None, RingReading]]:
+) -> Iterator[tuple[Frame, GreyImage | None, RingObservation]]:
     """One reading a frame, in order; a picture that cannot be read says so and is passed.
 
     Args:
@@ -40,12 +40,12 @@ def follow(
         try:
             image = frame.read()
         except RendezviewError as error:
-            yield frame, None, RingReading(Status.UNREADABLE, str(error))
+            yield frame, None, RingObservation(Status.UNREADABLE, str(error))
             continue
         yield frame, image, sensor.update(image, prior(frame) if prior else None)
 
 
-def record(frame: Frame, reading: RingReading) -> dict[str, Any]:
+def record(frame: Frame, reading: RingObservation) -> dict[str, Any]:
     """One frame as it stands in the log of JSON lines."""
     return {
         "im_id": frame.im_id,

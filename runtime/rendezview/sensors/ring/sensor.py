@@ -36,7 +36,7 @@ class RingPrior:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RingReading:
+class RingObservation:
     """What a frame says of the ring."""
 
     status: Status
@@ -80,7 +80,7 @@ class RingSensor:
         self._missed = 0
         self._motion = MotionChooser()
 
-    def update(self, image: npt.ArrayLike, prior: RingPrior | None = None) -> RingReading:
+    def update(self, image: npt.ArrayLike, prior: RingPrior | None = None) -> RingObservation:
         """Read a frame, (H, W) uint8.
 
         Args:
@@ -96,8 +96,10 @@ class RingSensor:
             edge = self._by_shape(detection, given)
             if edge is None:
                 return self._nothing(detection, detection.reason or "no ellipse")
-            return RingReading(Status.OK, "no radius is given, so no pose", detection.edges, edge,
-                               stage_ms=detection.stage_ms)  # fmt: skip
+            reason = "no radius is given, so no pose"
+            return RingObservation(
+                Status.OK, reason, detection.edges, edge, stage_ms=detection.stage_ms
+            )
         edge, told = self._select(detection, given)
         if edge is None:
             return self._nothing(detection, told)
@@ -110,14 +112,18 @@ class RingSensor:
         else:
             self._pair = poses
         status = Status.AMBIGUOUS if choice.index is None else Status.OK
-        reason = choice.reason if choice.index is None else None
-        return RingReading(status, reason, detection.edges, edge, poses, choice, detection.stage_ms)
+        why = choice.reason if choice.index is None else None
+        return RingObservation(
+            status, why, detection.edges, edge, poses, choice, detection.stage_ms
+        )
 
-    def _nothing(self, detection: Detection, reason: str) -> RingReading:
+    def _nothing(self, detection: Detection, reason: str) -> RingObservation:
         self._missed += 1
         if self._missed >= _FORGET_FRAMES:
             self.reset()
-        return RingReading(Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms)
+        return RingObservation(
+            Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms
+        )
 
     def _by_shape(self, detection: Detection, prior: RingPrior) -> int | None:
         return 0 if detection.edges else None

@@ -7,7 +7,11 @@ from rendezview.sensors.stereo.lens import Lens
 from rendezview.sensors.stereo.motion import MotionOptions
 from rendezview.sensors.stereo.response import Normalisation, Response, ResponseFit, fit_response
 from rendezview.sensors.stereo.rig import Rig, RigCamera, Sights
-from rendezview.sensors.stereo.tracker import Sighting, Status, StereoTracker, TrackerOptions
+from rendezview.sensors.stereo.tracker import (
+    StereoObservation,
+    StereoTracker,
+    TrackerOptions,
+)
 
 __all__ = [
     "UNKNOWN",
@@ -20,10 +24,9 @@ __all__ = [
     "ResponseFit",
     "Rig",
     "RigCamera",
-    "Sighting",
     "Sights",
     "Spots",
-    "Status",
+    "StereoObservation",
     "StereoTracker",
     "TrackerOptions",
     "YawPitchRoll",

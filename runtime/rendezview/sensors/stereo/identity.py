@@ -19,7 +19,7 @@ from rendezview.sensors.stereo.agreement import Disagreement, Fit, agree
 from rendezview.sensors.stereo.collinearity import squares
 from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 from rendezview.sensors.stereo.rig import Rig, Sights
-from rendezview.sensors.stereo.start import CAP, Hypotheses, p3p, widest
+from rendezview.sensors.stereo.start import CAP, Retrieval, p3p, widest
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target
 _MOST_HYPOTHESES = 12_000
@@ -122,7 +122,7 @@ def _explain(
     spots: Sequence[Spots],
     xy: Array,
     weight: Array,
-    poses: Hypotheses,
+    poses: Retrieval,
     answers: list[tuple[int, float, tuple[Spots, ...], Fit]],
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""

@@ -30,8 +30,8 @@ _NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times wor
 CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
 _CAMERA_MATRIX = np.eye(3)
 
-Hypotheses = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
-_NO: Hypotheses = (np.empty((0, 3, 3)), np.empty((0, 3)))
+Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
+_NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +113,7 @@ def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
     return Pose(rotation, points_to.mean(axis=0) - rotation @ points_from.mean(axis=0))
 
 
-def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Hypotheses:
+def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
     seen = np.flatnonzero(sights.seen[camera])
     triples: list[tuple[int, ...]] = list(itertools.combinations(seen.tolist(), 3))
@@ -131,7 +131,7 @@ def widest(xy: Array, triples: list[tuple[int, ...]]) -> list[tuple[int, ...]]:
     return [triples[i] for i in np.argsort(-area, kind="stable")]
 
 
-def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Hypotheses:
+def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Retrieval:
     """rig_from_points of many three points (3, 3) at ideal places (3, 2): up to four each."""
     turns, places = [], []
     for points, xy in problems:
@@ -155,7 +155,7 @@ def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Hypot
 
 
 def refine(
-    rig: Rig, leds: Array, normals: Array, sights: Sights, hypotheses: Hypotheses
+    rig: Rig, leds: Array, normals: Array, sights: Sights, hypotheses: Retrieval
 ) -> list[Candidate]:
     """The hypotheses that fit best, each iterated to its minimum, false lights kept out."""
     rotations, translations = hypotheses

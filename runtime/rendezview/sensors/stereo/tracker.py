@@ -41,7 +41,7 @@ class TrackerOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class StereoObservation:
     """One reading's answer. Poses are ``None`` where there is none, with the reason."""
 
     status: Status
@@ -146,7 +146,7 @@ class StereoTracker:
         """The last estimate, or None where the target is lost."""
         return self._last
 
-    def update(self, time_s: float, spots: Sequence[Spots]) -> Sighting:
+    def update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
         """Solve the next reading, one `Spots` for each camera.
 
         Named spots are taken as named; if any spot has no name, all are told by geometry.
@@ -177,7 +177,7 @@ class StereoTracker:
         if isinstance(fit, Disagreement):
             self._lose(time_s)
             status = Status.AMBIGUOUS if fit.ambiguous else Status.DISAGREE
-            return Sighting(status, fit.reason, spots=named)
+            return StereoObservation(status, fit.reason, spots=named)
         return self._accept(time_s, fit, forecast, found_anew, named)
 
     def locate(self, sights: Sights, forecast: Motion | None = None) -> Fit | Disagreement:
@@ -243,18 +243,18 @@ class StereoTracker:
 
     def _partial(
         self, time_s: float, forecast: Motion | None, sights: Sights, named: tuple[Spots, ...]
-    ) -> Sighting:
+    ) -> StereoObservation:
         lights = int(sights.seen.any(axis=0).sum())
         reason = f"{lights} lights seen, a pose needs {FEWEST_LIGHTS}"
         if self.options.motion is not None and forecast is not None:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
             if after is not None:
                 self._last = after
-                return Sighting(
+                return StereoObservation(
                     Status.PARTIAL, reason, estimate=after, spots=named, camera_from_rig=self._first
                 )
         self._lose(time_s)
-        return Sighting(Status.FEW_LIGHTS, reason, spots=named)
+        return StereoObservation(Status.FEW_LIGHTS, reason, spots=named)
 
     def _accept(
         self,
@@ -263,11 +263,11 @@ class StereoTracker:
         forecast: Motion | None,
         found_anew: bool,
         named: tuple[Spots, ...],
-    ) -> Sighting:
+    ) -> StereoObservation:
         options = self.options.motion
         if options is None:
             self._last = Motion(time_s, fit.rotation, fit.translation, _NO_RATES, _NO_COVARIANCE)
-            return Sighting(Status.OK, None, fit, None, found_anew, named, self._first)
+            return StereoObservation(Status.OK, None, fit, None, found_anew, named, self._first)
         after = None
         own = fit.rotation, fit.translation
         if forecast is not None and not motion.breaks(forecast, *own, fit.information):
@@ -278,7 +278,7 @@ class StereoTracker:
             covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
             after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
         self._last = after
-        return Sighting(Status.OK, None, fit, after, found_anew, named, self._first)
+        return StereoObservation(Status.OK, None, fit, after, found_anew, named, self._first)
 
     def _lose(self, time_s: float) -> None:
         if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:

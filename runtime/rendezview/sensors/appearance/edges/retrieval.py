@@ -76,7 +76,7 @@ def least(values: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.intp]:
     return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
 
 
-class Hypotheses:
+class Retrieval:
     """All views of one model, ready to be compared with a signature."""
 
     def __init__(self, model: ViewModel) -> None:

@@ -20,7 +20,7 @@ from rendezview.sensors.appearance.edges.refinement import (
     Refiner,
     Sky,
 )
-from rendezview.sensors.appearance.edges.retrieval import Hypotheses
+from rendezview.sensors.appearance.edges.retrieval import Retrieval
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.signature import Signature
 
@@ -38,7 +38,7 @@ _RIVAL_RAD = np.deg2rad(5.0)  # another answer, no longer the same one
 
 
 @dataclass(frozen=True, kw_only=True)
-class FinderOptions:
+class SearchOptions:
     """How far to look."""
 
     hypotheses: int = 60  # views and rolls that are aligned where nothing is known
@@ -63,7 +63,7 @@ class Found:
     """The best pose and the best other one."""
 
     best: Refined
-    excess: float  # lit outlines beyond the predicted silhouette, see ``Hypotheses.excess``
+    excess: float  # lit outlines beyond the predicted silhouette, see ``Retrieval.excess``
     margin: float  # merit above that of the best pose more than 5° away; 1 where there is none
     dark: bool  # before a dark sky
     prior: bool  # found near a prior
@@ -143,20 +143,20 @@ class _Candidate:
 
 
 @dataclass(slots=True, eq=False)
-class PoseFinder:
+class PoseSearch:
     """Finds poses of one model in the frames of one camera."""
 
     model: ViewModel
     camera: Camera
-    options: FinderOptions = field(default_factory=FinderOptions)
+    options: SearchOptions = field(default_factory=SearchOptions)
     refine_options: RefineOptions = field(default_factory=RefineOptions)
     refiner: Refiner = field(init=False)
-    hypotheses: Hypotheses = field(init=False)
+    hypotheses: Retrieval = field(init=False)
     _flips: Array = field(init=False)  # (3, 3, 3)
 
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
-        self.hypotheses = Hypotheses(self.model)
+        self.hypotheses = Retrieval(self.model)
         self._flips = half_turns(self.model)
 
     def anywhere(

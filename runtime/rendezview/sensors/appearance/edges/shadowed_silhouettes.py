@@ -14,7 +14,7 @@ READING_UNIT = 16.0  # of a stored reading, thousandths of sqrt(area)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LitViews:
+class ShadowedSilhouettes:
     """L silhouettes of the lit parts, each with its view and the Sun that lights it.
 
     The Sun stands in one of S fixed directions of the target frame; shadows are cast.

@@ -41,7 +41,7 @@ class _Local:
     area: Array  # (6, 2) of ``area_m2`` and ``area_slope``
 
 
-class Between:
+class Interpolator:
     """Places between the nodes of one model that has far readings."""
 
     def __init__(self, model: ViewModel) -> None:

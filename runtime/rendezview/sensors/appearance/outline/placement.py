@@ -13,7 +13,7 @@ from rendezview.sensors.appearance.outline.votes import Match
 
 def node_points(model: ViewModel, match: Match, signature: Signature) -> Array:
     """(K, 3) where each on node puts the camera, target frame, metres (eq. 4a)."""
-    nodes = match.on_nodes
+    nodes = match.active_nodes
     range_m = range_from_area(
         model, model.views.area_m2[nodes], model.views.area_slope[nodes], signature.area_sr
     )

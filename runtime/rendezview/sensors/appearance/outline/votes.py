@@ -41,7 +41,7 @@ class MatchOptions:
 class Match:
     """What the trees said of one signature, at the attitude they agree on best."""
 
-    on_nodes: npt.NDArray[np.intp]  # (K,) ascending
+    active_nodes: npt.NDArray[np.intp]  # (K,) ascending
     weights: Array  # (K,) trust in each, 0 … 1
     direction: Array  # (3,) unit, view centre → camera, target frame
     centred_from_target: Array  # (3, 3) attitude of the camera turned to the centroid
@@ -185,16 +185,16 @@ class Matcher:
         direction, weights = self.consensus(on, trust)
         return Match(on, weights, direction, attitude)
 
-    def consensus(self, on_nodes: npt.NDArray[np.intp], trust: Array) -> tuple[Array, Array]:
+    def consensus(self, active_nodes: npt.NDArray[np.intp], trust: Array) -> tuple[Array, Array]:
         """Direction of view on which on nodes agree, and how much each weighed, (3,) and (K,).
 
         A mean shift from the best supported node: far-off nodes weigh little, so one
         wrong tree among five does not pull the direction.
         """
-        weights = np.empty(len(on_nodes))
+        weights = np.empty(len(active_nodes))
         width = (self.options.kernel_edges * self._edge) ** 2
         mean = np.empty(3)
-        mean_shift(self._sphere.nodes[on_nodes], trust, width, weights, mean)
+        mean_shift(self._sphere.nodes[active_nodes], trust, width, weights, mean)
         return mean, weights
 
     def _aligned(self, readings: Readings, found: Match) -> tuple[Array, float]:

@@ -227,3 +227,22 @@ def _twice(rotation: Array) -> Array:
     turn = np.zeros((6, 6))
     turn[:3, :3] = turn[3:, 3:] = rotation
     return turn
+
+
+def tangents(axis: Array) -> Array:
+    """(3, 2) unit vectors e₁, e₂ across an axis n, as in logs of rings (docs/files.md).
+
+    e₁ is camera x less its part along n, normalised (camera y where n is along x); e₂ = n × e₁.
+    """
+    along_x = abs(axis[0]) > 1.0 - 1e-6
+    first = np.array([0.0, 1.0, 0.0]) if along_x else np.array([1.0, 0.0, 0.0])
+    first = first - (first @ axis) * axis
+    first /= np.sqrt(first @ first)
+    second = np.array(
+        [
+            axis[1] * first[2] - axis[2] * first[1],
+            axis[2] * first[0] - axis[0] * first[2],
+            axis[0] * first[1] - axis[1] * first[0],
+        ]
+    )
+    return np.column_stack([first, second])

