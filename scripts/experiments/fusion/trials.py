@@ -28,9 +28,6 @@ from rendezview.fusion import (
     SensorOptions,
     Surface,
 )
-from rendezview.fusion import (
-    Status as Fused,
-)
 from rendezview.fusion.kernels import rotation_vector
 from rendezview.fusion.logs import LogContext, merged, read_log
 from rendezview.geometry.camera import Camera
@@ -247,7 +244,7 @@ class Sample:
 
     time_s: float
     range_m: float  # camera to ring plane, true
-    status: Fused
+    status: Status
     fused: Array  # place of the ring's centre (m), its depth (m), axis (rad), attitude (rad)
     single: dict[str, Array]  # the same of each sensor
     nees: float  # of the six of the pose

@@ -185,7 +185,9 @@ def nearest(scene: RingScene, ellipses: list[list[float]]) -> tuple[float, float
     return best
 
 
-def detection(console: Console, seed: int, count: int, peer: Path | None) -> None:
+def detection(
+    console: Console, seed: int, count: int, least_score: float, peer: Path | None
+) -> None:
     table = Table(title=f"detection, {count} cluttered frames, seed {seed}")
     for name in ("detector and rule", "answers", "right", "precision", "recall"):
         table.add_column(name)
@@ -208,7 +210,7 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
         among[0] += len(found)
         among[1] += sum(any(right(e.ellipse.shape, t) for t in circles) for e in found)
         reach += any(right(e.ellipse.shape, t) for e in found for _, t in edges)
-        if found and found[0].score >= arguments.least_score:
+        if found and found[0].score >= least_score:
             good = any(right(found[0].ellipse.shape, t) for _, t in edges)
             counts[best][0] += 1
             counts[best][1] += good
@@ -222,7 +224,7 @@ def detection(console: Console, seed: int, count: int, peer: Path | None) -> Non
         else:  # as the last scene's: there is nothing to find
             range_m, radius = 6.0, 0.6
         reading = RingSensor(CAMERA, radius).update(image, RingPrior(range_m=range_m))
-        if reading.edge is not None and reading.edges[reading.edge].score >= arguments.least_score:
+        if reading.edge is not None and reading.edges[reading.edge].score >= least_score:
             counts[known][0] += 1
             counts[known][1] += any(
                 right(reading.edges[reading.edge].ellipse.shape, t) for _, t in edges
@@ -259,4 +261,5 @@ def main() -> None:
     if arguments.frames:
         accuracy(console, arguments.seed, arguments.frames, arguments.peer_python)
     if arguments.cluttered:
-        detection(console, arguments.seed, arguments.cluttered, arguments.peer_python)
+        least = arguments.least_score
+        detection(console, arguments.seed, arguments.cluttered, least, arguments.peer_python)
