@@ -3,7 +3,7 @@
 Differences from plain PyYAML:
 
 - Scalars follow YAML 1.2: ``1e-3`` is a number, ``yes`` and ``10:57:34`` are text.
-- OpenCV's directive ``%YAML:1.0`` is accepted. Unknown tags such as ``!!opencv-matrix`` are ignored.
+- OpenCV's ``%YAML:1.0`` is accepted. Tags such as ``!!opencv-matrix`` are ignored.
 - Only the first document is read: printed ROS messages end with ``---``.
 - A repeated key, an alias or very deep nesting is an error.
 """
