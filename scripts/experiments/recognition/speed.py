@@ -114,7 +114,10 @@ def main() -> None:
     else:
         with tempfile.TemporaryDirectory() as folder:
             options = TrainingOptions(
-                perturbed_views=6000, held_out_views=500, contour_points=0, lit_views=False
+                perturbed_views=6000,
+                held_out_views=500,
+                contour_points=0,
+                shadowed_silhouettes=False,
             )
             path = Path(folder) / "hubble.rvm"
             model = train(mesh, path, name="hubble", options=options).model
