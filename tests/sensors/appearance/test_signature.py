@@ -12,11 +12,12 @@ from rendezview.sensors.appearance.outline.signature import (
     UNIT,
     Signature,
     quantised,
+    radial_maxima,
     rolled,
+    spokes_of,
     twist,
 )
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of
 from rendezview.training.renderers import NumbaRenderer, Window
 
 ABOUT_Z = np.array([0.0, 0.0, 1.0])

@@ -17,10 +17,11 @@ from rendezview.sensors.appearance.outline.signature import (
     Readings,
     Signature,
     quantised,
+    radial_maxima,
     rolled,
+    spokes_of,
     twist,
 )
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of
 
 _BEST = 2000  # likenesses that are looked through
 _HARMONICS = 20

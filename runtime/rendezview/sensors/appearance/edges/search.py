@@ -12,17 +12,17 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import NO_POINT
 from rendezview.sensors.appearance.edges.refinement import (
-    Picture,
     Refined,
     RefineOptions,
     Refiner,
-    Sky,
 )
 from rendezview.sensors.appearance.edges.retrieval import Retrieval
 from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.signature import Outlines
+from rendezview.sensors.appearance.sky import Sky
 
 _EXCESS_WEIGHT = 1.0  # lit parts outside the silhouette count against the support
 _LIGHT_WEIGHT = 0.25  # grey levels that one light explains speak for a pose
@@ -48,14 +48,6 @@ class SearchOptions:
     refined_near: int = 3  # the same near a prior
     sure_support: float = 0.5  # of the prior alone: nothing else is tried …
     sure_support_bright: float = 0.6  # … and before a bright sky, where chance supports too
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outlines:
-    """What the threshold found of the target: rays, and their signature."""
-
-    rays: list[Array]  # (M, 3) each
-    signature: Signature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
