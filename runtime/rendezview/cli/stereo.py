@@ -6,7 +6,7 @@ import re
 import time
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -22,7 +22,6 @@ from rendezview.sensors.observation import Status
 from rendezview.sensors.stereo import (
     MotionOptions,
     Rig,
-    StereoObservation,
     StereoTracker,
     TrackerOptions,
 )
@@ -36,7 +35,7 @@ from rendezview.sensors.stereo.board import (
 from rendezview.sensors.stereo.bundle import INTRINSICS
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.laboratory_files import load_record
-from rendezview.sensors.stereo.readings import Reading, open_readings
+from rendezview.sensors.stereo.readings import open_readings
 from rendezview.sensors.stereo.rig_files import load_rig, save_opencv, save_rig
 from rendezview.sensors.stereo.spots import SpotOptions
 
@@ -143,13 +142,12 @@ def track(
                 spent_ms.append(1e3 * (time.perf_counter() - start))
                 outcomes[observation.status] += 1
                 if observation.pose is not None:
-                    believed = sum(int((found.led >= 0).sum()) for found in observation.spots)
-                    score = float(believed - len(observation.left_out))
-                    rows.append(
-                        ResultRow(1, reading.im_id, 1, score, observation.pose, 1e-3 * spent_ms[-1])
-                    )
+                    score, spent_s = float(observation.inliers), 1e-3 * spent_ms[-1]
+                    rows.append(ResultRow(1, reading.im_id, 1, score, observation.pose, spent_s))
                 if writer:
-                    writer.write(_record(reading, observation, loaded, names, spent_ms[-1]))
+                    line = {"im_id": reading.im_id, **observation.record()}
+                    # With the time to find the spots in the pictures.
+                    writer.write(line | {"stage_ms": {"track": spent_ms[-1]}})
                 progress("readings", done, len(series))
     finally:
         try:
@@ -165,40 +163,6 @@ def track(
         highlight=False,
         soft_wrap=True,
     )
-
-
-def _record(
-    reading: Reading,
-    observation: StereoObservation,
-    rig: Rig,
-    names: tuple[str, ...],
-    spent_ms: float,
-) -> dict[str, Any]:
-    angles, fit = observation.yaw_pitch_roll, observation.fit
-    return {
-        "im_id": reading.im_id,
-        "time_s": reading.time_s,
-        "status": str(observation.status),
-        "reason": observation.reason,
-        "pose": observation.pose,
-        "covariance": observation.covariance,
-        "rig_from_target": observation.rig_from_target,
-        "yaw_pitch_roll_rad": None if angles is None else list(angles),
-        "rates": None if observation.estimate is None else observation.estimate.rates,
-        "sum_of_squares": None if fit is None else fit.cost,
-        "degrees_of_freedom": None if fit is None else fit.spare,
-        "left_out": [
-            {"camera": rig.cameras[camera].name, "led": names[light]}
-            for camera, light in observation.left_out
-        ],
-        "exchanged": [[names[a], names[b]] for a, b in observation.exchanged],
-        "leds": [
-            [names[number] if number >= 0 else None for number in found.led]
-            for found in observation.spots
-        ],
-        "found_anew": observation.found_anew,
-        "stage_ms": {"track": spent_ms},
-    }
 
 
 def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:
