@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
+    BeamSurface,
     Fusion,
     FusionOptions,
     Measurement,
@@ -25,7 +26,6 @@ from rendezview.fusion import (
     RingCandidate,
     RingMeasurement,
     SensorOptions,
-    Surface,
 )
 from rendezview.fusion import (
     Status as Fused,
@@ -59,9 +59,9 @@ PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the sta
 # What the beam may meet, as told to the filter: the heat shield between nozzle and adapter, the
 # bus's face around the adapter, and if neither is sure something about there.
 SURFACES = (
-    Surface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
-    Surface(np.array([-1.40, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.04, 0.73, 1.05),
-    Surface(np.array([-1.50, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.15),
+    BeamSurface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
+    BeamSurface(np.array([-1.40, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.04, 0.73, 1.05),
+    BeamSurface(np.array([-1.50, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.15),
 )
 SILENT_FRAMES = 5  # without a pose, where the body overflows: then the recognizer is switched off
 
