@@ -23,6 +23,7 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.edges.contours import Contours
+from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model import HeldOut, ViewModel, Views
@@ -180,6 +181,7 @@ def _train(
         symmetries=symmetries,
         shape_error=shape_error,
         surface=surface,
+        error_model=None if contours is None else ErrorModel.packaged(),
     )
     if held_out is not None:
         model = calibrated(model, drawn.calibration(model, held_out))
