@@ -26,15 +26,13 @@ from rendezview.sensors.measurement import (
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
-    RingCandidate,
     RingMeasurement,
     Surface,
-    tangents,
+    ring_candidates,
 )
 
 _RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
 _SERVED = "a session of the service: its `fusion`"
-_ROUNDING = 1e-9  # of a covariance that has been written and read
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,23 +192,11 @@ def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measureme
 
 def _ring_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
     assert context.ring is not None
-    candidates = []
-    for pose in record["poses"]:
-        covariance = np.array(pose["covariance"], dtype=np.float64)  # null becomes NaN
-        if not np.isfinite(covariance).all():
-            continue  # its error is not known: no measurement
-        if covariance.shape != (5, 5):
-            raise ValueError("covariance must be (5, 5)")
-        spread = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
-        if not spread[0] > -_ROUNDING * spread[-1]:
-            raise ValueError("covariance has a negative variance")
-        axis = np.array(pose["axis"], dtype=np.float64)
-        candidates.append(
-            RingCandidate.of_tangent(pose["centre_m"], axis, covariance, tangents(axis))
-        )
+    circles = ((c["centre_m"], c["axis"], c["covariance"]) for c in record["poses"])
+    candidates = ring_candidates(circles)
     if not candidates:
         return None
-    return RingMeasurement(_time(record), sensor, tuple(candidates[:2]), context.ring)
+    return RingMeasurement(_time(record), sensor, candidates, context.ring)
 
 
 def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:

@@ -7,6 +7,7 @@ frame when it is made, so that the filter knows one frame only.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
 
-_UNIT = 1e-6  # a direction may be this far from unit length
+_ROUNDING = 1e-9  # of a covariance that has been written and read
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +76,32 @@ class RingCandidate:
         spread[:3, :3], spread[3:, 3:] = np.eye(3), basis
         whole = spread @ np.asarray(covariance, dtype=np.float64) @ spread.T
         return cls(np.asarray(centre_m), np.asarray(axis), whole)
+
+
+def ring_candidates(
+    circles: Iterable[tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]],
+) -> tuple[RingCandidate, ...]:
+    """At most two candidates from the centre (3,), axis (3,) and covariance (5, 5) of circles.
+
+    The covariance is of the centre and of the axis along `tangents`. A circle whose covariance is
+    missing or not finite is left out.
+
+    Raises:
+        ValueError: a covariance is not (5, 5), or has a negative variance.
+    """
+    found = []
+    for centre, axis, covariance in circles:
+        matrix = np.array(covariance, dtype=np.float64)  # None becomes NaN
+        if not np.isfinite(matrix).all():
+            continue
+        if matrix.shape != (5, 5):
+            raise ValueError("covariance must be (5, 5)")
+        spread = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+        if not spread[0] > -_ROUNDING * spread[-1]:
+            raise ValueError("covariance has a negative variance")
+        normal = np.array(axis, dtype=np.float64)
+        found.append(RingCandidate.of_tangent(centre, normal, matrix, tangents(normal)))
+    return tuple(found[:2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
