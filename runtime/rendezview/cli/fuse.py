@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 
-from rendezview.cli.progress import ProgressBar, outcome_words
+from rendezview.cli.progress import ProgressBar, outcome_words, say
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions
 from rendezview.fusion.fusion import Estimate
@@ -26,9 +25,9 @@ from rendezview.fusion.logs import (
 from rendezview.fusion.trust import Verdict
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import check_place
-from rendezview.io.results import JsonLinesWriter
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
+from rendezview.sensors.run import Line, Summary, run
 
 
 def fuse(
@@ -85,23 +84,20 @@ def fuse(
     measurements = merged(read)
     if not measurements:
         raise RendezviewError("no line of these logs has a measurement: there is nothing to join")
-    outcomes: Counter[Status] = Counter()
-    writer = JsonLinesWriter(output)
-    try:
-        with ProgressBar() as progress:
-            tick_s = measurements[0].time_s
-            for done, measurement in enumerate(measurements, start=1):
-                while every_s is not None and tick_s < measurement.time_s:
-                    writer.write(_record(fusion.state_at(tick_s), None, fusion))
-                    tick_s += every_s
-                verdict = fusion.add(measurement)
-                estimate = fusion.state_at(measurement.time_s)
-                outcomes[estimate.status] += 1
-                writer.write(_record(estimate, verdict, fusion))
-                progress("measurements", done, len(measurements))
-    finally:
-        writer.keep()  # what Ctrl-C in the middle leaves, too
-    _tell(fusion, outcomes)
+
+    def lines() -> Iterator[Line]:
+        tick_s = measurements[0].time_s
+        for measurement in measurements:
+            while every_s is not None and tick_s < measurement.time_s:
+                yield Line(_record(fusion.state_at(tick_s), None, fusion))
+                tick_s += every_s
+            verdict = fusion.add(measurement)
+            estimate = fusion.state_at(measurement.time_s)
+            yield Line(_record(estimate, verdict, fusion), estimate.status)
+
+    with ProgressBar() as bar:
+        summary = run(lines(), log=output, progress=bar.stage("measurements", len(measurements)))
+    _say_outcome(fusion, summary)
 
 
 def _record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) -> dict[str, Any]:
@@ -150,18 +146,15 @@ def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:
     return mounts
 
 
-def _tell(fusion: Fusion, outcomes: Counter[Status]) -> None:
-    total = sum(outcomes.values())
+def _say_outcome(fusion: Fusion, summary: Summary) -> None:
     sensors = "; ".join(
         f"{name}: {trust.accepted} of {trust.heard} taken"
         + (f", locked out {trust.lockouts} times" if trust.lockouts else "")
         for name, trust in fusion.trusts.items()
     )
-    Console(stderr=True).print(
-        f"{outcomes[Status.TRACKING]} of {total} tracking"
-        + outcome_words(outcomes, Status.TRACKING)
+    say(
+        f"{summary.outcomes[Status.TRACKING]} of {summary.total} tracking"
+        + outcome_words(summary.outcomes, Status.TRACKING)
         + f"; {sensors}"
-        + (f"; begun {fusion.starts} times" if fusion.starts != 1 else ""),
-        highlight=False,
-        soft_wrap=True,
+        + (f"; begun {fusion.starts} times" if fusion.starts != 1 else "")
     )

@@ -8,21 +8,39 @@ from __future__ import annotations
 
 import json
 import os
+import statistics
 import sys
 from collections import Counter
+from collections.abc import Callable
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-Status = TypeVar("Status", bound=str)
+from rendezview.sensors.observation import Status
+from rendezview.sensors.run import Summary
 
 
 def outcome_words(outcomes: Counter[Status], good: Status) -> str:
     """The counts of all outcomes but the good one: `` (3 lost, 1 empty)``, or nothing."""
-    told = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != good)
-    return f" ({told})" if told else ""
+    others = ", ".join(f"{n} {status}" for status, n in outcomes.most_common() if status != good)
+    return f" ({others})" if others else ""
+
+
+def say(text: str) -> None:
+    """One line on stderr."""
+    Console(stderr=True).print(text, highlight=False, soft_wrap=True)
+
+
+def say_summary(summary: Summary, poses: int, total: int, *, what: str, step: str) -> None:
+    """The last line of a run: ``57 poses in 60 frames (3 lost), median 1.2 ms a frame``."""
+    times = summary.times_ms
+    say(
+        f"{poses} {what} in {total} {step}s"
+        + outcome_words(summary.outcomes, Status.OK)
+        + (f", median {statistics.median(times):.3g} ms a {step}" if times else "")
+    )
 
 
 class ProgressBar:
@@ -53,10 +71,14 @@ class ProgressBar:
     ) -> None:
         self._progress.stop()
 
+    def stage(self, name: str, total: int) -> Callable[[int], None]:
+        """What to call with the number of steps done of one stage."""
+        return lambda done: self(name, done, total)
+
     def __call__(self, stage: str, done: int, total: int) -> None:
         if self._as_json:
-            told = json.dumps({"stage": stage, "done": done, "total": total})
-            print(told, file=sys.stderr, flush=True)
+            line = json.dumps({"stage": stage, "done": done, "total": total})
+            print(line, file=sys.stderr, flush=True)
             return
         if stage not in self._tasks:
             self._tasks[stage] = self._progress.add_task(stage, total=total)

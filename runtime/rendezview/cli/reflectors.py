@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 
-from rendezview.cli.progress import ProgressBar, outcome_words
+from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place, make_folder
-from rendezview.io.results import JsonLinesWriter
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
@@ -32,6 +30,7 @@ from rendezview.sensors.reflectors.run import (
     pair_up,
     record,
 )
+from rendezview.sensors.run import Line, run
 
 _CALIBRATE = "calibrate"
 
@@ -106,36 +105,27 @@ def reflectors(
             pairs, patterns[0], threshold=options, acquisition=acquisition, lit_from_dark=affine
         )
         fitted.save(output)
-        _say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(pairs)} readings")
+        say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(pairs)} readings")
         return
     if overlay:
         make_folder(overlay)
-    writer = JsonLinesWriter(output) if output else None
-    outcomes: Counter[Status] = Counter()
-    times_ms: list[float] = []
-    try:
-        with ProgressBar() as progress:
-            readings = follow(
-                pairs, patterns, threshold=options, acquisition=acquisition,
-                independent=independent, lit_from_dark=affine,
-            )  # fmt: skip
-            for done, (pair, reading) in enumerate(readings, start=1):
-                outcomes[reading.status] += 1
-                times_ms.append(sum(reading.stage_ms.values()))
-                if writer:
-                    writer.write(record(pair, reading, patterns, loaded))
-                if overlay and reading.status is not Status.UNREADABLE:
-                    drawn = draw_reading(_read(pair, affine), reading, pair.lit.camera, patterns)
-                    write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
-                progress("readings", done, len(pairs))
-    finally:
-        if writer:
-            writer.keep()  # what Ctrl-C in the middle leaves, too
-    _say(
-        f"{outcomes[Status.OK]} poses in {len(pairs)} readings"
-        + outcome_words(outcomes, Status.OK)
-        + (f", median {np.median(times_ms):.2f} ms a reading" if times_ms else "")
-    )
+    readings = follow(
+        pairs, patterns, threshold=options, acquisition=acquisition,
+        independent=independent, lit_from_dark=affine,
+    )  # fmt: skip
+
+    def lines() -> Iterator[Line]:
+        for pair, reading in readings:
+            if overlay and reading.status is not Status.UNREADABLE:
+                drawn = draw_reading(_read(pair, affine), reading, pair.lit.camera, patterns)
+                write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
+            noted = record(pair, reading, patterns, loaded)
+            yield Line(noted, reading.status, spent_ms=sum(reading.stage_ms.values()))
+
+    with ProgressBar() as bar:
+        summary = run(lines(), log=output, progress=bar.stage("readings", len(pairs)))
+    poses = summary.outcomes[Status.OK]
+    say_summary(summary, poses, len(pairs), what="poses", step="reading")
 
 
 def _read(pair: FramePair, affine: np.ndarray | None) -> LitDark:
@@ -158,7 +148,3 @@ def _affine(text: str | None) -> np.ndarray | None:
             f"v = d u' + e v' + f) that can be inverted, not {text!r}"
         ) from None
     return affine
-
-
-def _say(text: str) -> None:
-    Console(stderr=True).print(text, highlight=False, soft_wrap=True)

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 
-from rendezview.cli.progress import ProgressBar, outcome_words
+from rendezview.cli.progress import ProgressBar, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place, make_folder
-from rendezview.io.results import JsonLinesWriter, json_line
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.images import write_png
@@ -25,6 +22,7 @@ from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingOptions, RingPrior
 from rendezview.sensors.ring.overlay import draw_reading
 from rendezview.sensors.ring.run import follow, record
+from rendezview.sensors.run import Line, run
 
 
 def ring(
@@ -77,38 +75,26 @@ def ring(
     sequence = open_sequence(frames, load_camera(camera) if camera else None)
     if overlay:
         make_folder(overlay)
-    writer = JsonLinesWriter(output) if output else None
-    outcomes: Counter[Status] = Counter()
-    times_ms: list[float] = []
-    try:
-        with ProgressBar() as progress:
-            readings = follow(
-                sequence, radius, options=RingOptions(least_contrast_grey=least_contrast),
-                prior=prior, independent=independent,
-            )  # fmt: skip
-            for done, (frame, image, reading) in enumerate(readings, start=1):
-                outcomes[reading.status] += 1
-                times_ms.append(sum(reading.stage_ms.values()))
-                line = record(frame, reading)
-                if writer:
-                    writer.write(line)
-                else:
-                    print(json_line(line))
-                if overlay and image is not None:
-                    drawn = draw_reading(image, reading, frame.camera)
-                    write_png(overlay / f"{frame.im_id:06d}.png", drawn)
-                progress("frames", done, len(sequence))
-    finally:
-        if writer:
-            writer.keep()  # what Ctrl-C in the middle leaves, too
+    readings = follow(
+        sequence, radius, options=RingOptions(least_contrast_grey=least_contrast),
+        prior=prior, independent=independent,
+    )  # fmt: skip
+
+    def lines() -> Iterator[Line]:
+        for frame, image, reading in readings:
+            if overlay and image is not None:
+                drawn = draw_reading(image, reading, frame.camera)
+                write_png(overlay / f"{frame.im_id:06d}.png", drawn)
+            spent_ms = sum(reading.stage_ms.values())
+            yield Line(record(frame, reading), reading.status, spent_ms=spent_ms)
+
+    with ProgressBar() as bar:
+        summary = run(
+            lines(), log=output, to_stdout=True, progress=bar.stage("frames", len(sequence))
+        )
+    found = summary.outcomes[Status.OK]
     what = "rings" if radius is None else "poses"
-    Console(stderr=True).print(
-        f"{outcomes[Status.OK]} {what} in {len(sequence)} frames"
-        + outcome_words(outcomes, Status.OK)
-        + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
-        highlight=False,
-        soft_wrap=True,
-    )
+    say_summary(summary, found, len(sequence), what=what, step="frame")
 
 
 def _ring_of(target: Path) -> DockingRing:

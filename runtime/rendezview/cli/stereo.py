@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,12 +13,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from rendezview.cli.progress import ProgressBar, outcome_words
+from rendezview.cli.progress import ProgressBar, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.files import check_place
-from rendezview.io.results import JsonLinesWriter, ResultRow, write_results
+from rendezview.io.results import ResultRow
 from rendezview.io.target import Target
-from rendezview.sensors.observation import Status
+from rendezview.sensors.run import Line, run
 from rendezview.sensors.stereo import (
     MotionOptions,
     Rig,
@@ -131,40 +131,24 @@ def track(
     series = open_readings(readings, loaded, names, rate_hz=rate, options=options)
     if not series:
         raise RendezviewError(f"{readings}: holds no readings")
-    rows: list[ResultRow] = []
-    outcomes: Counter[str] = Counter()
-    spent_ms: list[float] = []
-    writer = JsonLinesWriter(log) if log else None
-    try:
-        with ProgressBar() as progress:
-            for done, reading in enumerate(series, start=1):
-                start = time.perf_counter()
-                observation = tracker.update(reading.time_s, reading.fetch())
-                spent_ms.append(1e3 * (time.perf_counter() - start))
-                outcomes[observation.status] += 1
-                if observation.pose is not None:
-                    believed = sum(int((found.led >= 0).sum()) for found in observation.spots)
-                    score = float(believed - len(observation.left_out))
-                    rows.append(
-                        ResultRow(1, reading.im_id, 1, score, observation.pose, 1e-3 * spent_ms[-1])
-                    )
-                if writer:
-                    writer.write(_record(reading, observation, loaded, names, spent_ms[-1]))
-                progress("readings", done, len(series))
-    finally:
-        try:
-            if writer:
-                writer.keep()
-        finally:
-            if outcomes:
-                write_results(output, rows)
-    Console(stderr=True).print(
-        f"{len(rows)} poses in {len(series)} readings"
-        + outcome_words(outcomes, Status.OK)
-        + f", median {np.median(spent_ms):.3f} ms a reading",
-        highlight=False,
-        soft_wrap=True,
-    )
+
+    def lines() -> Iterator[Line]:
+        for reading in series:
+            start = time.perf_counter()
+            observation = tracker.update(reading.time_s, reading.fetch())
+            spent_ms = 1e3 * (time.perf_counter() - start)
+            row = None
+            if observation.pose is not None:
+                used = sum(int((found.led >= 0).sum()) for found in observation.spots)
+                score = float(used - len(observation.left_out))
+                row = ResultRow(1, reading.im_id, 1, score, observation.pose, 1e-3 * spent_ms)
+            noted = _record(reading, observation, loaded, names, spent_ms)
+            yield Line(noted, observation.status, row, spent_ms)
+
+    with ProgressBar() as bar:
+        progress = bar.stage("readings", len(series))
+        summary = run(lines(), log=log, results=output, progress=progress)
+    say_summary(summary, len(summary.rows), len(series), what="poses", step="reading")
 
 
 def _record(

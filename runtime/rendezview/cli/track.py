@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 
 from rendezview.cli.guide import Guide, describe
-from rendezview.cli.progress import ProgressBar, outcome_words
+from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.files import check_place, read_json
-from rendezview.io.results import JsonLinesWriter, ResultRow, write_results
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
-from rendezview.sensors.observation import Status
+from rendezview.sensors.run import Line, run
 
 
 def track(
@@ -92,57 +90,35 @@ def track(
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
-    console = Console(stderr=True)
-    rows: list[ResultRow] = []
-    outcomes: Counter[Status] = Counter()
-    times_ms: list[float] = []
-    writer = JsonLinesWriter(log) if log else None
-    try:
-        with ProgressBar() as progress:
-            frames = follow(
-                loaded,
-                sequence,
-                prior=first,
-                independent=independent,
-                silhouette=options,
-                sun_camera=light,
-                refine=refine,
-            )
-            for done, (frame, observation) in enumerate(frames, start=1):
-                outcomes[observation.status] += 1
-                times_ms.append(sum(observation.stage_ms.values()))
-                row = result_row(sequence.scene_id, frame, observation)
-                if row is not None:
-                    rows.append(row)
-                noted = record(frame, observation)
-                if guide is not None:
-                    time_s = float(done - 1) if frame.time_s is None else frame.time_s
-                    noted["trajectory"], words = guide.update(time_s, observation)
-                    if words:
-                        console.print(words, highlight=False, soft_wrap=True)
-                if writer:
-                    writer.write(noted)
-                progress("frames", done, len(sequence))
-    finally:
-        # Ctrl-C or an error in the middle keeps what was computed, and a log that cannot be
-        # written does not take the poses with it.
-        try:
-            if writer:
-                writer.keep()
-        finally:
-            if outcomes:
-                write_results(output, rows)
+    frames = follow(
+        loaded,
+        sequence,
+        prior=first,
+        independent=independent,
+        silhouette=options,
+        sun_camera=light,
+        refine=refine,
+    )
+
+    def lines() -> Iterator[Line]:
+        for index, (frame, observation) in enumerate(frames):
+            noted = record(frame, observation)
+            if guide is not None:
+                time_s = float(index) if frame.time_s is None else frame.time_s
+                noted["trajectory"], words = guide.update(time_s, observation)
+                if words:
+                    say(words)
+            row = result_row(sequence.scene_id, frame, observation)
+            yield Line(noted, observation.status, row, sum(observation.stage_ms.values()))
+
+    with ProgressBar() as bar:
+        progress = bar.stage("frames", len(sequence))
+        summary = run(lines(), log=log, results=output, progress=progress)
     if guide is not None:
         if guide.last is not None and not guide.last.ended:
-            console.print(describe(guide.last), highlight=False, soft_wrap=True)
+            say(describe(guide.last))
         guide.write(oem, aem, moment, loaded.name)
-    console.print(
-        f"{len(rows)} poses in {len(sequence)} frames"
-        + outcome_words(outcomes, Status.OK)
-        + (f", median {np.median(times_ms):.2f} ms a frame" if times_ms else ""),
-        highlight=False,
-        soft_wrap=True,
-    )
+    say_summary(summary, len(summary.rows), len(sequence), what="poses", step="frame")
 
 
 def _check_places(output: Path, log: Path | None, *others: Path | None) -> None:

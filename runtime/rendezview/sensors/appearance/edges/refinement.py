@@ -129,7 +129,7 @@ def inflating(outline: float, residual_px: float, dark: float) -> Array:
 
 
 # Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
-# less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seeds 1, 88, 99),
+# less of the outline is seen the more. Fitted by experiment pose-confidence (seeds 1, 88, 99),
 # the first raised until the normalised error squared at low Sun phase averages six on these.
 _INFLATION = np.array([0.77, 3.13, 4.41, -1.42])
 

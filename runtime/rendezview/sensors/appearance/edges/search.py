@@ -105,8 +105,8 @@ class Found:
 
 
 # Of the features, without a look at the surface and with one, each before a bright sky and before
-# a dark one; fitted by scripts/pose_confidence.py to frames of four targets (seeds 1, 88, 99, and
-# 1 and 2 of scripts/pose_cut.py). ``outline`` counts what is out of the picture as not found.
+# a dark one; fitted by experiment pose-confidence to frames of four targets (seeds 1, 88, 99, and
+# 1 and 2 of experiment pose-cut). ``outline`` counts what is out of the picture as not found.
 _LOGISTIC = np.array(
     [
         [

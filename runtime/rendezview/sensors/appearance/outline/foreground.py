@@ -1,7 +1,7 @@
 """Which pixels show the target where the sky is bright: a small convolutional network.
 
 It has learned from pictures of spacecraft that nobody built before skies of many kinds
-(scripts/foreground_network.py), so it knows no target in particular. Its shape is that of
+(experiment foreground-network), so it knows no target in particular. Its shape is that of
 U-Net (Ronneberger et al. 2015), with squares of 4 × 4 pixels as its first channels.
 """
 

@@ -1,0 +1,169 @@
+"""The house: rooms of a size, no circles, numbers with a source, compiled loops with a twin."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ("runtime", "training", "scripts")
+MOST_LINES = 400
+MOST_KERNEL_LINES = 60
+WITHOUT_SOURCE = Path(__file__).with_name("numbers_without_source.txt")
+_SOURCE = re.compile(r"[Ss]ources?:")
+
+
+def _files(*folders: str, suffixes: tuple[str, ...] = (".py",)) -> list[Path]:
+    return [
+        path
+        for folder in folders
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in suffixes and "vendor" not in path.parts
+    ]
+
+
+def test_no_file_is_longer_than_a_room():
+    long = {
+        str(path.relative_to(ROOT)): count
+        for path in _files(*SOURCES, "tests", "examples", suffixes=(".py", ".js", ".c", ".cpp"))
+        if (count := len(path.read_text(encoding="utf-8").splitlines())) > MOST_LINES
+    }
+    assert long == {}
+
+
+def _module(path: Path, root: Path) -> str:
+    return ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
+
+
+def _imports(tree: ast.AST) -> Iterator[str]:
+    """Modules that are imported at run time, wherever the import stands."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        else:
+            yield from _imports(node)
+
+
+def test_no_files_import_each_other_in_a_circle():
+    paths = {_module(p, ROOT / s): p for s in SOURCES for p in _files(s)}
+    graph = {
+        name: {
+            other
+            for other in _imports(ast.parse(path.read_text(encoding="utf-8")))
+            if other in paths and other != name and paths[other].name != "__init__.py"
+        }
+        for name, path in paths.items()
+    }
+    order: dict[str, int] = {}  # 1: on the way, 2: done
+    circles: list[list[str]] = []
+
+    def visit(name: str, way: list[str]) -> None:
+        order[name] = 1
+        for other in sorted(graph[name]):
+            if order.get(other) == 1:
+                circles.append([*way[way.index(other) :], other] if other in way else [name, other])
+            elif other not in order:
+                visit(other, [*way, other])
+        order[name] = 2
+
+    for name in sorted(graph):
+        if name not in order:
+            visit(name, [name])
+    assert circles == []
+
+
+def _is_number(node: ast.expr | None) -> bool:
+    """Whether a value is a literal number, or a tuple or array of them."""
+    if node is None:
+        return False
+    numbers = [
+        n.value
+        for n in ast.walk(node)
+        if isinstance(n, ast.Constant) and isinstance(n.value, int | float)
+        and not isinstance(n.value, bool)
+    ]  # fmt: skip
+    words = [n for n in ast.walk(node) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    return bool(numbers) and not words
+
+
+def _block(lines: list[str], first: int, last: int) -> str:
+    """A statement with the comment lines above it."""
+    while first > 1 and lines[first - 2].lstrip().startswith("#"):
+        first -= 1
+    return "\n".join(lines[first - 1 : last])
+
+
+def _tuned(path: Path) -> Iterator[tuple[str, str]]:
+    """Names of tuned numbers of a file, each with its statement and comment.
+
+    Constants in capitals at the top of a module, and defaults of options.
+    """
+    text = path.read_text(encoding="utf-8")
+    lines, tree = text.splitlines(), ast.parse(text)
+    for node in tree.body:
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            if isinstance(target, ast.Name) and target.id.isupper() and _is_number(node.value):
+                yield target.id, _block(lines, node.lineno, node.end_lineno or node.lineno)
+        elif isinstance(node, ast.ClassDef) and node.name.endswith("Options"):
+            for line in node.body:
+                if isinstance(line, ast.AnnAssign) and _is_number(line.value):
+                    name = f"{node.name}.{ast.unparse(line.target)}"
+                    yield name, _block(lines, line.lineno, line.end_lineno or line.lineno)
+
+
+def numbers_without_source() -> list[str]:
+    """``file: name`` of every tuned number of what flies whose comment names no source."""
+    return [
+        f"{path.relative_to(ROOT / 'runtime' / 'rendezview')}: {name}"
+        for path in _files("runtime")
+        for name, block in _tuned(path)
+        if not _SOURCE.search(block)
+    ]
+
+
+def test_every_new_number_has_a_source():
+    """The numbers of ``numbers_without_source.txt`` are the debt: it may only become smaller."""
+    known = set(WITHOUT_SOURCE.read_text(encoding="utf-8").split("\n")) - {""}
+    found = set(numbers_without_source())
+    assert sorted(found - known) == [], "say in the comment where the number is from: 'Source: …'"
+    assert sorted(known - found) == [], "these have a source now: strike them from the list"
+
+
+def _kernels(path: Path) -> Iterator[ast.FunctionDef]:
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef) and any(
+            isinstance(d, ast.Call) and ast.unparse(d.func) == "njit" for d in node.decorator_list
+        ):
+            yield node
+
+
+@pytest.mark.parametrize("folder", ["runtime", "training"])
+def test_compiled_functions_are_short(folder: str):
+    long = {
+        f"{path.relative_to(ROOT)}: {kernel.name}": count
+        for path in _files(folder)
+        for kernel in _kernels(path)
+        if (count := (kernel.end_lineno or 0) - kernel.lineno + 1) > MOST_KERNEL_LINES
+    }
+    assert long == {}
+
+
+def test_every_shared_compiled_function_is_named_in_a_test():
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in _files("tests"))
+    unnamed = [
+        f"{path.relative_to(ROOT)}: {kernel.name}"
+        for path in _files("runtime")
+        for kernel in _kernels(path)
+        if not kernel.name.startswith("_") and not re.search(rf"\b{kernel.name}\b", tests)
+    ]
+    assert unnamed == []
