@@ -28,6 +28,7 @@ from rendezview.sensors.measurement import (
     PoseMeasurement,
     RangeMeasurement,
     RingMeasurement,
+    ring_candidates,
 )
 
 _RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
@@ -188,8 +189,11 @@ def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measureme
 
 def _ring_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
     assert context.ring is not None
-    circles = [(one["centre_m"], one["axis"], one["covariance"]) for one in record["poses"]]
-    return RingMeasurement.of_circles(_time(record), sensor, circles, context.ring)
+    circles = ((c["centre_m"], c["axis"], c["covariance"]) for c in record["poses"])
+    candidates = ring_candidates(circles)
+    if not candidates:
+        return None
+    return RingMeasurement(_time(record), sensor, candidates, context.ring)
 
 
 def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:

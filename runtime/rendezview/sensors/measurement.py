@@ -79,6 +79,32 @@ class RingCandidate:
         return cls(np.asarray(centre_m), np.asarray(axis), whole)
 
 
+def ring_candidates(
+    circles: Iterable[tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]],
+) -> tuple[RingCandidate, ...]:
+    """At most two candidates from the centre (3,), axis (3,) and covariance (5, 5) of circles.
+
+    The covariance is of the centre and of the axis along `tangents`. A circle whose covariance is
+    missing or not finite is left out.
+
+    Raises:
+        ValueError: a covariance is not (5, 5), or has a negative variance.
+    """
+    found = []
+    for centre, axis, covariance in circles:
+        matrix = np.array(covariance, dtype=np.float64)  # None becomes NaN
+        if not np.isfinite(matrix).all():
+            continue
+        if matrix.shape != (5, 5):
+            raise ValueError("covariance must be (5, 5)")
+        spread = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+        if not spread[0] > -_ROUNDING * spread[-1]:
+            raise ValueError("covariance has a negative variance")
+        normal = np.array(axis, dtype=np.float64)
+        found.append(RingCandidate.of_tangent(centre, normal, matrix, tangents(normal)))
+    return tuple(found[:2])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RingMeasurement:
     """A circular ring of known radius: three degrees of freedom of the centre, two of the axis.
@@ -108,36 +134,6 @@ class RingMeasurement:
         object.__setattr__(self, "centres_m", np.array([c.centre_m for c in both]))
         object.__setattr__(self, "axes", np.array([c.axis for c in both]))
         object.__setattr__(self, "covariances", np.array([c.covariance for c in both]))
-
-    @classmethod
-    def of_circles(
-        cls,
-        time_s: float,
-        sensor: str,
-        circles: Iterable[tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]],
-        ring: DockingRing,
-    ) -> RingMeasurement | None:
-        """From centre (3,), axis (3,) and covariance (5, 5) of each circle.
-
-        The covariance is of the centre and of the axis along its two `tangents`. A circle without
-        a finite covariance is left out; ``None`` where none is left.
-
-        Raises:
-            ValueError: a covariance has another shape or a negative variance.
-        """
-        candidates = []
-        for centre, direction, given in circles:
-            covariance = np.array(given, dtype=np.float64)  # None becomes NaN
-            if not np.isfinite(covariance).all():
-                continue
-            if covariance.shape != (5, 5):
-                raise ValueError("covariance must be (5, 5)")
-            spread = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
-            if not spread[0] > -_ROUNDING * spread[-1]:
-                raise ValueError("covariance has a negative variance")
-            axis = np.array(direction, dtype=np.float64)
-            candidates.append(RingCandidate.of_tangent(centre, axis, covariance, tangents(axis)))
-        return cls(time_s, sensor, tuple(candidates[:2]), ring) if candidates else None
 
     def in_camera(self, sensor_from_camera: Pose) -> RingMeasurement:
         """The measurement in the camera frame, from that of its sensor."""

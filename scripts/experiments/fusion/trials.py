@@ -24,7 +24,6 @@ from rendezview.fusion import (
     Measurement,
     MotionOptions,
     PoseMeasurement,
-    RingCandidate,
     RingMeasurement,
     SensorOptions,
 )
@@ -37,7 +36,6 @@ from rendezview.io.sequences import BopSceneWriter, Frame, Sequence, open_sequen
 from rendezview.io.target import DockingRing, Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow, record
-from rendezview.sensors.measurement import tangents
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingPrior
 from rendezview.sensors.ring.run import follow as follow_ring
@@ -172,13 +170,10 @@ def ring_run(folder: Path) -> None:
     with JsonLinesWriter(folder / "ring.jsonl") as writer:
         for frame, _, reading in follow_ring(scene_of(folder), ring.radius_m, prior=prior):
             writer.write(ring_record(frame, reading))
-            circles = tuple(
-                RingCandidate.of_tangent(c.centre_m, c.axis, c.covariance, tangents(c.axis))
-                for c in reading.poses
-                if c.covariance is not None and np.isfinite(c.covariance).all()
-            )
-            if circles and frame.time_s is not None:
-                fusion.add(RingMeasurement(frame.time_s, "ring", circles, ring))
+            if frame.time_s is not None:
+                measurement = reading.measurement("ring", ring=ring)
+                if measurement is not None:
+                    fusion.add(measurement)
 
 
 def scene_of(folder: Path) -> Sequence:
