@@ -28,8 +28,8 @@ import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.io.calibration_yaml import parse_yaml
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text
-from rendezview.io.plain_yaml import parse_yaml
 
 _MATRIX_KEYS = (
     "camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "M1", "M", "intrinsic_matrix",

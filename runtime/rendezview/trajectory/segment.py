@@ -42,7 +42,7 @@ _HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
 _MOST_CORRELATED = 0.9
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
 # again as goes with time and its square: views alike err alike. On nodes, poses; fitted to
-# seeds 1000–1003 of scripts/trajectory_accuracy.py; poses: r.m.s. over 1000–1002.
+# seeds 1000–1003 of experiment trajectory-accuracy; poses: r.m.s. over 1000–1002.
 _COMMON = (0.35, 1.1)
 
 

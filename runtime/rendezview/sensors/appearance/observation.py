@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.edges.search import Found
+from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 from rendezview.sensors.observation import Observation, Status
@@ -83,9 +83,9 @@ class AppearanceObservation(Observation):
         return {
             "outline": best.outline,
             "inner": best.inner,
-            "seen": best.seen,
+            "seen": best.visible,
             "residual_px": best.residual_px,
-            "excess": self.found.excess,
+            "excess": self.found.overshoot,
             "margin": self.found.margin,
         }
 

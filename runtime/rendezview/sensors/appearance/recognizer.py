@@ -11,7 +11,8 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, check_frame
-from rendezview.sensors.appearance.edges.search import Found, PoseSearch
+from rendezview.sensors.appearance.edges.confidence import Found
+from rendezview.sensors.appearance.edges.search import PoseSearch
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import (
     CLOSE_MARGIN,

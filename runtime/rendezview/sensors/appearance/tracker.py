@@ -220,7 +220,7 @@ class Tracker:
         found = observation.found
         if found is None:
             self._confirmed = (0.0, 0)
-        elif found.alone:  # no search: the confirmation grows older
+        elif found.single:  # no search: the confirmation grows older
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)
         else:
-            self._confirmed = (found.best.support, 0)
+            self._confirmed = (found.best.inlier_ratio, 0)

@@ -12,8 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose, nearest_rotation
+from rendezview.io.calibration_yaml import parse_yaml
 from rendezview.io.files import StrPath, atomic_write_text, checked, parse_json, read_text
-from rendezview.io.plain_yaml import parse_yaml
 from rendezview.sensors.stereo.detectors import Photodiode
 from rendezview.sensors.stereo.lens import Lens
 from rendezview.sensors.stereo.response import TERMS, Normalisation, Response
