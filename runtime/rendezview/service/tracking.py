@@ -171,7 +171,7 @@ class Follower:
             else {
                 "outline": found.best.outline,
                 "inner": found.best.inner,
-                "seen": found.best.seen,
+                "seen": found.best.visible,
                 "residual_px": found.best.residual_px,
                 "margin": found.margin,
             },

@@ -177,8 +177,8 @@ class Rivals(Script):
         if prior is None:
             both = tuple(self.poses.values())
             found = SimpleNamespace(
-                best=SimpleNamespace(pose=both[0], support=0.8),
-                alone=False,
+                best=SimpleNamespace(pose=both[0], inlier_ratio=0.8),
+                single=False,
                 rival=SimpleNamespace(pose=both[1]),
                 margin=0.0,
                 confidence=0.9,
@@ -187,8 +187,8 @@ class Rivals(Script):
         key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
         pose = self.poses[key]
         found = SimpleNamespace(
-            best=SimpleNamespace(pose=pose, support=0.8),
-            alone=False,
+            best=SimpleNamespace(pose=pose, inlier_ratio=0.8),
+            single=False,
             rival=None,
             margin=1.0,
             merit=self.merits[key].pop(0),

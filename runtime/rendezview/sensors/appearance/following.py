@@ -116,8 +116,8 @@ def _refinement(observation: AppearanceObservation) -> dict[str, float] | None:
     return {
         "outline": best.outline,
         "inner": best.inner,
-        "seen": best.seen,
+        "seen": best.visible,
         "residual_px": best.residual_px,
-        "excess": observation.found.excess,
+        "excess": observation.found.overshoot,
         "margin": observation.found.margin,
     }

@@ -13,8 +13,10 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.io.grey_frame import check_frame
+from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.refinement import Sky
-from rendezview.sensors.appearance.edges.search import Found, Outlines, PoseSearch
+from rendezview.sensors.appearance.edges.retrieval import Outlines
+from rendezview.sensors.appearance.edges.search import PoseSearch
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.bright_sky import find_bodies
 from rendezview.sensors.appearance.outline.foreground import Foreground

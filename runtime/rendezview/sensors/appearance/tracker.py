@@ -145,10 +145,10 @@ class Tracker:
         found = observation.found
         if found is None:
             self._vouched = (0.0, 0)
-        elif found.alone:
+        elif found.single:
             self._vouched = (self._vouched[0], self._vouched[1] + 1)
         else:
-            self._vouched = (found.best.support, 0)
+            self._vouched = (found.best.inlier_ratio, 0)
 
     def _enough_support(self) -> float:
         """For the pose next to the prediction: less than usual, if a search bore it out lately."""
