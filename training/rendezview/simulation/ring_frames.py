@@ -97,9 +97,7 @@ def random_scene(
     offset = o.off_axis * rng.uniform(-1.0, 1.0, 2) * np.maximum(room, 0.0)
     if rng.random() < o.border:
         side = int(rng.integers(2))
-        over = (
-            rng.uniform(-0.25, 0.3) * width_px
-        )  # px inside the border
+        over = rng.uniform(-0.25, 0.3) * width_px  # px inside the border
         offset[side] = (0.5 * (camera.width, camera.height)[side] - abs(over)) * rng.choice([-1, 1])
     u, v = np.add(offset, (0.5 * (camera.width - 1), 0.5 * (camera.height - 1)))
     centre = depth * np.append(camera.rays(np.array([[u, v]]))[0, :2], 1.0)
