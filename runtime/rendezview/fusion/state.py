@@ -239,7 +239,7 @@ def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) ->
     """With room for the lasting error of a sensor that is heard for the first time."""
     if state.slot(measurement.sensor) is not None:
         return state
-    n, size = len(state.covariance), measurement.lasting_size
+    n, size = len(state.covariance), measurement.bias_size
     covariance = np.zeros((n + size, n + size))
     covariance[:n, :n] = state.covariance
     covariance[n:, n:] = np.eye(size)

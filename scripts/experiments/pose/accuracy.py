@@ -29,7 +29,7 @@ from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.refinement import Sky
 from rendezview.sensors.appearance.edges.search import Found
-from rendezview.training.workers import open_workers
+from rendezview.training.open_executor import open_executor
 
 WRONG_DEG = 5.0
 _LONE_PRIORS = 3  # of a frame
@@ -160,7 +160,7 @@ def main() -> None:
     )
     started = time.perf_counter()
     folders = arguments.frames.resolve(), arguments.models.resolve()
-    with open_workers(arguments.jobs, arguments.dask, processes=True) as workers:
+    with open_executor(arguments.jobs, arguments.dask, processes=True) as workers:
         tasks = [
             (*scene, arguments.seed, arguments.sun, arguments.log is not None) for scene in scenes
         ]

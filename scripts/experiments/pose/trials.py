@@ -38,8 +38,8 @@ from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions
-from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0
 FRAMES = 125  # of a sequence
@@ -224,7 +224,7 @@ def main() -> None:
         parser.error("name the targets whose models are in the folder")
     if arguments.part == "sequences":
         tasks = [(t, kind) for t in targets for kind in ("approach", "fly-around")]
-        with open_workers(2, arguments.dask, processes=True) as workers:
+        with open_executor(2, arguments.dask, processes=True) as workers:
             shards = [(t, kind, arguments.seed) for t, kind in tasks]
             results = dict(workers.results(sequence, (models.resolve(),), shards))
         done = [results[k] for k in range(len(tasks))]
@@ -243,7 +243,7 @@ def main() -> None:
     tasks = [
         (t, targets[(i + 1) % len(targets)], kind) for i, t in enumerate(targets) for kind in KINDS
     ]
-    with open_workers(2, arguments.dask, processes=True) as workers:
+    with open_executor(2, arguments.dask, processes=True) as workers:
         shards = [(*task, arguments.count, arguments.seed) for task in tasks]
         results = dict(workers.results(refusals, (models.resolve(),), shards))
     done = [results[k] for k in range(len(tasks))]

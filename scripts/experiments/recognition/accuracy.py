@@ -42,10 +42,10 @@ from rendezview.simulation.scene import sun_at_phase
 from rendezview.training.job import train
 from rendezview.training.learn import IN_EDGES, OUT_EDGES
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.renderers import make_renderer
 from rendezview.training.views import clean_views, look_from
-from rendezview.training.workers import open_workers
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one
@@ -288,7 +288,7 @@ def main() -> None:
         ).model
     camera = flight_camera(mesh)
     models = [robust, paper]
-    with open_workers(arguments.jobs, arguments.dask) as workers:
+    with open_executor(arguments.jobs, arguments.dask) as workers:
         shared = (mesh, models, camera, arguments.seed)
         done = dict(workers.results(one_real, shared, [(k,) for k in range(arguments.views)]))
     frames = [done[k] for k in range(arguments.views)]

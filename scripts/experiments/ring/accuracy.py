@@ -123,7 +123,7 @@ def accuracy(console: Console, seed: int, count: int, peer: Path | None) -> None
         for scene, image in frames(options, count, [seed, number]):
             kept.append(image)
             scenes.append(scene)
-            reading = RingSensor(CAMERA, scene.ring.radius_m).update(image)
+            reading = RingSensor(CAMERA, scene.ring.radius_m).update(0.0, image)
             if reading.edge is None:
                 continue
             shape = reading.edges[reading.edge].ellipse.shape
@@ -132,12 +132,12 @@ def accuracy(console: Console, seed: int, count: int, peer: Path | None) -> None
                 continue
             # Which edge the radius is of is not what is measured here: give the found one's.
             if match.radius_m != scene.ring.radius_m:
-                reading = RingSensor(CAMERA, match.radius_m).update(image)
-            found = errors_of(reading.poses, match)
+                reading = RingSensor(CAMERA, match.radius_m).update(0.0, image)
+            found = errors_of(reading.circles, match)
             if found is None:
                 continue
             ours.append(found)
-            pose = max(reading.poses, key=lambda p: float(p.axis @ match.axis))
+            pose = max(reading.circles, key=lambda p: float(p.axis @ match.axis))
             off = np.concatenate(
                 [
                     match.centre_m - pose.centre_m,
@@ -145,9 +145,9 @@ def accuracy(console: Console, seed: int, count: int, peer: Path | None) -> None
                 ]
             )
             odd.append(off @ np.linalg.solve(pose.covariance, off) / 5.0)
-            if reading.pose is not None and len(reading.poses) == 2:
+            if reading.circle is not None and len(reading.circles) == 2:
                 told += 1
-                wrong += float(reading.pose.axis @ match.axis) < float(pose.axis @ match.axis) - (
+                wrong += float(reading.circle.axis @ match.axis) < float(pose.axis @ match.axis) - (
                     1e-6 + np.trace(pose.covariance[3:, 3:])
                 )
         rows = {"rendezview": (ours, f"{np.median(odd):.2f} / {np.mean(odd):.2f}",
@@ -223,7 +223,7 @@ def detection(
             radius = ring.radius_m
         else:  # as the last scene's: there is nothing to find
             range_m, radius = 6.0, 0.6
-        reading = RingSensor(CAMERA, radius).update(image, RingPrior(range_m=range_m))
+        reading = RingSensor(CAMERA, radius).update(0.0, image, RingPrior(range_m=range_m))
         if reading.edge is not None and reading.edges[reading.edge].score >= least_score:
             counts[known][0] += 1
             counts[known][1] += any(

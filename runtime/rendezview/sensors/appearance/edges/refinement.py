@@ -33,6 +33,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     COLUMNS,
     ViewTables,
 )
+from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.sky import sky_level
@@ -123,17 +124,6 @@ class Refined:
         return (2.0 * self.outline + self.inner) / 3.0
 
 
-def inflating(outline: float, residual_px: float, dark: float) -> Array:
-    """(4,) what tells how much larger errors are than independent edges would make them."""
-    return np.array([1.0, 1.0 - outline, residual_px, dark])
-
-
-# Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
-# less of the outline is seen the more. Fitted by experiment pose-confidence (seeds 1, 88, 99),
-# the first raised until the normalised error squared at low Sun phase averages six on these.
-_INFLATION = np.array([0.77, 3.13, 4.41, -1.42])
-
-
 class Refiner:
     """Refines poses of one model in the frames of one camera."""
 
@@ -145,6 +135,7 @@ class Refiner:
         self.model = model
         self.camera = camera
         self.options = options or RefineOptions()
+        self._error_model = model.error_model or ErrorModel.packaged()
         contours: Contours = model.contours
         self._views = ViewTables(
             np.ascontiguousarray(model.lattice.nodes),
@@ -269,7 +260,7 @@ class Refiner:
         outline, inner, seen = support(
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
         )
-        covariance *= np.exp(inflating(outline, spread_px, frame[2]) @ _INFLATION)
+        covariance *= self._error_model.inflation(outline, spread_px, frame[2])
         covariance *= self._stages[-1, VIEWS]  # which show the same edges
         if strained is not None:
             covariance += self.model.shape_error**2 * strained

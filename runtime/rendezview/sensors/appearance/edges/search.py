@@ -13,6 +13,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance.edges.contours import NO_POINT
+from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.refinement import (
     Picture,
     Refined,
@@ -70,6 +71,7 @@ class Found:
     rival: Refined | None = None
     shading: float | None = None  # see ``surface.shading``; None: not looked at
     alone: bool = False  # the prior's own, nothing else was tried
+    error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
 
     @property
     def merit(self) -> float:
@@ -78,7 +80,7 @@ class Found:
 
     @property
     def features(self) -> Array:
-        """(11,) what tells a right pose from a wrong one; the first is 1."""
+        """(11,) ``CONFIDENCE_FEATURES``: what tells a right pose from a wrong one."""
         best = self.best
         return np.array(
             [
@@ -99,26 +101,9 @@ class Found:
     @property
     def confidence(self) -> float:
         """Probability that the pose is right to 5°, 0 … 1: a logistic regression."""
-        row = _LOGISTIC[int(self.shading is not None), int(self.dark)]
-        odds = float(np.clip(self.features @ row, -30.0, 30.0))
-        return float(1.0 / (1.0 + np.exp(-odds)))
-
-
-# Of the features, without a look at the surface and with one, each before a bright sky and before
-# a dark one; fitted by experiment pose-confidence to frames of four targets (seeds 1, 88, 99, and
-# 1 and 2 of experiment pose-cut). ``outline`` counts what is out of the picture as not found.
-_LOGISTIC = np.array(
-    [
-        [
-            [-1.68, 5.52, 2.91, -10.76, 0.0, 10.44, -3.96, 0.0, -0.19, 5.83, 0.0],
-            [-0.1, 5.37, 2.7, -24.98, -3.18, 10.29, -1.01, -0.1, -0.41, 4.28, 0.0],
-        ],
-        [
-            [-3.94, 5.04, 1.33, -7.57, 0.0, 8.76, -2.2, 0.0, 0.12, 3.04, 5.2],
-            [-0.91, 5.32, 0.69, -19.94, -4.09, 8.77, -1.44, -0.91, -0.09, 2.94, 5.16],
-        ],
-    ]
-)
+        return self.error_model.confidence(
+            self.features, shading=self.shading is not None, dark=self.dark
+        )
 
 
 def merit(refined: Refined, excess: float, shading: float | None) -> float:
@@ -153,11 +138,13 @@ class PoseSearch:
     refiner: Refiner = field(init=False)
     hypotheses: Retrieval = field(init=False)
     _flips: Array = field(init=False)  # (3, 3, 3)
+    _error_model: ErrorModel = field(init=False)
 
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.hypotheses = Retrieval(self.model)
         self._flips = half_turns(self.model)
+        self._error_model = self.model.error_model or ErrorModel.packaged()
 
     def anywhere(
         self,
@@ -332,10 +319,16 @@ class PoseSearch:
             if angle_between(c.refined.pose, best.refined.pose, self.model.symmetries) > _RIVAL_RAD
         ]
         if not others:
-            return Found(best.refined, best.excess, 1.0, sky.dark, prior, shading=shading)
+            return Found(
+                best.refined, best.excess, 1.0, sky.dark, prior, shading=shading,
+                error_model=self._error_model,
+            )  # fmt: skip
         j = max(others, key=lambda i: merits[i])
         lead, rival = merits[k] - merits[j], candidates[j].refined
-        return Found(best.refined, best.excess, lead, sky.dark, prior, rival, shading)
+        return Found(
+            best.refined, best.excess, lead, sky.dark, prior, rival, shading,
+            error_model=self._error_model,
+        )  # fmt: skip
 
     def _excess(self, pose: Pose, sky: Sky, bodies: list[Outlines]) -> float:
         """Before a bright sky the outlines themselves are in doubt, and say nothing."""
