@@ -3,8 +3,16 @@
 import sys
 
 from rendezview.api import (
-    BeamSurface, Fusion, RangeMeasurement, Recognizer, RingSensor, Target, Tracker, ViewModel,
-    open_sequence, read_json_lines,
+    BeamSurface,
+    Fusion,
+    RangeMeasurement,
+    Recognizer,
+    RingSensor,
+    Target,
+    Tracker,
+    ViewModel,
+    open_sequence,
+    read_json_lines,
 )  # fmt: skip
 
 frames, ring = open_sequence(sys.argv[2]), Target.load(sys.argv[3]).docking_ring
