@@ -96,7 +96,7 @@ def main() -> None:
         low = rest[[r["condition"] == "low" for r in answers]]
         if len(low):  # raised until the normalised error squared averages six there
             theta[0] += np.log(low.mean() / 6.0)
-        provenance = {"command": Path(__file__).stem, "logs": [p.name for p in arguments.logs]}
+        provenance = {"command": "pose-confidence", "logs": [p.name for p in arguments.logs]}
         inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
         made = ErrorModel(log_odds, inflation_now, provenance)
         arguments.output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")

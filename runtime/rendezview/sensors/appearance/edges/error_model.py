@@ -22,8 +22,8 @@ PACKAGED = Path(__file__).with_name("error_model.json")
 
 # What the odds depend on, in the order of the coefficients.
 CONFIDENCE_FEATURES = (
-    "constant", "outline", "inner", "residual_px", "excess", "margin", "seen", "dark", "prior",
-    "light", "shading",
+    "constant", "outline", "inner", "residual_px", "overshoot", "margin", "visible", "dark",
+    "prior", "light", "shading",
 )  # fmt: skip
 INFLATION_FEATURES = ("constant", "outline_missing", "residual_px", "dark")
 _EVIDENCE = ("edges", "edges_and_shading")
