@@ -214,7 +214,7 @@ def detection(
             good = any(right(found[0].ellipse.shape, t) for _, t in edges)
             counts[best][0] += 1
             counts[best][1] += good
-            if sum(edge.family == found[0].family for edge in found) > 1:
+            if sum(edge.group == found[0].group for edge in found) > 1:
                 counts[several][0] += 1
                 counts[several][1] += good
         if scene.ring is not None:
