@@ -31,7 +31,7 @@ def six_at(t):
 
 def test_a_shared_acquirer_finds_the_same_poses(picture, three, paper_camera):
     rng = np.random.default_rng(40)
-    tables = [find_spots(picture(three, six_at(3.0 * k), rng)) for k in range(8)]
+    tables = [find_spots(picture(three, six_at(1.0 * k), rng)) for k in range(8)]
     acquirer = Acquirer(paper_camera, [three])
 
     def bytes_of(spots):
