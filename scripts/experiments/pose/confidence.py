@@ -1,15 +1,7 @@
-"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``.
-
-    python -m experiments pose-confidence LOG.jsonl [LOG.jsonl …]
-
-Prints the coefficients of ``edges.search`` (confidence) and of
-``edges.refinement`` (inflation of the covariance, to multiply what it has), and, each
-target left out in turn, how many answers would be given and wrong at several least confidences.
-"""
+"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -63,11 +55,14 @@ def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
     return theta, nees * np.exp(-features @ theta)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("logs", type=Path, nargs="+")
-    arguments = parser.parse_args()
-    records = [json.loads(line) for log in arguments.logs for line in log.read_text().splitlines()]
+def run(logs: list[Path]) -> None:
+    """Fit confidence and covariance of a pose to logs of pose-accuracy and pose-cut.
+
+    Prints the coefficients of edges.search (confidence) and the factors for those of
+    edges.refinement (covariance inflation). Then, with each target left out in turn: how many
+    answers would be given and wrong at several minimum confidences.
+    """
+    records = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
     chosen = [r for r in records if "features" in r]
     features = np.array([r["features"] for r in chosen])
     right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
