@@ -16,7 +16,8 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
-from rendezview.training.renderers import NumbaRenderer, Window
+from rendezview.training.projection import Window
+from rendezview.training.rasterizer import NumbaRenderer
 
 Draw = Callable[..., np.ndarray]
 

@@ -82,12 +82,12 @@ def ring(output: Path, *, seed: int = 3) -> None:
     rng = np.random.default_rng(seed)
     image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
     prior = RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
-    reading = RingSensor(camera, ring.radius_m).update(image, prior)
+    reading = RingSensor(camera, ring.radius_m).update(0.0, image, prior)
     cv2.imwrite(str(output), draw_reading(image, reading, camera))
-    if reading.pose is not None:
+    if reading.circle is not None:
         far = np.linalg.norm(prior.centre_m)
-        off = 100.0 * np.linalg.norm(reading.pose.centre_m - prior.centre_m) / far
-        angle = math.degrees(math.acos(min(1.0, float(reading.pose.axis @ prior.axis))))
+        off = 100.0 * np.linalg.norm(reading.circle.centre_m - prior.centre_m) / far
+        angle = math.degrees(math.acos(min(1.0, float(reading.circle.axis @ prior.axis))))
         print(f"centre off by {off:.3f} % of range, axis by {angle:.2f} degrees")
 
 

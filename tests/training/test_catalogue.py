@@ -10,10 +10,11 @@ import trimesh
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
 from rendezview.training.catalogue import read_catalogue, train_catalogue
+from rendezview.training.cores import Cores
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
+from rendezview.training.shard_executor import ClusterError
 from rendezview.training.symmetries import find_symmetries
-from rendezview.training.workers import ClusterError, Cores
 
 CATALOGUE = """
 [options]

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Measurement, PoseMeasurement, RangeMeasurement, Surface
+from rendezview.fusion import BeamSurface, Measurement, PoseMeasurement, RangeMeasurement
 from rendezview.fusion.logs import LogContext, read_record
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import describe
@@ -138,9 +138,9 @@ def context_of(asked: FusionRequest) -> LogContext:
     return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
 
 
-def _surface(told: SurfaceMessage) -> Surface:
+def _surface(told: SurfaceMessage) -> BeamSurface:
     outer_m = math.inf if told.outer_m is None else told.outer_m
-    return Surface(
+    return BeamSurface(
         np.array(told.point_m), np.array(told.normal), told.relief_m, told.inner_m, outer_m
     )
 

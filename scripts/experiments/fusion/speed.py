@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD
 from rendezview.fusion import (
+    BeamSurface,
     Fusion,
     FusionOptions,
     Measurement,
@@ -18,7 +19,6 @@ from rendezview.fusion import (
     RingCandidate,
     RingMeasurement,
     SensorOptions,
-    Surface,
 )
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -35,7 +35,7 @@ def measurements(seed: int) -> dict[str, list[Measurement]]:
     rotation = Rotation.from_rotvec([0.0, -0.5 * np.pi, 0.0]).as_matrix()
     truth = Pose(rotation, np.array([0.1, -0.2, 12.0]))
     sigma = np.array([2e-3, 2e-3, 1e-3, 5e-3, 5e-3, 2e-2])
-    surface = Surface(ring.centre_m, ring.axis)
+    surface = BeamSurface(ring.centre_m, ring.axis)
     normal = rotation @ ring.axis
     distance = float(normal @ truth.apply(ring.centre_m)) / float(normal[2])
     found: dict[str, list[Measurement]] = {"pose": [], "ring": [], "range": []}

@@ -18,18 +18,17 @@ from scipy.spatial.transform import Rotation
 from experiments.frame import MODELS_CAD
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
+    BeamSurface,
     Fusion,
     FusionOptions,
     Measurement,
     MotionOptions,
     PoseMeasurement,
-    RingCandidate,
     RingMeasurement,
     SensorOptions,
-    Surface,
 )
-from rendezview.fusion.kernels import rotation_vector
 from rendezview.fusion.logs import LogContext, merged, read_log
+from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
@@ -37,7 +36,6 @@ from rendezview.io.sequences import BopSceneWriter, Frame, Sequence, open_sequen
 from rendezview.io.target import DockingRing, Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow, record
-from rendezview.sensors.measurement import tangents
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingPrior
 from rendezview.sensors.ring.run import follow as follow_ring
@@ -57,9 +55,9 @@ PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the sta
 # What the beam may meet, as told to the filter: the heat shield between nozzle and adapter, the
 # bus's face around the adapter, and if neither is sure something about there.
 SURFACES = (
-    Surface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
-    Surface(np.array([-1.40, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.04, 0.73, 1.05),
-    Surface(np.array([-1.50, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.15),
+    BeamSurface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
+    BeamSurface(np.array([-1.40, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.04, 0.73, 1.05),
+    BeamSurface(np.array([-1.50, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.15),
 )
 SILENT_FRAMES = 5  # without a pose, where the body overflows: then the recognizer is switched off
 
@@ -172,13 +170,10 @@ def ring_run(folder: Path) -> None:
     with JsonLinesWriter(folder / "ring.jsonl") as writer:
         for frame, _, reading in follow_ring(scene_of(folder), ring.radius_m, prior=prior):
             writer.write(ring_record(frame, reading))
-            circles = tuple(
-                RingCandidate.of_tangent(c.centre_m, c.axis, c.covariance, tangents(c.axis))
-                for c in reading.poses
-                if c.covariance is not None and np.isfinite(c.covariance).all()
-            )
-            if circles and frame.time_s is not None:
-                fusion.add(RingMeasurement(frame.time_s, "ring", circles, ring))
+            if frame.time_s is not None:
+                measurement = reading.measurement("ring", ring=ring)
+                if measurement is not None:
+                    fusion.add(measurement)
 
 
 def scene_of(folder: Path) -> Sequence:
@@ -234,7 +229,7 @@ def load_run(folder: Path) -> Run:
 
 def off_by(pose: Pose, truth: Pose) -> Array:
     """(6,) perturbation from truth to an estimate."""
-    turn = rotation_vector(pose.rotation, truth.rotation)
+    turn = so3.between(pose.rotation, truth.rotation)
     return np.concatenate([turn, pose.translation_m - truth.translation_m])
 
 

@@ -17,10 +17,10 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
-from rendezview.sensors.appearance.edges.refinement import Sky
-from rendezview.sensors.appearance.edges.search import Found
+from rendezview.sensors.appearance.edges.confidence import Found
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.workers import open_workers
+from rendezview.training.open_executor import open_executor
 
 WRONG_DEG = 5.0
 PRIOR_RAD = np.deg2rad(6.0)  # what the recognizer is told of a prior's error
@@ -154,7 +154,7 @@ def run(
     """
     scenes = sorted((p.parent.parent.name, p.parent.name) for p in frames.glob("*/*/scene_gt.json"))
     started = time.perf_counter()
-    with open_workers(jobs, dask, processes=True) as workers:
+    with open_executor(jobs, dask, processes=True) as workers:
         tasks = [(*scene, seed, sun, log is not None) for scene in scenes]
         parts = dict(workers.results(on_scene, (frames.resolve(), models.resolve()), tasks))
     records = [record for k in sorted(parts) for record in parts[k]]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.optimize import minimize
 from sklearn.linear_model import LogisticRegression
 
-from rendezview.sensors.appearance.edges.refinement import inflating
+from rendezview.sensors.appearance.edges.error_model import ErrorModel, inflation_features
 
 WRONG_DEG = 5.0
 _DARK = 7  # the feature that tells dark skies
@@ -41,9 +41,12 @@ def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarr
 
 
 def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients of log κ², by most likely Gaussian errors, and the NEES that remain."""
+    """Coefficients of log κ², by most likely Gaussian errors, and the NEES that remain.
+
+    They come on top of those with which the logs were made.
+    """
     right = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
-    features = np.array([inflating(*np.array(r["features"])[[1, 3, 7]]) for r in right])
+    features = np.array([inflation_features(*np.array(r["features"])[[1, 3, 7]]) for r in right])
     nees = np.array([r["nees"] for r in right])
 
     def unlikely(theta: np.ndarray) -> float:
@@ -55,12 +58,15 @@ def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
     return theta, nees * np.exp(-features @ theta)
 
 
-def run(logs: list[Path]) -> None:
+def run(
+    logs: list[Path], *, output: Annotated[Path | None, "JSON file of the coefficients"] = None
+) -> None:
     """Fit confidence and covariance of a pose to logs of pose-accuracy and pose-cut.
 
-    Prints the coefficients of edges.search (confidence) and the factors for those of
-    edges.refinement (covariance inflation). Then, with each target left out in turn: how many
-    answers would be given and wrong at several minimum confidences.
+    Prints, with each target left out in turn, how many answers would be given and wrong at several
+    minimum confidences. --output writes the coefficients as edges/error_model.json has them, where
+    training and models without their own read them. The logs must come from models that carry the
+    packaged coefficients or none.
     """
     records = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
     chosen = [r for r in records if "features" in r]
@@ -80,7 +86,16 @@ def run(logs: list[Path]) -> None:
     for condition in conditions:
         part = rest[[r["condition"] == condition for r in answers]]
         print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
-    print("coefficients", np.round(fitted(features, right, looked), 2).tolist())
+    log_odds = np.round(fitted(features, right, looked), 2)
+    print("coefficients", log_odds.tolist())
+    if output is not None:
+        low = rest[[r["condition"] == "low" for r in answers]]
+        if len(low):  # raised until the normalised error squared averages six there
+            theta[0] += np.log(low.mean() / 6.0)
+        provenance = {"command": "pose-confidence", "logs": [p.name for p in logs]}
+        inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
+        made = ErrorModel(log_odds, inflation_now, provenance)
+        output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
     for mode in ("first", "tracked"):
         for condition in conditions:
             these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])

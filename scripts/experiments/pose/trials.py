@@ -27,8 +27,8 @@ from rendezview.simulation import (
 from rendezview.simulation.command import default_camera
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
+from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions
-from rendezview.training.workers import open_workers
 
 WRONG_DEG = 5.0
 FRAMES = 125  # of a sequence
@@ -220,7 +220,7 @@ def run(
         others = [*targets[1:], targets[0]]
         tasks = [(*pair, kind) for pair in zip(targets, others, strict=True) for kind in KINDS]
         shards = [(*task, count, seed) for task in tasks]
-    with open_workers(2, dask, processes=True) as workers:
+    with open_executor(2, dask, processes=True) as workers:
         results = dict(workers.results(one, (Path(models).resolve(),), shards))
     done = [(tasks[k], results[k]) for k in range(len(tasks))]
     if part == "refusals":

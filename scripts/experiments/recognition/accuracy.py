@@ -24,10 +24,10 @@ from rendezview.simulation.scene import sun_at_phase
 from rendezview.training.job import train
 from rendezview.training.learn import IN_EDGES, OUT_EDGES
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.renderers import make_renderer
 from rendezview.training.views import clean_views, look_from
-from rendezview.training.workers import open_workers
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one
@@ -266,7 +266,7 @@ def run(
         robust = ViewModel.load(model) if model else trained("robust.rvm", options)
         paper = trained("paper.rvm", replace(options.paper(), held_out_views=0))
     shared = (mesh, [robust, paper], flight_camera(mesh), seed)
-    with open_workers(jobs, dask) as workers:
+    with open_executor(jobs, dask) as workers:
         done = dict(workers.results(one_real, shared, [(k,) for k in range(views)]))
     conditions = {
         "(a) clean, robust": clean_tally(mesh, robust, views, seed),

@@ -17,9 +17,14 @@ from experiments.timing import median_ms
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.outline.signature import (
+    Signature,
+    radial_maxima,
+    spokes_of,
+    twist,
+)
 from rendezview.sensors.appearance.outline.silhouette import outer_borders
-from rendezview.sensors.appearance.outline.tracing import crack_outline, radial_maxima, spokes_of
+from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.training.job import train

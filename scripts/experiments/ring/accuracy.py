@@ -122,7 +122,7 @@ def accuracy(seed: int, count: int, peer: Path | None) -> None:
         given = wrong = 0
         scenes = list(drawn(options, count, [seed, number]))
         for scene, image in scenes:
-            reading = RingSensor(CAMERA, scene.ring.radius_m).update(image)
+            reading = RingSensor(CAMERA, scene.ring.radius_m).update(0.0, image)
             if reading.edge is None:
                 continue
             shape = reading.edges[reading.edge].ellipse.shape
@@ -131,18 +131,18 @@ def accuracy(seed: int, count: int, peer: Path | None) -> None:
                 continue
             # Which edge the radius is of is not what is measured here: give the found one's.
             if match.radius_m != scene.ring.radius_m:
-                reading = RingSensor(CAMERA, match.radius_m).update(image)
-            found = errors_of(reading.poses, match)
+                reading = RingSensor(CAMERA, match.radius_m).update(0.0, image)
+            found = errors_of(reading.circles, match)
             if found is None:
                 continue
             ours.append(found)
-            pose = nearer(reading.poses, match)
+            pose = nearer(reading.circles, match)
             tilt = tangent_basis(pose.axis).T @ (match.axis - pose.axis)
             off = np.concatenate([match.centre_m - pose.centre_m, tilt])
             consistency.append(nees(off, pose.covariance) / 5.0)
-            if reading.pose is not None and len(reading.poses) == 2:
+            if reading.circle is not None and len(reading.circles) == 2:
                 given += 1
-                wrong += float(reading.pose.axis @ match.axis) < float(pose.axis @ match.axis) - (
+                wrong += float(reading.circle.axis @ match.axis) < float(pose.axis @ match.axis) - (
                     1e-6 + np.trace(pose.covariance[3:, 3:])
                 )
         spread = f"{np.median(consistency):.2f} / {np.mean(consistency):.2f}"
@@ -205,7 +205,7 @@ def detection(seed: int, count: int, least_score: float, peer: Path | None) -> N
         if scene.ring is not None:
             radius = scene.ring.radius_m
             range_m = float(np.linalg.norm(scene.ring.centre_m)) * (1.0 + rng.normal(0.0, 0.05))
-        reading = RingSensor(CAMERA, radius).update(image, RingPrior(range_m=range_m))
+        reading = RingSensor(CAMERA, radius).update(0.0, image, RingPrior(range_m=range_m))
         if reading.edge is not None and reading.edges[reading.edge].score >= least_score:
             shape = reading.edges[reading.edge].ellipse.shape
             counts[known][0] += 1

@@ -24,11 +24,12 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.cluster import Cluster
+from rendezview.training.cores import Cores
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
+from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.surface_points import SURFACE_ORDER
-from rendezview.training.workers import Cores, Workers
 
 MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))
 SMALL = replace(MEDIUM, order=1, perturbed_views=1200, held_out_views=200)
@@ -79,18 +80,18 @@ def others_s(ours: list[int]) -> float:
     return busy.user + busy.system + busy.nice + busy.steal - cpu_s([*ours, os.getpid()])
 
 
-def run_training(mesh: Mesh, options: TrainingOptions, workers: Workers) -> bytes:
+def run_training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.rvm"
-        train(mesh, path, name="target", options=options, workers=workers)
+        train(mesh, path, name="target", options=options, executor=executor)
         return path.read_bytes()
 
 
-def run_campaign(model: ViewModel, mesh: Mesh, frames: int, workers: Workers) -> bytes:
+def run_campaign(model: ViewModel, mesh: Mesh, frames: int, executor: ShardExecutor) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "answers.jsonl"
         options = CampaignOptions(frames=frames, seed=9)
-        campaign(model, mesh, default_camera(), path, workers, options)
+        campaign(model, mesh, default_camera(), path, executor, options)
         return path.read_bytes()
 
 
@@ -166,7 +167,9 @@ def kill(target: str, workers: int, runs: int, seed: int) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 path = Path(folder) / "model.rvm"
                 start = time.perf_counter()
-                train(mesh, path, name="target", options=KILLED, workers=cluster, progress=progress)
+                train(
+                    mesh, path, name="target", options=KILLED, executor=cluster, progress=progress
+                )
                 same = path.read_bytes() == expected and bool(killed)
             passed += same
             print(

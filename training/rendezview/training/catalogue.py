@@ -23,9 +23,9 @@ from rendezview.training.bundled import find_target
 from rendezview.training.job import provenance, train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
+from rendezview.training.shard_executor import ClusterError, ShardExecutor
 from rendezview.training.stages import Progress
 from rendezview.training.symmetries import find_symmetries
-from rendezview.training.workers import ClusterError, Workers
 
 
 class _Row(BaseModel):
@@ -134,7 +134,7 @@ def _options(told: dict[str, Any], where: str) -> TrainingOptions:
 def train_catalogue(
     entries: list[Entry],
     folder: Path,
-    workers: Workers,
+    executor: ShardExecutor,
     *,
     at_once: int = 1,
     progress: Progress | None = None,
@@ -177,7 +177,7 @@ def train_catalogue(
                 camera=camera,
                 symmetries=found.symmetries or find_symmetries(mesh),
                 shape_error=found.shape_error,
-                workers=workers,
+                executor=executor,
                 progress=count.shards(),
             )
             trained.append(entry.name)

@@ -23,6 +23,7 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.edges.contours import Contours
+from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model import HeldOut, ViewModel, Views
@@ -30,12 +31,15 @@ from rendezview.sensors.appearance.outline.signature import Readings
 from rendezview.sensors.appearance.outline.trees import Forest
 from rendezview.training.calibrate import calibrated, prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
+from rendezview.training.cores import Cores
 from rendezview.training.crossings import faces_beside
 from rendezview.training.learn import Decisions, Samples, TreeSet, decide, learn_trees
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry, view_geometry
-from rendezview.training.renderers import SilhouetteRenderer, make_renderer
+from rendezview.training.projection import SilhouetteRenderer
+from rendezview.training.renderers import make_renderer
 from rendezview.training.shadowed_silhouettes import SunMaps, lit_views, sun_maps
+from rendezview.training.shard_executor import ShardExecutor, Shared, Task
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
 from rendezview.training.surface_points import (
@@ -51,7 +55,6 @@ from rendezview.training.views import (
     lattice_slopes,
     perturbed_views,
 )
-from rendezview.training.workers import Cores, Shared, Task, Workers
 
 _VIEWS_PER_SHARD = 256
 _SLOW_VIEWS_PER_SHARD = 64  # a second or two, as the others
@@ -78,7 +81,7 @@ def train(
     symmetries: Sequence[Symmetry] = (),
     shape_error: float = 0.0,
     jobs: int = -1,
-    workers: Workers | None = None,
+    executor: ShardExecutor | None = None,
     progress: Progress | None = None,
 ) -> Trained:
     """Train a view model and write it to ``path``.
@@ -105,7 +108,7 @@ def train(
             model cannot be written.
     """
     options = options or TrainingOptions()
-    workers = workers or Cores(jobs)
+    executor = executor or Cores(jobs)
     if (path.exists() and not path.is_file()) or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera)
@@ -116,7 +119,7 @@ def train(
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
-        drawn = _Drawn(shards, mesh, beside, renderer, geometry, options, workers, progress)
+        drawn = _Drawn(shards, mesh, beside, renderer, geometry, options, executor, progress)
         trained = _train(drawn, name, tuple(symmetries), shape_error, inputs)
     finally:
         cv2.setNumThreads(threads)
@@ -180,6 +183,7 @@ def _train(
         symmetries=symmetries,
         shape_error=shape_error,
         surface=surface,
+        error_model=None if contours is None else ErrorModel.packaged(),
     )
     if held_out is not None:
         model = calibrated(model, drawn.calibration(model, held_out))
@@ -206,7 +210,7 @@ class _Drawn:
     renderer: SilhouetteRenderer
     geometry: ViewGeometry
     options: TrainingOptions
-    workers: Workers
+    executor: ShardExecutor
     progress: Progress | None
 
     def lattice(self) -> tuple[ViewSet, Array, Readings | None]:
@@ -305,7 +309,7 @@ class _Drawn:
     def _run(
         self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
     ) -> list[Arrays]:
-        return self.shards.run(stage, task, shared, parts, self.workers, self.progress)
+        return self.shards.run(stage, task, shared, parts, self.executor, self.progress)
 
 
 def _view_arrays(draw: Any, *arguments: Any) -> Arrays:

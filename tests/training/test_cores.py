@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from rendezview.training.workers import Cores
+from rendezview.training.cores import Cores
 
 LONG_S = 0.5
 
