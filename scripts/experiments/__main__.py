@@ -69,10 +69,10 @@ EXPERIMENTS = {
     },
     "pictures": {
         "readme-picture": ("pictures:readme", "four frames of a demo"),
-        "pictures:fusion": ("fusion.picture", "errors of sensors and filter over the range"),
+        "fusion-picture": ("pictures:fusion", "errors of sensors and filter over the range"),
         "reflector-picture": ("pictures:reflectors", "spots, triplet, windows and pose"),
         "ring-picture": ("pictures:ring", "the ring as the sensor reads it"),
-        "pictures:stereo": ("stereo.picture", "figure 8 of Welch et al. (1991)"),
+        "stereo-picture": ("pictures:stereo", "figure 8 of Welch et al. (1991)"),
     },
     "benchmark": {
         "benchmark": ("benchmark.command", "everything beside its peers and floors"),

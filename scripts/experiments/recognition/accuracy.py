@@ -262,7 +262,7 @@ def run(
         def trained(name: str, options: TrainingOptions) -> ViewModel:
             return train(mesh, Path(folder) / name, name=found.name, options=options).model
 
-        options = TrainingOptions(contour_points=0, lit_views=False)
+        options = TrainingOptions(contour_points=0, shadowed_silhouettes=False)
         robust = ViewModel.load(model) if model else trained("robust.rvm", options)
         paper = trained("paper.rvm", replace(options.paper(), held_out_views=0))
     shared = (mesh, [robust, paper], flight_camera(mesh), seed)

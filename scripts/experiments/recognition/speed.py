@@ -84,7 +84,7 @@ def all_trees(model: ViewModel, signature: Signature, prior: Pose) -> Callable[[
 def small_model(mesh: Mesh) -> ViewModel:
     """Trained on few views: the time of a frame does not depend on how many there were."""
     options = TrainingOptions(
-        perturbed_views=6000, held_out_views=500, contour_points=0, lit_views=False
+        perturbed_views=6000, held_out_views=500, contour_points=0, shadowed_silhouettes=False
     )
     with tempfile.TemporaryDirectory() as folder:
         return train(mesh, Path(folder) / "hubble.rvm", name="hubble", options=options).model
