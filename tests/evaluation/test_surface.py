@@ -173,7 +173,7 @@ def test_other_meshes_are_no_bop_models(tmp_path: Path) -> None:
     write_models(tmp_path)
     assert bop_model(tmp_path / "hubble.stl") is None
     assert bop_model(tmp_path / "elsewhere" / "obj_000007.ply") is None
-    with pytest.raises(RendezviewError, match="nothing of object 8"):
+    with pytest.raises(RendezviewError, match="no entry for object 8"):
         bop_model(tmp_path / "obj_000008.ply")
 
 

@@ -47,7 +47,7 @@ def campaign(
     seed: Annotated[int, typer.Option(min=0, help="Of poses, light and noise.")] = 0,
     jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
     dask: Annotated[
-        str | None, typer.Option(help="Scheduler of a Dask cluster that does the work.")
+        str | None, typer.Option(help="Address of a Dask scheduler; its cluster does the work.")
     ] = None,
 ) -> None:
     """Measure a model on random simulated frames, with and without a prior.
