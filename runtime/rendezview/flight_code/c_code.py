@@ -13,7 +13,7 @@ from rendezview.flight_code.tables import MOST_16_BIT, PackedForest, pack_forest
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.io.files import atomic_write_text, make_folder
 from rendezview.sensors.appearance import MatchOptions, ViewModel
-from rendezview.sensors.appearance.outline.tracing import spokes_of
+from rendezview.sensors.appearance.outline.signature import spokes_of
 
 SOURCES = (
     "rendezview_flight.h",

@@ -17,7 +17,7 @@ from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
-from rendezview.sensors.appearance.edges.refinement import Sky
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.service import fusing
 from rendezview.service.fusing import SessionFilter
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage

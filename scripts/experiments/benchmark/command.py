@@ -49,7 +49,7 @@ SMALL = TrainingOptions(
     contour_points=120,
     contour_radii=(1.0,),
     contour_resolution_px=400,
-    lit_views=False,
+    shadowed_silhouettes=False,
 )
 LONG = (  # claim, command; {folder}: where the campaign writes and reads
     ("default models of four targets", "rendezview train hubble -o {folder}/hubble.rvm"),

@@ -28,7 +28,7 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.confidence import Found
-from rendezview.sensors.appearance.edges.refinement import Sky
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.training.open_executor import open_executor
 
 WRONG_DEG = 5.0

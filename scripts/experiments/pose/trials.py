@@ -173,7 +173,9 @@ def inexact(path: str, seed: int) -> None:
         ):
             model_path = Path(folder) / "model.rvm"
             # The trees do not matter here: poses are refined from near the truth.
-            options = TrainingOptions(perturbed_views=1000, held_out_views=100, lit_views=False)
+            options = TrainingOptions(
+                perturbed_views=1000, held_out_views=100, shadowed_silhouettes=False
+            )
             train(made, model_path, name=name, options=options, shape_error=shape_error)
             model = ViewModel.load(model_path)
             recognizer = Recognizer(model, camera)

@@ -273,7 +273,7 @@ def main() -> None:
     target = Target.load(arguments.target)
     mesh = load_mesh(target.mesh_path, arguments.unit or target.unit)
     with tempfile.TemporaryDirectory() as folder:
-        options = TrainingOptions(contour_points=0, lit_views=False)
+        options = TrainingOptions(contour_points=0, shadowed_silhouettes=False)
         if arguments.model:
             robust = ViewModel.load(arguments.model)
         else:

@@ -29,9 +29,14 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.outline.signature import (
+    Signature,
+    radial_maxima,
+    spokes_of,
+    twist,
+)
 from rendezview.sensors.appearance.outline.silhouette import outer_borders
-from rendezview.sensors.appearance.outline.tracing import crack_outline, radial_maxima, spokes_of
+from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.training.job import train
@@ -114,7 +119,10 @@ def main() -> None:
     else:
         with tempfile.TemporaryDirectory() as folder:
             options = TrainingOptions(
-                perturbed_views=6000, held_out_views=500, contour_points=0, lit_views=False
+                perturbed_views=6000,
+                held_out_views=500,
+                contour_points=0,
+                shadowed_silhouettes=False,
             )
             path = Path(folder) / "hubble.rvm"
             model = train(mesh, path, name="hubble", options=options).model

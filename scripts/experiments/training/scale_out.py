@@ -58,7 +58,7 @@ KILLED = replace(
 )
 STAGES = {  # of training, and how often the default training does each: views or nodes
     "lattice": 2562, "perspective": 2562, "views": 32_000, "held-out": 4000,
-    "contours": 3 * 2562, "lit": 2562, "surface": 642, "trees": 642, "calibration": 4000,
+    "contours": 3 * 2562, "shadows": 2562, "surface": 642, "trees": 642, "calibration": 4000,
 }  # fmt: skip
 
 
@@ -163,7 +163,10 @@ def kill(arguments: argparse.Namespace) -> None:
     with local_cluster(arguments.workers) as (local, cluster):
         for run in range(arguments.runs):
             rng = random.Random(1000 * arguments.seed + run)
-            stage, after = rng.choice(["views", "contours", "lit"]), rng.randint(1, 2)
+            stage, after = (
+                rng.choice(["views", "contours", "shadows"]),
+                rng.randint(1, 2),
+            )
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
                 client.wait_for_workers(arguments.workers, timeout=300)  # the nanny's new one
             victim = rng.choice(sorted(pids(local)))
@@ -252,7 +255,7 @@ def cost(arguments: argparse.Namespace) -> None:
     counts = {
         "lattice": lattice, "perspective": lattice, "views": options.perturbed_views,
         "held-out": options.held_out_views, "contours": lattice * len(options.contour_radii),
-        "lit": lattice, "surface": len(Geodesic.of_order(SURFACE_ORDER).nodes), "trees": nodes,
+        "shadows": lattice, "surface": len(Geodesic.of_order(SURFACE_ORDER).nodes), "trees": nodes,
         "calibration": options.held_out_views,
     }  # fmt: skip
     print("| stage | times in a default training | CPU ms each | CPU s |")

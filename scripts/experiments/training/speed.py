@@ -50,7 +50,7 @@ def child(target: Path, kind: str, unit: str | None) -> None:
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     options = TrainingOptions()
     if kind == "trees":
-        options = replace(options, contour_points=0, lit_views=False)
+        options = replace(options, contour_points=0, shadowed_silhouettes=False)
     elif kind != "default":
         options = replace(options.paper(), held_out_views=0)
     if kind == "many":
