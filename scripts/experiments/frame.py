@@ -79,10 +79,13 @@ def _settings(hint: Any) -> dict[str, Any]:
     return settings | {"type": hint}
 
 
-def table_of(title: str, columns: Sequence[str], *, left: int = 1) -> Table:
-    """An empty table; all columns but the first ``left`` ones are on the right."""
+def table_of(title: str, columns: str | Sequence[str], *, left: int = 1) -> Table:
+    """An empty table; all columns but the first ``left`` ones are on the right.
+
+    ``columns`` is a sequence, or one string with " | " between the names.
+    """
     made = Table(title=title)
-    for k, column in enumerate(columns):
+    for k, column in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
         made.add_column(column, justify="left" if k < left else "right")
     return made
 

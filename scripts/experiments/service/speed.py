@@ -248,15 +248,10 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
 
 
 def run(
-    model: Path,
-    scene: Path,
-    *,
-    clients: int = 8,
-    frames: Annotated[int, "of all clients; 0: for 15 s"] = 0,
-    rounds: int = 20,
-    only: Literal["overhead", "many"] | None = None,
-    client: str | None = None,
-) -> None:
+    model: Path, scene: Path, *, clients: int = 8,
+    frames: Annotated[int, "of all clients; 0: for 15 s"] = 0, rounds: int = 20,
+    only: Literal["overhead", "many"] | None = None, client: str | None = None,
+) -> None:  # fmt: skip
     """What the service costs over the bare tracker call, and what several clients share.
 
     SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target, moving
