@@ -11,6 +11,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
@@ -109,9 +110,9 @@ def two(
     return form.format(np.median(values), np.percentile(values, high))
 
 
-def nees(error: np.ndarray, covariance: np.ndarray) -> float:
+def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
-    return float(error @ np.linalg.solve(covariance, error))
+    return float(np.dot(error, np.linalg.solve(covariance, error)))
 
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:

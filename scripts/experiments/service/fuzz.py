@@ -19,7 +19,7 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from experiments.service.speed import Served
+from experiments.service.serving import Served
 from rendezview.client import Client, ServiceError
 from rendezview.geometry.camera import Camera
 

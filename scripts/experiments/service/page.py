@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from experiments.service.speed import Loop, Served
+from experiments.service.serving import Loop, Served
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
 
