@@ -21,11 +21,11 @@ from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, PoseMeasurement
 from rendezview.fusion.logs import LogContext, kind_of, read_record
 from rendezview.io.target import DockingRing
-from rendezview.service.fusing import SessionFilter
 from rendezview.service.fusion_messages import FusionRequest, LoggedMeasurement, Marks, Measured
 from rendezview.service.messages import State, WatchState
 from rendezview.service.replay import model_of, read_log, repeat
 from rendezview.service.sensor_lines import split_records
+from rendezview.service.session_filter import SessionFilter
 
 RING = DockingRing(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.6, 0.8]), 0.5)
 SIGMA_M, SIGMA_RAD = 0.01, 0.01
@@ -349,7 +349,7 @@ def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
         assert "process ended" in state["fused"]["reason"]
         assert state["fused"]["status"] in ("waiting", "starting")
         mirrors = session.info()["sensors"][1]
-        assert "begins anew" in mirrors["reason"]
+        assert "a new one starts" in mirrors["reason"]
         told = session.measure("mirrors", sensors.pose(time_s + 100.0, tour[4][1]))
         assert told["verdicts"][0]["time_s"] == time_s + 100.0
     served.stop()
@@ -383,14 +383,14 @@ def test_the_filter_begins_anew_where_the_cameras_clock_jumps(tour):
         text = json.dumps(sensors.pose(float(k), truth)).encode()
         (line,) = one.check("mirrors", text, float(k))
         one.take("mirrors", line)
-        state = one.look(float(k), truth, 1e-4 * np.eye(6))
+        state = one.track(float(k), truth, 1e-4 * np.eye(6))
     assert state["status"] == "tracking"
-    state = one.look(1e6, truth, 1e-4 * np.eye(6))
+    state = one.track(1e6, truth, 1e-4 * np.eye(6))
     assert state["status"] == "starting"
     assert "camera's time" in state["reason"]
     assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m)
     for k in range(1, 3):
-        state = one.look(1e6 + k, truth, 1e-4 * np.eye(6))
+        state = one.track(1e6 + k, truth, 1e-4 * np.eye(6))
     assert (state["status"], state["reason"]) == ("tracking", None)
 
 
@@ -401,7 +401,7 @@ def test_a_frame_older_than_what_is_remembered_is_late(tour):
     for k in range(40):
         (line,) = one.check("m", json.dumps(sensors.pose(float(k), truth)).encode(), 0.0, 1e3)
         one.take("m", line)
-    state = one.look(2.0, truth, 1e-4 * np.eye(6))
+    state = one.track(2.0, truth, 1e-4 * np.eye(6))
     assert (state["status"], state["pose"]) == ("late", None)
     assert "before what is remembered" in state["reason"]
 

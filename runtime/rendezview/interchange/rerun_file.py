@@ -30,7 +30,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.interchange.runs import Moment, pose_of
 from rendezview.io.files import check_place, write_error
 from rendezview.sensors.appearance import ViewModel
-from rendezview.service.geometry import geometry
+from rendezview.service.model_geometry import geometry
 from rendezview.service.tracking import contour_at
 
 _ORANGE, _BLUE, _GREEN = (255, 140, 0), (90, 160, 255), (80, 220, 120)
