@@ -16,7 +16,8 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
-from rendezview.training.renderers import NumbaRenderer, Window
+from rendezview.training.projection import Window
+from rendezview.training.rasterizer import NumbaRenderer
 
 Draw = Callable[..., np.ndarray]
 
@@ -68,7 +69,7 @@ def tiny_options() -> TrainingOptions:
         perturbed_views=800,
         held_out_views=150,
         contour_points=0,
-        lit_views=False,
+        shadowed_silhouettes=False,
     )
 
 

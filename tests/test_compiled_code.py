@@ -12,7 +12,7 @@ from pathlib import Path
 
 import rendezview.geometry.pose
 
-RUNTIME = Path(rendezview.geometry.pose.__file__).parent
+RUNTIME = Path(rendezview.geometry.pose.__file__).parents[1]
 
 
 def _compiled(tree: ast.Module) -> dict[str, tuple[ast.FunctionDef, set[str | None]]]:

@@ -1,4 +1,4 @@
-"""What flies needs nothing of the ground side; `scripts/check_bare_install.py` tries a wheel."""
+"""What flies needs nothing of the ground side; experiment `check-bare-install` tries a wheel."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.campaign import LOOKS, CampaignOptions, campaign
-from rendezview.training.workers import Cores
+from rendezview.training.cores import Cores
 
 OPTIONS = CampaignOptions(frames=20, samples=1, seed=4)
 

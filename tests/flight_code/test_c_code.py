@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scripts.flight_code_driver import (
+
+from experiments.flight_code.driver import (
     MORE_WARNINGS,
     SANITIZED,
     STRICT,
@@ -26,7 +27,6 @@ from scripts.flight_code_driver import (
     runtime_search_around,
     same_search,
 )
-
 from rendezview.errors import RendezviewError
 from rendezview.flight_code import write_c
 from rendezview.flight_code.c_code import model_files

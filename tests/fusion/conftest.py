@@ -7,18 +7,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.fusion import (
+    BeamSurface,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingCandidate,
     RingMeasurement,
-    Surface,
 )
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
 
 RING = DockingRing(np.array([-1.68, 0.1, -0.2]), np.array([-1.0, 0.0, 0.0]), 0.6)
-PLANE = Surface(RING.centre_m, RING.axis)
+PLANE = BeamSurface(RING.centre_m, RING.axis)
 SIGMA = np.array([4e-3, 5e-3, 2e-3, 0.01, 0.01, 0.05])
 MOVE = np.array([0.01, -0.02, -0.2])  # m/s
 TURN = np.array([1e-3, -2e-3, 1.5e-3])  # rad/s

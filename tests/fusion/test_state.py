@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from rendezview.fusion import (
+    BeamSurface,
     FusionOptions,
     MotionOptions,
     PoseMeasurement,
@@ -17,7 +18,6 @@ from rendezview.fusion import (
     RingMeasurement,
     SensorOptions,
     State,
-    Surface,
     innovation,
     predict,
     update,
@@ -63,7 +63,7 @@ def test_slopes_of_every_kind_are_the_derivatives(world):
 
 def test_a_slope_of_a_slanting_beam_is_the_derivative(world):
     state = begin(world.pose(0.0), QUIET)
-    surface = Surface(np.array([0.2, 0.5, -0.3]), np.array([0.8, 0.6, 0.0]))
+    surface = BeamSurface(np.array([0.2, 0.5, -0.3]), np.array([0.8, 0.6, 0.0]))
     measurement = RangeMeasurement(
         0.0,
         "laser",

@@ -10,10 +10,11 @@ import trimesh
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
 from rendezview.training.catalogue import read_catalogue, train_catalogue
+from rendezview.training.cores import Cores
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
+from rendezview.training.shard_executor import ClusterError
 from rendezview.training.symmetries import find_symmetries
-from rendezview.training.workers import ClusterError, Cores
 
 CATALOGUE = """
 [options]
@@ -67,7 +68,7 @@ def test_a_catalogue_is_targets_times_shells_times_lighting(folder):
         "flat-far-soft",
     ]
     assert entries[0].options.contour_radii == (0.8, 1.0)
-    assert not entries[0].options.lit_views
+    assert not entries[0].options.shadowed_silhouettes  # `lit_views` is its old name in files
     assert [e.options.seed for e in entries] == [0, 0, 3, 3]
 
 

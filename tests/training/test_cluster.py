@@ -20,9 +20,10 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.campaign import CampaignOptions, campaign
+from rendezview.training.cores import Cores
 from rendezview.training.job import train
+from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions
-from rendezview.training.workers import Cores, open_workers
 
 distributed = pytest.importorskip("distributed", reason="rendezview[dask] is not installed")
 
@@ -146,14 +147,14 @@ def address_of(array: np.ndarray, k: int) -> tuple[int, int]:
     return os.getpid(), array.ctypes.data
 
 
-# Workers do not find the modules of tests: functions of no module travel whole.
+# Workers cannot import the test modules: functions without a module travel with their code.
 for task in (double, deadly, wrong, address_of):
     task.__module__ = "__main__"
 
 
 def test_a_cluster_gives_the_bytes_of_one_machine(tmp_path, bumpy_mesh, several, reference):
-    with open_workers(-1, several.address, tell=lambda line: None) as workers:
-        train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, workers=workers)
+    with open_executor(-1, several.address, tell=lambda line: None) as executor:
+        train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, executor=executor)
     assert (tmp_path / "m.rvm").read_bytes() == reference
 
 
@@ -163,33 +164,33 @@ def test_a_campaign_on_a_cluster_gives_the_bytes_of_one_machine(
     options = CampaignOptions(frames=20, samples=1)
     shared = (refining_model, bumpy_mesh, camera)
     campaign(*shared, tmp_path / "here", Cores(1), options)
-    with cluster.Cluster.connect(several.address) as workers:
-        campaign(*shared, tmp_path / "there", workers, options)
+    with cluster.Cluster.connect(several.address) as executor:
+        campaign(*shared, tmp_path / "there", executor, options)
     assert (tmp_path / "there").read_bytes() == (tmp_path / "here").read_bytes()
 
 
 def test_one_worker_alone_computes_and_not_the_command(tmp_path):
     with (
         processes(tmp_path, 1) as started,
-        cluster.Cluster.connect(started.address) as workers,
+        cluster.Cluster.connect(started.address) as executor,
     ):
-        seen = list(workers.results(address_of, (np.zeros(4),), [(k,) for k in range(3)]))
+        seen = list(executor.results(address_of, (np.zeros(4),), [(k,) for k in range(3)]))
     assert os.getpid() not in {pid for _, (pid, _) in seen}
 
 
 def test_what_a_shard_raises_is_raised_here(several):
     with (
-        cluster.Cluster.connect(several.address) as workers,
+        cluster.Cluster.connect(several.address) as executor,
         pytest.raises(OSError, match="has no file"),
     ):
-        list(workers.results(wrong, (), [(k,) for k in range(4)]))
+        list(executor.results(wrong, (), [(k,) for k in range(4)]))
 
 
 def test_large_shared_data_is_moved_once_to_each_worker(several):
     shared = (np.zeros(2_000_000),)
-    with cluster.Cluster.connect(several.address) as workers:
+    with cluster.Cluster.connect(several.address) as executor:
         arguments = [(k,) for k in range(40)]
-        seen = [s for _, s in workers.results(address_of, shared, arguments)]
+        seen = [s for _, s in executor.results(address_of, shared, arguments)]
     places = {(pid, place) for pid, place in seen}
     assert len({pid for pid, _ in places}) >= 2
     assert len(places) == len({pid for pid, _ in places})  # one copy in each process
@@ -197,11 +198,11 @@ def test_large_shared_data_is_moved_once_to_each_worker(several):
 
 def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
     log = tmp_path / "log"
-    with processes(tmp_path, 3) as started, cluster.Cluster.connect(started.address) as workers:
-        assert workers.cores == 3
+    with processes(tmp_path, 3) as started, cluster.Cluster.connect(started.address) as executor:
+        assert executor.cores == 3
         results = {}
         arguments = [(k, log, 0.1) for k in range(24)]
-        for k, result in workers.results(double, (7,), arguments):
+        for k, result in executor.results(double, (7,), arguments):
             results[k] = result
             if len(results) == 5:
                 started.workers[0].kill()
@@ -220,29 +221,29 @@ def test_a_killed_worker_costs_only_its_shard(tmp_path, bumpy_mesh, reference):
             tmp_path / "m.rvm",
             name="bumpy",
             options=SMALL,
-            workers=workers,
+            executor=executor,
             progress=kill,
         )
-        assert workers.cores == 1
+        assert executor.cores == 1
     assert (tmp_path / "m.rvm").read_bytes() == reference
 
 
 def test_a_shard_that_kills_its_workers_is_told_and_not_waited_for(tmp_path):
     with (
         processes(tmp_path, 3, allowed_failures=1) as started,
-        cluster.Cluster.connect(started.address) as workers,
+        cluster.Cluster.connect(started.address) as executor,
         pytest.raises(RendezviewError, match="died 2 times"),
     ):
-        list(workers.results(deadly, (), [(k, None) for k in range(8)]))
+        list(executor.results(deadly, (), [(k, None) for k in range(8)]))
 
 
 def test_data_that_died_with_the_last_worker_is_sent_again(tmp_path):
     with (
         processes(tmp_path, 1, nanny=True) as started,  # which starts another worker
-        cluster.Cluster.connect(started.address) as workers,
+        cluster.Cluster.connect(started.address) as executor,
     ):
         arguments = [(k, tmp_path / "once") for k in range(8)]
-        assert dict(workers.results(deadly, (), arguments)) == {k: k for k in range(8)}
+        assert dict(executor.results(deadly, (), arguments)) == {k: k for k in range(8)}
     assert (tmp_path / "once").exists()
 
 
@@ -251,14 +252,14 @@ def test_what_one_shard_frees_serves_the_next_where_dask_would_give_it_back(tmp_
     faults = """
 import resource
 import numpy
-from rendezview.training.workers import compute
+from rendezview.training.shard_executor import run_shard
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 def task():
     return [float(numpy.ones(500_000)[0]) for _ in range(20)][0]
-compute(task, 0, (), ())
+run_shard(task, (), ())
 before = faults()
-compute(task, 0, (), ())
+run_shard(task, (), ())
 print(faults() - before)
 """
     environment = dict(os.environ, MALLOC_TRIM_THRESHOLD_="65536")  # as Dask's nannies set it
@@ -279,16 +280,16 @@ def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(
                 started.scheduler.kill()
 
         with (
-            cluster.Cluster.connect(started.address) as workers,
-            pytest.raises(RendezviewError, match=r"is gone.*what is done is kept"),
+            cluster.Cluster.connect(started.address) as executor,
+            pytest.raises(RendezviewError, match=r"is gone.*finished work is kept"),
         ):
-            train(bumpy_mesh, path, name="bumpy", options=SMALL, workers=workers, progress=kill)
+            train(bumpy_mesh, path, name="bumpy", options=SMALL, executor=executor, progress=kill)
     train(
         bumpy_mesh,
         path,
         name="bumpy",
         options=SMALL,
-        workers=Cores(1),
+        executor=Cores(1),
         progress=lambda stage, done, of: first.setdefault(stage, (done, of)),
     )
     assert first["views"] == (10, 10)

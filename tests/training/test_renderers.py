@@ -9,14 +9,9 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.training.mesh import Mesh
-from rendezview.training.renderers import (
-    NumbaRenderer,
-    NumpyRenderer,
-    Renderer,
-    Window,
-    fill_silhouette,
-    make_renderer,
-)
+from rendezview.training.projection import Window
+from rendezview.training.rasterizer import NumbaRenderer, NumpyRenderer, fill_silhouette
+from rendezview.training.renderers import Renderer, make_renderer
 
 WINDOW = Window(90, 70, 80.0, 41.3, 36.9)
 

@@ -11,7 +11,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry
-from rendezview.training.renderers import NumbaRenderer
+from rendezview.training.rasterizer import NumbaRenderer
 from rendezview.training.views import (
     clean_views,
     far_views,

@@ -6,7 +6,7 @@ import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -22,7 +22,6 @@ from rendezview.sensors.run import Line, run
 from rendezview.sensors.stereo import (
     MotionOptions,
     Rig,
-    StereoObservation,
     StereoTracker,
     TrackerOptions,
 )
@@ -36,7 +35,7 @@ from rendezview.sensors.stereo.board import (
 from rendezview.sensors.stereo.bundle import INTRINSICS
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.laboratory_files import load_record
-from rendezview.sensors.stereo.readings import Reading, open_readings
+from rendezview.sensors.stereo.readings import open_readings
 from rendezview.sensors.stereo.rig_files import load_rig, save_opencv, save_rig
 from rendezview.sensors.stereo.spots import SpotOptions
 
@@ -139,50 +138,17 @@ def track(
             spent_ms = 1e3 * (time.perf_counter() - start)
             row = None
             if observation.pose is not None:
-                used = sum(int((found.led >= 0).sum()) for found in observation.spots)
-                score = float(used - len(observation.left_out))
-                row = ResultRow(1, reading.im_id, 1, score, observation.pose, 1e-3 * spent_ms)
-            noted = _record(reading, observation, loaded, names, spent_ms)
+                score, spent_s = float(observation.inliers), 1e-3 * spent_ms
+                row = ResultRow(1, reading.im_id, 1, score, observation.pose, spent_s)
+            noted = {"im_id": reading.im_id, **observation.record()}
+            # With the time that the search for spots in the pictures takes.
+            noted["stage_ms"] = {"track": spent_ms}
             yield Line(noted, observation.status, row, spent_ms)
 
     with ProgressBar() as bar:
         progress = bar.stage("readings", len(series))
         summary = run(lines(), log=log, results=output, progress=progress)
     say_summary(summary, len(summary.rows), len(series), what="poses", step="reading")
-
-
-def _record(
-    reading: Reading,
-    observation: StereoObservation,
-    rig: Rig,
-    names: tuple[str, ...],
-    spent_ms: float,
-) -> dict[str, Any]:
-    angles, fit = observation.yaw_pitch_roll, observation.fit
-    return {
-        "im_id": reading.im_id,
-        "time_s": reading.time_s,
-        "status": str(observation.status),
-        "reason": observation.reason,
-        "pose": observation.pose,
-        "covariance": observation.covariance,
-        "rig_from_target": observation.rig_from_target,
-        "yaw_pitch_roll_rad": None if angles is None else list(angles),
-        "rates": None if observation.estimate is None else observation.estimate.rates,
-        "sum_of_squares": None if fit is None else fit.cost,
-        "degrees_of_freedom": None if fit is None else fit.spare,
-        "left_out": [
-            {"camera": rig.cameras[camera].name, "led": names[light]}
-            for camera, light in observation.left_out
-        ],
-        "exchanged": [[names[a], names[b]] for a, b in observation.exchanged],
-        "leds": [
-            [names[number] if number >= 0 else None for number in found.led]
-            for found in observation.spots
-        ],
-        "found_anew": observation.found_anew,
-        "stage_ms": {"track": spent_ms},
-    }
 
 
 def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:

@@ -5,15 +5,16 @@ from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOption
 from rendezview.fusion.state import Innovation, Rejected, State, innovation, predict, update
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.sensors.measurement import (
+    BeamSurface,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
     RingCandidate,
     RingMeasurement,
-    Surface,
 )
 
 __all__ = [
+    "BeamSurface",
     "Estimate",
     "Fusion",
     "FusionOptions",
@@ -27,7 +28,6 @@ __all__ = [
     "RingMeasurement",
     "SensorOptions",
     "State",
-    "Surface",
     "Trust",
     "Verdict",
     "innovation",

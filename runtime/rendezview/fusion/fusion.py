@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import bisect
 import math
+import threading
 from dataclasses import dataclass
+from typing import overload
 
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import State, predict
@@ -45,9 +47,26 @@ class Fusion:
         self._measurements: list[Measurement] = []
         self._after: list[Snapshot] = []  # beside them
         self._floor_s = -math.inf  # nothing earlier can be put in
+        self._lock = threading.Lock()  # of all of the above
 
-    def add(self, measurement: Measurement) -> Verdict:
-        """Take in a measurement, late or not, and say what became of it."""
+    @overload
+    def add(self, measurement: Measurement) -> Verdict: ...
+
+    @overload
+    def add(self, measurement: Measurement | None) -> Verdict | None: ...
+
+    def add(self, measurement: Measurement | None) -> Verdict | None:
+        """Process a measurement, late or not, and report what was done with it.
+
+        ``None``, as from an observation that cannot be fused, changes nothing and returns
+        ``None``.
+        """
+        if measurement is None:
+            return None
+        with self._lock:
+            return self._add(measurement)
+
+    def _add(self, measurement: Measurement) -> Verdict:
         time_s = measurement.time_s
         if time_s < self._floor_s:
             told = f"later than {self.options.history_s:g} s: no longer remembered"
@@ -73,8 +92,9 @@ class Fusion:
         """
         if not math.isfinite(time_s):
             raise ValueError(f"the time must be finite, not {time_s}")
-        place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
-        snapshot = self._after[place - 1] if place else self._base
+        with self._lock:
+            place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
+            snapshot = self._after[place - 1] if place else self._base
         state = snapshot.state
         if state is None:
             told = "no sensor has given a whole pose yet"
@@ -102,7 +122,8 @@ class Fusion:
 
     @property
     def _newest(self) -> Snapshot:
-        return self._after[-1] if self._after else self._base
+        with self._lock:
+            return self._after[-1] if self._after else self._base
 
     def _estimate(self, snapshot: Snapshot, state: State) -> Estimate:
         options = self.options

@@ -23,18 +23,16 @@ from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.results import read_json_lines
 from rendezview.io.target import DockingRing
 from rendezview.sensors.measurement import (
+    BeamSurface,
     Measurement,
     PoseMeasurement,
     RangeMeasurement,
-    RingCandidate,
     RingMeasurement,
-    Surface,
-    tangents,
+    ring_candidates,
 )
 
 _RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
 _SERVED = "a session of the service: its `fusion`"
-_ROUNDING = 1e-9  # of a covariance that has been written and read
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +40,7 @@ class LogContext:
     """What the lines of a log leave open."""
 
     ring: DockingRing | None = None  # for rings, and for ranges unless a surface is given
-    surfaces: tuple[Surface, ...] = ()  # that a ranger's beam may meet
+    surfaces: tuple[BeamSurface, ...] = ()  # that a ranger's beam may meet
     mounts: Mapping[str, Pose] = field(default_factory=dict)  # sensor_from_camera by name
 
 
@@ -131,8 +129,8 @@ def read_options(path: StrPath) -> FusionOptions:
     return checked(TypeAdapter(FusionOptions), read_json(path, "fusion options"), str(path))
 
 
-def read_surfaces(path: StrPath) -> tuple[Surface, ...]:
-    """What a beam may meet, from a JSON list; keys are those of `Surface`.
+def read_surfaces(path: StrPath) -> tuple[BeamSurface, ...]:
+    """What a beam may meet, from a JSON list; keys are those of `BeamSurface`.
 
     Raises:
         RendezviewError: missing, no list of such, or a wrong value.
@@ -141,7 +139,7 @@ def read_surfaces(path: StrPath) -> tuple[Surface, ...]:
     try:
         if not isinstance(content, list) or not content:
             raise ValueError("a list of surfaces is needed")
-        return tuple(Surface(**one) for one in content)
+        return tuple(BeamSurface(**one) for one in content)
     except (ValueError, TypeError) as error:
         raise RendezviewError(f"{path}: no surfaces: {error}") from error
 
@@ -173,11 +171,8 @@ def _check_known(kind: str, where: str, context: LogContext) -> None:
         )
 
 
-def _time(record: Mapping[str, Any]) -> float:
-    time_s = record.get("time_s")
-    if isinstance(time_s, bool) or not isinstance(time_s, int | float):
-        raise ValueError("time_s is not known; sensors can only be joined by their times")
-    return float(time_s)
+def _time(record: Mapping[str, Any]) -> Any:
+    return record.get("time_s")  # the measurement checks it
 
 
 def _pose(content: Any) -> Pose:
@@ -194,23 +189,11 @@ def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measureme
 
 def _ring_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
     assert context.ring is not None
-    candidates = []
-    for pose in record["poses"]:
-        covariance = np.array(pose["covariance"], dtype=np.float64)  # null becomes NaN
-        if not np.isfinite(covariance).all():
-            continue  # its error is not known: no measurement
-        if covariance.shape != (5, 5):
-            raise ValueError("covariance must be (5, 5)")
-        spread = np.linalg.eigvalsh(0.5 * (covariance + covariance.T))
-        if not spread[0] > -_ROUNDING * spread[-1]:
-            raise ValueError("covariance has a negative variance")
-        axis = np.array(pose["axis"], dtype=np.float64)
-        candidates.append(
-            RingCandidate.of_tangent(pose["centre_m"], axis, covariance, tangents(axis))
-        )
+    circles = ((c["centre_m"], c["axis"], c["covariance"]) for c in record["poses"])
+    candidates = ring_candidates(circles)
     if not candidates:
         return None
-    return RingMeasurement(_time(record), sensor, tuple(candidates[:2]), context.ring)
+    return RingMeasurement(_time(record), sensor, candidates, context.ring)
 
 
 def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Measurement | None:
@@ -220,7 +203,7 @@ def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Me
     surfaces = context.surfaces
     if not surfaces:
         assert context.ring is not None
-        surfaces = (Surface(context.ring.centre_m, context.ring.axis, _RELIEF_M),)
+        surfaces = (BeamSurface(context.ring.centre_m, context.ring.axis, _RELIEF_M),)
     sigma_m = float(record["sigma_m"])
     origin = np.array(record.get("origin_m", [0.0, 0.0, 0.0]), dtype=np.float64)
     direction = np.array(record.get("direction", [0.0, 0.0, 1.0]), dtype=np.float64)

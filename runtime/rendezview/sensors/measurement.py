@@ -1,13 +1,15 @@
-"""What sensors say: a pose, a ring, a range; each with its time, covariance and sensor.
+"""Measurements, as the filter takes them: a pose, a ring or a range, with time and covariance.
 
-A sensor may be mounted elsewhere: ``sensor_from_camera`` takes a measurement into the camera
-frame when it is made, so that the filter knows one frame only.
+Where a sensor is not mounted at the filter's camera, `in_camera` transforms its measurement by
+``sensor_from_camera`` when it is made. The filter then works in one frame only.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -15,12 +17,12 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
 
-_UNIT = 1e-6  # a direction may be this far from unit length
+_ROUNDING = 1e-9  # of the largest variance: the rounding of a covariance written to a file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMeasurement:
-    """All six degrees of freedom: the recognizer, reflectors, a stereo tracker.
+    """All six degrees of freedom: from the recognizer, reflectors, a stereo tracker.
 
     Raises:
         ValueError: a number is not finite, or the covariance not one (symmetric, positive).
@@ -31,14 +33,14 @@ class PoseMeasurement:
     pose: Pose  # camera_from_target
     covariance: Array  # (6, 6) rotation vector, translation; on the left, camera frame
 
-    size = lasting_size = 6
+    size = bias_size = 6
 
     def __post_init__(self) -> None:
-        _check_time(self.time_s, self.sensor)
+        object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
         object.__setattr__(self, "covariance", checked_covariance(self.covariance, 6, self.sensor))
 
     def in_camera(self, sensor_from_camera: Pose) -> PoseMeasurement:
-        """The same said in the camera frame, where it was said in that of its sensor."""
+        """The measurement in the camera frame, from that of its sensor."""
         camera_from_sensor = sensor_from_camera.inverse()
         turn = _twice(camera_from_sensor.rotation)
         pose = camera_from_sensor @ self.pose
@@ -47,7 +49,7 @@ class PoseMeasurement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingCandidate:
-    """One of the circles in space that an ellipse can be."""
+    """One of the two circles in space that project to the same ellipse."""
 
     centre_m: Array  # (3,) camera frame
     axis: Array  # (3,) unit, normal of the ring's plane, of either sign
@@ -77,11 +79,37 @@ class RingCandidate:
         return cls(np.asarray(centre_m), np.asarray(axis), whole)
 
 
+def ring_candidates(
+    circles: Iterable[tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike | None]],
+) -> tuple[RingCandidate, ...]:
+    """At most two candidates from the centre (3,), axis (3,) and covariance (5, 5) of circles.
+
+    The covariance is of the centre and of the axis along `tangents`. A circle whose covariance is
+    missing or not finite is left out.
+
+    Raises:
+        ValueError: a covariance is not (5, 5), or has a negative variance.
+    """
+    found = []
+    for centre, axis, covariance in circles:
+        matrix = np.array(covariance, dtype=np.float64)  # None becomes NaN
+        if not np.isfinite(matrix).all():
+            continue
+        if matrix.shape != (5, 5):
+            raise ValueError("covariance must be (5, 5)")
+        spread = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+        if not spread[0] > -_ROUNDING * spread[-1]:
+            raise ValueError("covariance has a negative variance")
+        normal = np.array(axis, dtype=np.float64)
+        found.append(RingCandidate.of_tangent(centre, normal, matrix, tangents(normal)))
+    return tuple(found[:2])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RingMeasurement:
-    """A circular ring of known radius: centre three, axis two degrees of freedom, no roll.
+    """A circular ring of known radius: three degrees of freedom of the centre, two of the axis.
 
-    An ellipse is two circles. Both may be given; the filter weighs them by what it knows.
+    An ellipse is the image of two circles. Both may be given; the filter weighs them by its state.
 
     Raises:
         ValueError: no candidate, or a number is not finite.
@@ -90,16 +118,16 @@ class RingMeasurement:
     time_s: float
     sensor: str
     candidates: tuple[RingCandidate, ...]  # one or two
-    ring: DockingRing  # what it is of the target, target frame
+    ring: DockingRing  # where it is on the target, target frame
     centres_m: Array = field(init=False)  # (K, 3) of the candidates
     axes: Array = field(init=False)  # (K, 3)
     covariances: Array = field(init=False)  # (K, 6, 6)
 
     size = 5
-    lasting_size = 10  # of the ring's edge, and of another that was taken for it
+    bias_size = 10  # of the ring's edge, and of another edge taken for it
 
     def __post_init__(self) -> None:
-        _check_time(self.time_s, self.sensor)
+        object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
         if not self.candidates:
             raise ValueError(f"{self.sensor}: a ring needs at least one candidate")
         both = self.candidates[:2]
@@ -108,7 +136,7 @@ class RingMeasurement:
         object.__setattr__(self, "covariances", np.array([c.covariance for c in both]))
 
     def in_camera(self, sensor_from_camera: Pose) -> RingMeasurement:
-        """The same said in the camera frame."""
+        """The measurement in the camera frame, from that of its sensor."""
         camera_from_sensor = sensor_from_camera.inverse()
         turn = _twice(camera_from_sensor.rotation)
         moved = tuple(
@@ -123,8 +151,8 @@ class RingMeasurement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """What a ranger's beam may meet: a plane of the target, where it ends, how uneven it is.
+class BeamSurface:
+    """A plane of the target that a ranger's beam may hit, with its extent and roughness.
 
     Raises:
         ValueError: no unit normal, or a length is negative.
@@ -132,9 +160,9 @@ class Surface:
 
     point_m: Array  # (3,) target frame
     normal: Array  # (3,) unit, target frame
-    relief_m: float = 0.0  # σ of the real surface about the plane; lasts while the spot stays
-    inner_m: float = 0.0  # distance from the point where it begins: a nozzle in its middle
-    outer_m: float = math.inf  # … and where it ends
+    relief_m: float = 0.0  # σ of the real surface about the plane; a bias while the spot stays
+    inner_m: float = 0.0  # from the point to where it begins: a nozzle in its middle
+    outer_m: float = math.inf  # from the point to where it ends
 
     def __post_init__(self) -> None:
         point, normal = (np.array(v, dtype=np.float64) for v in (self.point_m, self.normal))
@@ -155,8 +183,8 @@ class Surface:
 class RangeMeasurement:
     """A distance along a beam to the target.
 
-    Of several surfaces the first counts on which the spot is expected for sure. Where there is
-    none the range says nothing; a last surface without ends and with much relief says something.
+    Of several surfaces the filter uses the first that the spot hits with certainty. Where there is
+    none, the range cannot be used: end the list with an unbounded surface of large relief.
 
     Raises:
         ValueError: a number is not finite, the range or σ not positive, no direction, no surface.
@@ -166,14 +194,14 @@ class RangeMeasurement:
     sensor: str
     range_m: float
     sigma_m: float
-    surfaces: tuple[Surface, ...]
+    surfaces: tuple[BeamSurface, ...]
     origin_m: Array = field(default_factory=lambda: np.zeros(3))  # (3,) camera frame
     direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit
 
-    size = lasting_size = 1
+    size = bias_size = 1
 
     def __post_init__(self) -> None:
-        _check_time(self.time_s, self.sensor)
+        object.__setattr__(self, "time_s", _checked_time(self.time_s, self.sensor))
         if not (0.0 < self.range_m < math.inf and 0.0 < self.sigma_m < math.inf):
             raise ValueError(
                 f"{self.sensor}: range and σ must be positive: {self.range_m}, {self.sigma_m}"
@@ -190,7 +218,7 @@ class RangeMeasurement:
         object.__setattr__(self, "direction", direction / np.linalg.norm(direction))
 
     def in_camera(self, sensor_from_camera: Pose) -> RangeMeasurement:
-        """The same said in the camera frame."""
+        """The measurement in the camera frame, from that of its sensor."""
         camera_from_sensor = sensor_from_camera.inverse()
         return RangeMeasurement(
             self.time_s, self.sensor, self.range_m, self.sigma_m, self.surfaces,
@@ -201,9 +229,12 @@ class RangeMeasurement:
 Measurement = PoseMeasurement | RingMeasurement | RangeMeasurement
 
 
-def _check_time(time_s: float, sensor: str) -> None:
+def _checked_time(time_s: float, sensor: str) -> float:
+    if isinstance(time_s, bool) or not isinstance(time_s, Real):
+        raise ValueError("time_s is not known; sensors can only be joined by their times")
     if not math.isfinite(time_s):
         raise ValueError(f"{sensor}: the time of a measurement must be finite, not {time_s}")
+    return float(time_s)
 
 
 def checked_covariance(covariance: npt.ArrayLike, size: int, sensor: str) -> Array:

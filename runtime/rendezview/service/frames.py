@@ -22,6 +22,7 @@ _BARE_MARKERS = (
     0x01,
     *range(0xD0, 0xDA),
 )  # JPEG markers without a length. Source: ITU-T T.81 table B.1
+# Source: ITU-T T.81 table B.1.
 _SIZE_MARKERS = tuple(m for m in range(0xC0, 0xD0) if m not in (0xC4, 0xC8, 0xCC))
 
 Bytes = bytes | bytearray | memoryview

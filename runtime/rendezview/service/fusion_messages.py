@@ -18,10 +18,11 @@ from rendezview.service.message_parts import (
     Two,
 )
 
-MOST_REMEMBERED = 400  # measurements in a filter's history; bounds the cost of a late one
-MOST_MARKS = 256  # ellipses or spots of one line that are drawn
-_MOST_HISTORY_S = 60.0  # s
-_MOST_NUMBER = 1e12  # of any option
+# measurements in a filter's history; bounds the cost of a late one. Source: a chosen limit.
+MOST_REMEMBERED = 400
+MOST_MARKS = 256  # ellipses or spots of one line that are drawn. Source: a chosen limit
+_MOST_HISTORY_S = 60.0  # s. Source: a chosen limit
+_MOST_NUMBER = 1e12  # of any option. Source: a chosen limit
 
 
 # Data on the sensors of a session

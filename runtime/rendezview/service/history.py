@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-_MOST_MARKS_BYTES = 32_768  # bytes; more would be larger than their picture
+_MOST_MARKS_BYTES = 32_768  # bytes; more would be larger than their picture. Source: a chosen limit
 Kept = TypeVar("Kept")
 
 

@@ -25,8 +25,8 @@ log = logging.getLogger("rendezview.service")
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".dae")
 UNITS = ("m", "cm", "mm", "in", "ft")
-_KEPT = 100  # finished jobs in the list
-_QUEUED = 16  # jobs that may wait
+_KEPT = 100  # finished jobs in the list. Source: a chosen limit
+_QUEUED = 16  # jobs that may wait. Source: a chosen limit
 
 
 @dataclass(slots=True, eq=False)

@@ -52,7 +52,7 @@ _PARSED: dict[int, Any] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
-_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage
+_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 
 
 @dataclass(slots=True, eq=False)

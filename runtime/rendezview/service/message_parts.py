@@ -7,7 +7,8 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 CAMERA = "camera"  # name of the session's own camera among its sensors
-MOST_TIME_S = 1e10  # s, either side of zero; the stamps of a log hold no more
+# s, either side of zero; the stamps of a log hold no more. Source: a chosen limit.
+MOST_TIME_S = 1e10
 Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]

@@ -13,8 +13,8 @@ from rendezview.sensors.appearance.edges.contours import (
 )
 from rendezview.service.model_messages import Geometry
 
-_CELLS = 48  # per target radius; each cell keeps at most one point
-_MOST_POINTS = 6000  # cells grow until no more are left
+_CELLS = 48  # per target radius; each cell keeps at most one point. Source: chosen
+_MOST_POINTS = 6000  # cells grow until no more are left. Source: a chosen limit
 
 
 def geometry(name: str, model: ViewModel) -> Geometry:

@@ -37,9 +37,9 @@ from rendezview.service.tracking import StateDict
 
 SESSION_METADATA = "rendezview.session"
 MODEL_ATTACHMENT = "model.rvm"
-_CALIBRATION_EVERY_S = 1.0  # s, between messages with the camera
-_SYNC_EVERY_S = 1.0  # s, between fsyncs with `interval`
-_RETRY_S = 5.0  # s, before a new file is tried after a fault
+_CALIBRATION_EVERY_S = 1.0  # s, between messages with the camera. Source: chosen
+_SYNC_EVERY_S = 1.0  # s, between fsyncs with `interval`. Source: chosen
+_RETRY_S = 5.0  # s, before a new file is tried after a fault. Source: chosen
 
 
 @dataclass(frozen=True, kw_only=True)

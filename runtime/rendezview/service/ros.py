@@ -11,7 +11,7 @@ from rendezview.service.message_parts import Message
 
 CAMERA_FRAME, TARGET_FRAME = "camera", "target"
 # ROS has the translation first: ours is (rotation, translation), both about fixed axes.
-_ORDER = (3, 4, 5, 0, 1, 2)
+_ORDER = (3, 4, 5, 0, 1, 2)  # Source: by construction
 
 
 class Stamp(Message):

@@ -28,7 +28,7 @@ from rendezview.service.settings import LOOPBACK, Settings
 
 SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
 _FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
-_MOST_CALLERS = 10_000  # whose request rates are remembered
+_MOST_CALLERS = 10_000  # whose request rates are remembered. Source: a chosen limit
 _PAGE_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
     "connect-src 'self'; worker-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "

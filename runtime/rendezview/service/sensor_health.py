@@ -11,9 +11,10 @@ from rendezview.service.message_parts import CAMERA
 from rendezview.service.messages import SensorHealth, SensorTrust
 from rendezview.service.wire import Header
 
-_RATE_OVER_S = 3.0  # s, over which a rate is averaged
-_SILENT_S = 10.0  # s; a sensor without lines for longer is not healthy (some send rarely)
-_SHOWN_S = 3.0  # s, for which its ellipses and spots are drawn
+_RATE_OVER_S = 3.0  # s, over which a rate is averaged. Source: chosen
+# s; a sensor without lines for longer is not healthy (some send rarely). Source: chosen.
+_SILENT_S = 10.0
+_SHOWN_S = 3.0  # s, for which its ellipses and spots are drawn. Source: chosen
 
 
 @dataclass(slots=True)

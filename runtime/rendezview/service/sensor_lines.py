@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Measurement, PoseMeasurement, RangeMeasurement, Surface
+from rendezview.fusion import BeamSurface, Measurement, PoseMeasurement, RangeMeasurement
 from rendezview.fusion.logs import LogContext, read_record
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import describe
@@ -23,7 +23,7 @@ from rendezview.service.fusion_messages import MOST_MARKS, FusionRequest, Marks,
 from rendezview.service.message_parts import PoseMessage
 
 _LEAST, _MOST = 1e-20, 1e12  # m², rad²; variances that the filter can use in 64-bit floats
-_MOST_M = 1e9  # m; places farther away are refused
+_MOST_M = 1e9  # m; places farther away are refused. Source: a chosen limit
 
 Json = dict[str, Any]
 
@@ -141,9 +141,9 @@ def context_of(asked: FusionRequest) -> LogContext:
     return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
 
 
-def _surface(message: SurfaceMessage) -> Surface:
+def _surface(message: SurfaceMessage) -> BeamSurface:
     outer_m = math.inf if message.outer_m is None else message.outer_m
-    return Surface(
+    return BeamSurface(
         np.array(message.point_m),
         np.array(message.normal),
         message.relief_m,

@@ -17,7 +17,7 @@ from rendezview.service.app import make_app
 from rendezview.service.security import read_tokens
 from rendezview.service.service import Service
 
-_SHUTDOWN_S = 10  # s, for open requests
+_SHUTDOWN_S = 10  # s, for open requests. Source: chosen
 
 
 class _Server(uvicorn.Server):

@@ -35,8 +35,8 @@ from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
 
 log = logging.getLogger("rendezview.service")
 
-_CLOSE_S = 30.0  # s, for a worker to complete a log
-_IDLE_CHECK_S = 5.0  # s, between checks for idle sessions
+_CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+_IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
 
 
 def _ring_of(path: Path) -> RingMessage:

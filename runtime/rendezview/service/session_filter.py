@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Fusion, FusionOptions, Measurement, PoseMeasurement, Verdict
+from rendezview.fusion import Fusion, FusionOptions, Measurement, Verdict
 from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import kind_of
 from rendezview.geometry.pose import Pose
+from rendezview.sensors.observation import Observation, Status
 from rendezview.service.fusion_messages import MOST_REMEMBERED, FusionRequest
 from rendezview.service.message_parts import CAMERA, MOST_TIME_S
 from rendezview.service.sensor_lines import (
@@ -29,7 +29,8 @@ from rendezview.service.sensor_lines import (
     split_records,
 )
 
-MOST_CLOCK_GAP_S = 60.0  # s; a time farther from the session's own comes from another clock
+# s; a time farther from the session's own is of another clock. Source: a chosen limit.
+MOST_CLOCK_GAP_S = 60.0
 
 
 @dataclass(slots=True)
@@ -150,18 +151,21 @@ class SessionFilter:
 
     # The camera
 
-    def track(self, time_s: float, pose: Pose | None, covariance: npt.ArrayLike | None) -> Json:
+    def track(self, observation: Observation) -> Json:
         """The `Fused` state at a frame, with the frame's pose. The filter must be running."""
+        time_s = observation.time_s
+        assert time_s is not None
         apart_s = time_s - self._newest_s
         if math.isfinite(apart_s) and abs(apart_s) > MOST_CLOCK_GAP_S:
             self._start(f"the camera's time jumped by {apart_s:.0f} s")
-        if pose is None or covariance is None:
+        if observation.pose is None or observation.covariance is None:
             self._newest_s = max(self._newest_s, time_s)
             return self._state(time_s)
         counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
         counts.lines += 1
         try:
-            measurement = PoseMeasurement(time_s, CAMERA, pose, np.asarray(covariance))
+            measurement = observation.measurement(CAMERA)
+            assert measurement is not None  # it has a pose
             check_size(measurement, CAMERA)
         except (ValueError, RendezviewError) as error:
             counts.silent += 1
@@ -300,13 +304,14 @@ def warm_up() -> None:
         ("ring", {"ellipses": [], "poses": [seen]}),
         ("range", {"range_m": 10.5, "sigma_m": 0.02}),
     ]
-    start = Pose.identity()
-    start = Pose(start.rotation, np.array([0.0, 0.0, 10.0]))
+    start = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
     for k in range(3):
         for sensor, record in lines:
             timed = record | {"time_s": float(k)}
             kind = kind_of(timed, sensor)
             filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
-        filter_.track(k + 0.5, start, 1e-4 * np.eye(6))
+        filter_.track(
+            Observation(Status.OK, time_s=k + 0.5, pose=start, covariance=1e-4 * np.eye(6))
+        )
     far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
     filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

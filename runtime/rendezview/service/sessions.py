@@ -29,7 +29,7 @@ from rendezview.service.worker_handle import WorkerHandle
 
 log = logging.getLogger("rendezview.service")
 
-_STALE_S = 3.0  # s; a camera without frames for longer is not healthy
+_STALE_S = 3.0  # s; a camera without frames for longer is not healthy. Source: chosen
 
 
 class Session:

@@ -25,8 +25,9 @@ from rendezview.service.sessions import Session
 
 _LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
 _DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")
-_LONGEST_PAUSE_S = 10.0  # s, between frames of a file; longer gaps are shortened
-_RECONNECT_S = 2.0  # s, before a live source is opened again
+# s, between frames of a file; longer gaps are shortened. Source: a chosen limit.
+_LONGEST_PAUSE_S = 10.0
+_RECONNECT_S = 2.0  # s, before a live source is opened again. Source: chosen
 
 
 @dataclass(frozen=True)

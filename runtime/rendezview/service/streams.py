@@ -30,7 +30,7 @@ from rendezview.service.watching import Watcher
 router = APIRouter(prefix="/v1/sessions")
 
 _TIME = struct.Struct("<d")
-_OUTBOX = 64  # answers that the client has not read; with more, no frames are received
+_OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
 _REFUSED, _GONE = 1008, 1001
 
 

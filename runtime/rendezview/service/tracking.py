@@ -13,20 +13,23 @@ from numba.core.event import install_recorder
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.results import json_value
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
-from rendezview.sensors.appearance.edges.refinement import Sky
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
-from rendezview.service.messages import CameraMessage, Contour, Phase, SessionRequest
+from rendezview.service.messages import CameraMessage, Contour, Fit, Phase, SessionRequest
 from rendezview.service.session_filter import SessionFilter
 from rendezview.service.session_filter import warm_up as warm_up_filter
 
 # A `State` as a dict. It is not validated, because it is made here for every frame.
 StateDict = dict[str, Any]
 
-_OUTLINE_POINTS = 600  # of a silhouette that is drawn
+# Keys of an observation's record that a state has as they are, in this order.
+_OBSERVED = ("status", "reason", "pose", "covariance", "confidence", "score")
+_OUTLINE_POINTS = 600  # of a silhouette that is drawn. Source: a chosen limit
 
 
 def camera_of(message: CameraMessage) -> Camera:
@@ -128,7 +131,7 @@ class SessionTracker:
             self._last_pose_s = time_s
         state = self._state(observation, time_s, received_unix_s, track_ms)
         if self.filter.running:
-            state["fused"] = self.filter.track(time_s, observation.pose, observation.covariance)
+            state["fused"] = self.filter.track(observation)
         self._frames += 1
         return state, observation
 
@@ -149,42 +152,29 @@ class SessionTracker:
         received_unix_s: float,
         track_ms: float,
     ) -> StateDict:
-        pose, found, confidence = observation.pose, observation.found, observation.confidence
+        """The observation's record, and what only the session knows."""
+        record = json_value(observation.record())
+        pose = observation.pose
         rates = None if pose is None else self.tracker.rates
-        covariance = observation.covariance
+        fit = record["refinement"]
         return {
             "session": self.session,
             "frame": self._frames,
             "time_s": time_s,
             "received_unix_s": received_unix_s,
             "phase": self._phase(observation, time_s),
-            "status": str(observation.status),
-            "reason": observation.reason,
-            "pose": None if pose is None else pose.as_dict(),
-            "covariance": None if covariance is None else covariance.tolist(),
-            "confidence": confidence,
-            "score": observation.score if confidence is None else confidence,
+            **{name: record[name] for name in _OBSERVED},
             "range_m": None if pose is None else math.hypot(*pose.apply(self.model.centre_m)),
             "rates": None
             if rates is None
             else {"angular_rad_s": rates[0].tolist(), "linear_m_s": rates[1].tolist()},
-            "candidates": [p.as_dict() for p in observation.candidates],
-            "fit": None
-            if found is None
-            else {
-                "outline": found.best.outline,
-                "inner": found.best.inner,
-                "seen": found.best.seen,
-                "residual_px": found.best.residual_px,
-                "margin": found.margin,
-            },
+            "candidates": record["candidates"],
+            "fit": None if fit is None else {name: fit[name] for name in Fit.model_fields},
             "on_nodes": [
                 {"index": node, "weight": weight, "direction": self._nodes[node]}
-                for node, weight in zip(
-                    observation.active_nodes.tolist(), observation.weights.tolist(), strict=True
-                )
+                for node, weight in zip(record["on_nodes"], record["weights"], strict=True)
             ],
-            "stage_ms": dict(observation.stage_ms),
+            "stage_ms": record["stage_ms"],
             "track_ms": track_ms,
             "latency_ms": 0.0,
             "drops": 0,

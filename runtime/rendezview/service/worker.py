@@ -43,7 +43,7 @@ from rendezview.service.tracking import (
 )
 from rendezview.service.wire import Header, mapped, pack, receive
 
-JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers
+JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
 _HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview.service.worker")
 

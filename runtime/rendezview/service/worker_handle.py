@@ -17,7 +17,7 @@ from rendezview.service.wire import Header, Unpacker, mapped, pack, shared_memor
 
 log = logging.getLogger("rendezview.service")
 
-_START_S = 120.0  # s; the first start on a machine compiles
+_START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
 
 
 class WorkerGone(Exception):

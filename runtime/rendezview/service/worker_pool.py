@@ -18,9 +18,9 @@ log = logging.getLogger("rendezview.service")
 Worker = WorkerHandle[Session]
 
 COMPILING = "loops are being compiled, which takes minutes, once: /readyz says when it is done"
-_RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker
-_WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache
-_STOP_S = 10.0  # s, to complete the logs
+_RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
+_WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
+_STOP_S = 10.0  # s, to complete the logs. Source: chosen
 
 
 class NotReady(Exception):

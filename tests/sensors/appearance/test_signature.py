@@ -12,12 +12,14 @@ from rendezview.sensors.appearance.outline.signature import (
     UNIT,
     Signature,
     quantised,
+    radial_maxima,
     rolled,
+    spokes_of,
     twist,
 )
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of
-from rendezview.training.renderers import NumbaRenderer, Window
+from rendezview.training.projection import Window
+from rendezview.training.rasterizer import NumbaRenderer
 
 ABOUT_Z = np.array([0.0, 0.0, 1.0])
 

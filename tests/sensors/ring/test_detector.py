@@ -51,8 +51,8 @@ def test_poses_meet_the_accuracy_asked_for_and_their_covariance(make, ring_camer
     for seed in range(25):
         scene, image = make([2, seed])
         ring = scene.ring
-        reading = RingSensor(ring_camera, ring.radius_m).update(image)
-        pose = max(reading.poses, key=lambda p: p.axis @ ring.axis)
+        reading = RingSensor(ring_camera, ring.radius_m).update(0.0, image)
+        pose = max(reading.circles, key=lambda p: p.axis @ ring.axis)
         far = np.linalg.norm(ring.centre_m)
         centre.append(np.linalg.norm(pose.centre_m - ring.centre_m) / far)
         axis.append(math.acos(min(1.0, pose.axis @ ring.axis)))
@@ -96,11 +96,11 @@ def test_a_laser_range_tells_which_of_many_is_meant(make, ring_camera):
     scene, image = make([6, 3], clutter=4)
     nozzle = next(c for c in scene.circles if not c.is_ring)
     sensor = RingSensor(ring_camera, nozzle.radius_m)
-    reading = sensor.update(image, RingPrior(centre_m=nozzle.centre_m, axis=nozzle.axis))
+    reading = sensor.update(0.0, image, RingPrior(centre_m=nozzle.centre_m, axis=nozzle.axis))
     shape = shape_of_circle(ring_camera, nozzle.centre_m, nozzle.axis, nozzle.radius_m)
     assert reading.edge is not None
     assert off(reading.edges[reading.edge], [shape]) < 2.0
-    far = RingSensor(ring_camera, 0.6).update(image, RingPrior(range_m=200.0))
+    far = RingSensor(ring_camera, 0.6).update(0.0, image, RingPrior(range_m=200.0))
     assert far.status is Status.NOT_FOUND
     assert "range" in far.reason
 
@@ -123,11 +123,11 @@ def test_an_empty_sky_noise_and_straight_edges_have_no_ring(ring_camera):
     box = black.copy()
     box[100:300, 150:400] = 180
     sensor = RingSensor(ring_camera, 0.6)
-    for image in (black, noise, box, np.full_like(black, 255)):
-        reading = sensor.update(image)
+    for k, image in enumerate((black, noise, box, np.full_like(black, 255))):
+        reading = sensor.update(float(k), image)
         assert reading.status is Status.NOT_FOUND
         assert reading.reason
-        assert reading.pose is None
+        assert reading.circle is None
 
 
 def test_wrong_images_are_refused_in_words(ring_camera):
@@ -156,23 +156,23 @@ def test_the_same_frame_gives_the_same_answer_twice(make, ring_camera):
 
 def test_without_a_radius_there_are_ellipses_and_no_pose(make, ring_camera):
     _, image = make([10, 1])
-    reading = RingSensor(ring_camera).update(image)
+    reading = RingSensor(ring_camera).update(0.0, image)
     assert reading.status is Status.OK
     assert reading.edges
-    assert reading.poses == ()
+    assert reading.circles == ()
     assert "radius" in reading.reason
 
 
 def test_the_sensor_follows_the_ring_and_forgets_it_after_a_while(make, ring_camera):
     scene, image = make([11, 2], clutter=2, tilt_rad=(0.4, 0.7))
     sensor = RingSensor(ring_camera, scene.ring.radius_m)
-    told = sensor.update(image, RingPrior(axis=scene.ring.axis))
-    assert told.pose is not None
-    assert told.pose.axis @ scene.ring.axis > 0.99
-    assert sensor.update(image).pose.axis @ scene.ring.axis > 0.99
-    for _ in range(6):
-        assert sensor.update(np.zeros_like(image)).pose is None
-    assert sensor.update(image).status in (Status.OK, Status.AMBIGUOUS)
+    given = sensor.update(0.0, image, RingPrior(axis=scene.ring.axis))
+    assert given.circle is not None
+    assert given.circle.axis @ scene.ring.axis > 0.99
+    assert sensor.update(1.0, image).circle.axis @ scene.ring.axis > 0.99
+    for k in range(6):
+        assert sensor.update(2.0 + k, np.zeros_like(image)).circle is None
+    assert sensor.update(8.0, image).status in (Status.OK, Status.AMBIGUOUS)
 
 
 def lip(outer_px, width_px, centre, noise, rng, ratio=0.98):

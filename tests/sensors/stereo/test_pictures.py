@@ -68,7 +68,7 @@ def test_unnamed_lights_in_two_pictures_give_the_pose(laboratory: Laboratory, sc
         spots = [find_spots(draw(rig, c, pose.apply(tracker.leds), options, rng)) for c in (0, 1)]
         observation = tracker.update(float(k), spots)
         assert observation.status is Status.OK, observation.reason
-        assert observation.found_anew == (k == 0)
+        assert observation.restarted == (k == 0)
         assert np.rad2deg(observation.rig_from_target.angle_to(pose)) < 0.02
         assert sorted(observation.spots[0].led) == list(range(6))
 

@@ -39,7 +39,7 @@ def test_without_noise_the_pose_is_exact_in_the_first_cameras_frame(tracker, lab
     observation = tracker.update(0.0, spots)
     truth = laboratory.rig.cameras[0].camera_from_rig @ POSE
     assert observation.status is Status.OK
-    assert observation.found_anew
+    assert observation.restarted
     assert observation.pose.angle_to(truth) < 1e-6
     assert observation.pose.translation_m == pytest.approx(truth.translation_m, abs=1e-6)
     assert observation.yaw_pitch_roll == pytest.approx((0.7, 0.2, -0.1), abs=1e-6)
@@ -106,7 +106,7 @@ def test_false_and_missing_lights_do_not_spoil_the_pose(
         tracker.update(0.0, read(laboratory.rig, light[0]))
     observation = tracker.update(1.0, read(laboratory.rig, bad))
     assert observation.status is Status.OK, observation.reason
-    assert observation.found_anew != known
+    assert observation.restarted != known
     assert away(POSE, observation) < 40.0
     assert observation.exchanged == {"swapped": ((1, 4),), "swapped once": ((0, 3),)}.get(fault, ())
     assert observation.left_out == (((1, 2),) if fault == "reflected" else ())

@@ -25,8 +25,8 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Vie
 from rendezview.sensors.observation import Status
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.training.mesh import Mesh
+from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.stages import Arrays, Progress, Shards, shares
-from rendezview.training.workers import Workers
 
 FRAMES_PER_SHARD = 16
 LOOKS = ("first", "tracked")
@@ -124,7 +124,7 @@ def campaign(
     mesh: Mesh,
     camera: Camera,
     path: Path,
-    workers: Workers,
+    executor: ShardExecutor,
     options: CampaignOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Answers]:
@@ -140,14 +140,14 @@ def campaign(
         The answers by look, in the order of the frames.
 
     Raises:
-        RendezviewError: the file cannot be written, or see ``Workers``.
+        RendezviewError: the file cannot be written, or see ``ShardExecutor``.
     """
     options = options or CampaignOptions()
     check_place(path, "the answers")
     shards = Shards(path.with_name(path.name + ".partial"), _inputs(model, mesh, camera, options))
     parts = [(p,) for p in shares(options.frames, FRAMES_PER_SHARD)]
     shared = (model, mesh, camera, options)
-    done = shards.run("frames", _look_at, shared, parts, workers, progress)
+    done = shards.run("frames", _look_at, shared, parts, executor, progress)
     table = {name: np.concatenate([a[name] for a in done], axis=1) for name in done[0]}
     answers = {}
     for k, look in enumerate(LOOKS):

@@ -21,7 +21,7 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
-from rendezview.training.workers import open_workers
+from rendezview.training.open_executor import open_executor
 
 _DEFAULT = CampaignOptions()
 
@@ -69,9 +69,9 @@ def campaign(
         )
     start = time.perf_counter()
     with (
-        open_workers(
+        open_executor(
             jobs, dask, processes=True, tell=lambda line: console.print(line, style="dim")
-        ) as workers,
+        ) as executor,
         ProgressBar() as progress,
     ):
         answers = run_campaign(
@@ -79,7 +79,7 @@ def campaign(
             mesh,
             load_camera(camera) if camera else default_camera(),
             output,
-            workers,
+            executor,
             options,
             progress,
         )

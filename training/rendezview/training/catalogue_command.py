@@ -12,7 +12,7 @@ from rich.console import Console
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.training.catalogue import read_catalogue, train_catalogue
-from rendezview.training.workers import open_workers
+from rendezview.training.open_executor import open_executor
 
 
 def catalogue(
@@ -40,13 +40,13 @@ def catalogue(
     entries = read_catalogue(file)
     start = time.perf_counter()
     with (
-        open_workers(jobs, dask, tell=lambda line: console.print(line, style="dim")) as workers,
+        open_executor(jobs, dask, tell=lambda line: console.print(line, style="dim")) as executor,
         ProgressBar() as progress,
     ):
         outcome = train_catalogue(
             entries,
             output,
-            workers,
+            executor,
             at_once=at_once or (3 if dask else 1),
             progress=progress,
         )

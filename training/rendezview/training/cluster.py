@@ -1,10 +1,10 @@
-"""Shards on a Dask cluster, through joblib's own backend for it.
+"""Shards on a Dask cluster.
 
-Dask computes anew what a worker had in hand when it died. What is added here: everything shared
-is moved to each worker once (unless Dask's memory manager takes it from one that waits), a failure
-is told and not waited for, data that died with the last worker holding it is sent again, and a
-worker with other code or packages is refused, so that the results are those of one machine, byte
-for byte.
+Dask computes a shard again when its worker dies. This module adds:
+
+- Shared data is sent to each worker once, and sent again when the last worker that holds it dies.
+- Failures are reported at once.
+- Workers with other code or packages are refused, so the bytes are those of one machine.
 """
 
 from __future__ import annotations
@@ -12,54 +12,43 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import contextlib
-import functools
-import hashlib
 import logging
 import os
 import platform
 import warnings
-from collections.abc import Callable, Generator, Sequence
-from importlib import metadata
-from pathlib import Path
+from collections.abc import Generator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self
 
-import rendezview
 from rendezview.errors import RendezviewError
-from rendezview.training.workers import ClusterError, Shared, Task, compute, parallel
+from rendezview.training.installed import Installed, check_versions, installed
+from rendezview.training.shard_executor import ClusterError, Shared, Task, run_shard
 
 try:
     import distributed
-    from joblib._dask import DaskDistributedBackend
 except ModuleNotFoundError as error:
     raise RendezviewError(
         f"a cluster needs {error.name}, which is not installed: pip install 'rendezview[dask]'"
     ) from None
 
-# What decides the bytes of a result. All parts of a cluster must have the same.
-_PACKAGES = ("numpy", "scipy", "opencv-python-headless", "numba", "scikit-learn", "trimesh")
-_MESSAGES = ("dask", "distributed", "cloudpickle")  # what the parts of a cluster talk with
-_TIMES_LOST = 3  # without a shard done between: then the cluster is not what it should be
+_MOST_LOSSES = 3  # losses of shared data in a row, with no shard finished between them
 
-Installed = dict[str, str]
-
-
-@functools.cache
-def installed() -> Installed:
-    """Versions of what computes here, and a digest of this project's own code."""
-    versions = {name: metadata.version(name) for name in (*_PACKAGES, *_MESSAGES)}
-    versions["Python"] = platform.python_version()
-    digest = hashlib.sha256()
-    for root in sorted(map(Path, rendezview.__path__), key=lambda path: path.parent.name):
-        for source in sorted(root.rglob("*.py")):
-            digest.update(source.relative_to(root).as_posix().encode())
-            digest.update(source.read_bytes())
-    versions["rendezview's code"] = digest.hexdigest()[:12]
-    return versions
+# Dask logs on these; errors are reported in one line instead.
+_LOGGERS = tuple(
+    f"distributed.{part}" for part in ("client", "core", "scheduler", "worker", "comm", "batched")
+)
+# Errors when the scheduler stops, or when data is lost together with a worker.
+_LOST = (
+    asyncio.CancelledError,
+    concurrent.futures.CancelledError,
+    OSError,
+    TimeoutError,
+    RuntimeError,
+)
 
 
 class Cluster:
-    """A connection to the scheduler of a Dask cluster; a context that closes it."""
+    """A connection to the scheduler of a Dask cluster; a context manager that closes it."""
 
     def __init__(self, client: distributed.Client, address: str) -> None:
         self._client = client
@@ -67,16 +56,16 @@ class Cluster:
 
     @classmethod
     def connect(cls, address: str, timeout_s: float = 10.0) -> Cluster:
-        """Connect, wait for a worker, and compare all parts with this machine.
+        """Connect, wait for a worker, and compare all workers with this machine.
 
         Args:
             address: of the scheduler, such as ``tcp://host:8786``.
-            timeout_s: for the scheduler to answer, and for a first worker to come.
+            timeout_s: for the scheduler to answer, and for a first worker to join.
 
         Raises:
-            ClusterError: no scheduler or no worker there, or other versions than here.
+            ClusterError: there is no scheduler or no worker, or the versions differ from here.
         """
-        for name in ("distributed", *_TALKATIVE):  # what goes wrong is an error here, in words
+        for name in ("distributed", *_LOGGERS):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
             with warnings.catch_warnings():
@@ -98,17 +87,17 @@ class Cluster:
 
     @property
     def dashboard(self) -> str | None:
-        """Link to the page on which Dask shows what the cluster does, if it has one."""
+        """Link to Dask's page about the cluster, if it has one."""
         services = self._client.scheduler_info(n_workers=0)["services"]
         return str(self._client.dashboard_link) if "dashboard" in services else None
 
     @property
     def cores(self) -> int:
-        """Shards that the workers compute at a time."""
+        """Shards that the workers compute at the same time."""
         return sum(self._client.ncores().values())
 
     def close(self) -> None:
-        """Leave the cluster; it goes on without us."""
+        """Leave the cluster, which keeps running."""
         self._client.close(timeout=2)
 
     def __enter__(self) -> Self:
@@ -125,43 +114,65 @@ class Cluster:
     def results(
         self, task: Task, shared: Shared, arguments: Sequence[tuple[Any, ...]]
     ) -> Generator[tuple[int, Any], None, None]:
-        """See ``Workers``.
+        """See ``ShardExecutor``.
 
         Raises:
-            ClusterError: the scheduler is gone, or a shard kills the workers it is given to.
+            ClusterError: the scheduler stopped, or a shard kills its workers.
         """
         left = dict(enumerate(arguments))
-        lost = 0
+        losses = 0
         while left:
-            numbers = list(left)
             try:
-                backend = _Backend(self._client, shared)
-                own = [left[k] for k in numbers]
-                runs = parallel(backend, -1, _compared, (task, installed()), shared, own)
-                with contextlib.closing(runs):
-                    for k, result in runs:
-                        if isinstance(result, _Failed):
-                            raise result
-                        lost = 0
-                        del left[numbers[k]]
-                        yield numbers[k], result
-            except _Failed as failed:
-                raise failed.error from None
-            except distributed.KilledWorker as error:
-                raise ClusterError(
-                    f"{self._address}: a worker died {error.allowed_failures + 1} times at the "
-                    f"same work, the last at {error.last_worker.address}: does it have too little "
-                    "memory? What is done is kept"
-                ) from None
+                with contextlib.closing(self._completed(task, shared, left)) as completed:
+                    for k, future in completed:
+                        if future.status == "error":
+                            break
+                        result = future.result()
+                        losses = 0
+                        del left[k]
+                        yield k, result
+                    else:
+                        return
             except _LOST as error:
-                lost += 1
+                losses += 1
                 gone = self._client.status != "running"
-                if gone or lost > _TIMES_LOST:
+                if gone or losses > _MOST_LOSSES:
                     what = "is gone" if gone else "gives no results"
                     raise ClusterError(
-                        f"{self._address}: the cluster {what} ({_reason(error)}): start it anew "
-                        "and give the same command again, what is done is kept"
+                        f"{self._address}: the cluster {what} ({_reason(error)}): start it again "
+                        "and repeat the command; finished work is kept"
                     ) from None
+            else:
+                raise self._failure(future.exception()) from None
+
+    def _completed(
+        self, task: Task, shared: Shared, left: Mapping[int, tuple[Any, ...]]
+    ) -> Generator[tuple[int, distributed.Future], None, None]:
+        """Send the shared data, submit the shards, and yield each number and future when done."""
+        client, versions = self._client, installed()
+        # With hash=True Dask confuses data that it is forgetting with the same data sent again.
+        (sent,) = client.scatter([shared], broadcast=True, hash=False)
+        numbers = {
+            client.submit(_run_checked, task, versions, sent, own, pure=False): k
+            for k, own in left.items()
+        }
+        try:
+            for future in distributed.as_completed(list(numbers), loop=client.loop):
+                yield numbers.pop(future), future
+        finally:
+            if numbers and client.status == "running":
+                with contextlib.suppress(*_LOST):
+                    client.cancel(list(numbers))
+
+    def _failure(self, error: BaseException | None) -> BaseException:
+        """The error of a failed shard, in the words of this project if a worker died."""
+        if isinstance(error, distributed.KilledWorker):
+            return ClusterError(
+                f"{self._address}: a worker died {error.allowed_failures + 1} times at the "
+                f"same work, the last at {error.last_worker.address}: does it have too little "
+                "memory? Finished work is kept"
+            )
+        return error or ClusterError(f"{self._address}: a shard failed without an error")
 
     def _wait_and_compare(self, timeout_s: float) -> None:
         try:
@@ -176,100 +187,24 @@ class Cluster:
             if not isinstance(versions, dict):
                 raise ClusterError(
                     f"worker {worker} cannot run rendezview ({_reason(versions)}): install "
-                    "'rendezview[training,dask]' there, the version that is here"
+                    "'rendezview[training,dask]' there, in the same version as here"
                 )
-            _compare(versions, installed(), worker)
+            check_versions(versions, installed(), worker)
 
 
 async def _greet(address: str, timeout_s: float) -> None:
-    """Connect and leave: a client would wait forever for what listens and says nothing."""
-    if "://" in address and address.partition("://")[0] not in distributed.comm.registry.backends:
-        raise ValueError("no such kind of address")
+    """Ask the scheduler who it is: a client would wait forever for a server that never answers."""
     security = distributed.Security().get_connection_args("client")
-    comm = await asyncio.wait_for(
-        distributed.core.connect(address, timeout=timeout_s, **security), timeout_s + 1.0
-    )
-    await comm.close()
+    async with distributed.rpc(address, timeout=timeout_s, connection_args=security) as scheduler:
+        await asyncio.wait_for(scheduler.identity(n_workers=0), timeout_s + 1.0)
 
 
-_TALKATIVE = tuple(
-    f"distributed.{part}" for part in ("client", "core", "scheduler", "worker", "comm", "batched")
-)
-# What a scheduler that goes away, or data that died with a worker, is seen as.
-_LOST = (
-    asyncio.CancelledError,
-    concurrent.futures.CancelledError,
-    distributed.client.FutureCancelledError,
-    distributed.comm.CommClosedError,
-    OSError,
-    TimeoutError,
-    RuntimeError,
-)
-
-
-class _Failed(Exception):
-    """What a task raised, apart from what may befall a cluster."""
-
-    @property
-    def error(self) -> Exception:
-        cause: Exception = self.args[0]
-        return cause
-
-
-class _Backend(DaskDistributedBackend):  # type: ignore[misc]
-    """joblib's backend, which moves shared data to all workers first and passes failures on."""
-
-    def __init__(self, client: distributed.Client, shared: Shared) -> None:
-        super().__init__(client=client)
-        self._scatter = [shared]  # joblib finds what was sent by its identity
-        # By content Dask would mix up data that is being forgotten with the same sent again.
-        (sent,) = client.scatter(self._scatter, broadcast=True, hash=False)
-        self.data_futures = {id(shared): sent}
-
-    def effective_n_jobs(self, n_jobs: int) -> int:
-        """At least two: for one joblib would not ask the cluster, but compute here."""
-        return max(2, int(super().effective_n_jobs(n_jobs)))
-
-    def submit(
-        self, func: Any, callback: Callable[[Any], None] | None = None
-    ) -> concurrent.futures.Future[Any]:
-        """As joblib's, which does not call back where Dask gives up a task, and waits forever."""
-        future: concurrent.futures.Future[Any] = super().submit(func, callback)
-
-        def pass_on(done: concurrent.futures.Future[Any]) -> None:
-            failure = done.exception()
-            if failure is not None and callback is not None:
-                callback(failure)
-
-        future.add_done_callback(pass_on)
-        return future
-
-
-def _compared(
-    task: tuple[Task, Installed], k: int, shared: Shared, own: tuple[Any, ...]
-) -> tuple[int, Any]:
-    """One shard, on a worker that may have joined only now."""
-    function, versions = task
-    try:
-        _compare(installed(), versions, f"{platform.node()}, process {os.getpid()},")
-        return compute(function, k, shared, own)
-    except Exception as error:
-        return k, _Failed(error)
-
-
-def _compare(there: Installed, here: Installed, worker: str) -> None:
-    different = [
-        f"{name} {there.get(name)} there, {here.get(name)} here"
-        for name in sorted({*there, *here})
-        if there.get(name) != here.get(name)
-    ]
-    if different:
-        raise ClusterError(
-            f"worker {worker} has other versions, and would give other results: "
-            f"{'; '.join(different)}"
-        )
+def _run_checked(task: Task, versions: Installed, shared: Shared, own: tuple[Any, ...]) -> Any:
+    """Run one shard on a worker, which may have joined after the first comparison."""
+    check_versions(installed(), versions, f"{platform.node()}, process {os.getpid()},")
+    return run_shard(task, shared, own)
 
 
 def _reason(error: object) -> str:
-    """The first line of what an error says, or its kind."""
+    """The first line of an error's message, or its type."""
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

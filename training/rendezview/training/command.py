@@ -18,10 +18,10 @@ from rendezview.training.bundled import find_target
 from rendezview.training.job import Trained
 from rendezview.training.job import train as train_model
 from rendezview.training.mesh import load_mesh
+from rendezview.training.open_executor import open_executor
 from rendezview.training.options import Neighbourhood, TrainingOptions
 from rendezview.training.renderers import Renderer
 from rendezview.training.symmetries import find_symmetries
-from rendezview.training.workers import open_workers
 
 _DEFAULT = TrainingOptions()
 _SHELLS = ",".join(f"{shell:g}" for shell in _DEFAULT.contour_radii)
@@ -95,7 +95,7 @@ def train(
         options = replace(options.paper(), held_out_views=held_out)
     start = time.perf_counter()
     with (
-        open_workers(jobs, dask, tell=lambda line: console.print(line, style="dim")) as workers,
+        open_executor(jobs, dask, tell=lambda line: console.print(line, style="dim")) as executor,
         ProgressBar() as progress,
     ):
         trained = train_model(
@@ -106,7 +106,7 @@ def train(
             camera=load_camera(camera) if camera else None,
             symmetries=found.symmetries or find_symmetries(mesh),
             shape_error=found.shape_error,
-            workers=workers,
+            executor=executor,
             progress=progress,
         )
     if not console.is_terminal:

@@ -1,4 +1,4 @@
-"""pyrender as a second opinion; it needs OpenGL (EGL or OSMesa) of the system."""
+"""A renderer through pyrender, as a cross-check. It needs the system's OpenGL (EGL or OSMesa)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.training.mesh import Mesh
-from rendezview.training.renderers import Mask, Window, project_vertices
+from rendezview.training.projection import Mask, Window, project_vertices
 
-# pyrender draws four samples a pixel and reads the depth of the first, which the standard
-# pattern puts at (3/8, 1/8) of the pixel from its lower left corner: not at its centre.
+# px from the pixel's centre. pyrender draws four samples a pixel and reads the depth of the first,
+# which lies at (3/8, 1/8) px from the lower left corner. Source: OpenGL's standard 4-sample pattern
 _SAMPLE_PX = (0.375 - 0.5, 0.5 - 0.125)
 
 
 class PyrenderRenderer:
-    """Off-screen OpenGL through pyrender; slower than the default and never needed."""
+    """Off-screen OpenGL through pyrender; slower than the default, for cross-checks only."""
 
     def __init__(self, mesh: Mesh) -> None:
         self._mesh = mesh
@@ -28,7 +28,7 @@ class PyrenderRenderer:
         self._renderers: dict[tuple[int, int], Any] = {}
 
     def draw(self, camera_from_target: Pose, window: Window) -> Mask:
-        project_vertices(self._mesh.vertices_m, camera_from_target, window)  # nothing behind us
+        project_vertices(self._mesh.vertices_m, camera_from_target, window)  # checks the depths
         pyrender = self._pyrender
         centre, radius = self._mesh.bounding_sphere
         distance = float(np.linalg.norm(camera_from_target.apply(centre)))

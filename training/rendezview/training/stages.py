@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import atomic_write
-from rendezview.training.workers import Shared, Workers
+from rendezview.training.shard_executor import ShardExecutor, Shared
 
 Arrays = dict[str, npt.NDArray[Any]]
 Progress = Callable[[str, int, int], None]  # stage, done, of
@@ -59,7 +59,7 @@ class Shards:
         task: Callable[..., Arrays],
         shared: Shared,
         arguments: Sequence[tuple[Any, ...]],
-        workers: Workers,
+        executor: ShardExecutor,
         progress: Progress | None,
     ) -> list[Arrays]:
         """``task(*shared, *own)`` for the own arguments of each shard, in their order.
@@ -77,7 +77,7 @@ class Shards:
             progress(stage, len(results), len(arguments))
         if not todo:
             return [results[k] for k in range(len(arguments))]
-        computed = workers.results(task, shared, [arguments[k] for k in todo])
+        computed = executor.results(task, shared, [arguments[k] for k in todo])
         with contextlib.closing(computed):
             for i, result in computed:
                 self._write(stage, todo[i], result)

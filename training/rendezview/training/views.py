@@ -20,7 +20,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
     outlines_of_mask,
 )
 from rendezview.training.options import TrainingOptions, ViewGeometry
-from rendezview.training.renderers import Mask, SilhouetteRenderer, Window
+from rendezview.training.projection import Mask, SilhouetteRenderer, Window
 
 _SUPERSAMPLING = 2  # of perturbed views
 _MARGIN_PX = 6  # of sky around a perturbed view

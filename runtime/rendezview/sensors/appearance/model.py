@@ -16,6 +16,7 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges.contours import Contours, surfaces_of_cells
+from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
@@ -96,6 +97,7 @@ class ViewModel:
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
     surface: Surface | None = None  # what is bright and what dark; None: trained without
+    error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
 
     @property
     def bins(self) -> int:
@@ -145,6 +147,8 @@ class ViewModel:
             "shape_error": self.shape_error,
             "provenance": self.provenance,
         }
+        if self.error_model is not None:
+            header["error_model"] = self.error_model.record()
         write_container(Path(path), header, arrays)
 
     @classmethod
@@ -180,6 +184,7 @@ class ViewModel:
                     for s in header.get("symmetries", [])
                 ),
                 shape_error=float(header.get("shape_error", 0.0)),
+                error_model=_error_model(header),
                 provenance=dict(header["provenance"]),
                 **{name: arrays[name] for name in _ARRAYS},
             )
@@ -226,6 +231,11 @@ def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
     if found is None:
         raise KeyError("views")
     return found
+
+
+def _error_model(header: dict[str, Any]) -> ErrorModel | None:
+    """Of refined poses; models made earlier have none."""
+    return ErrorModel.of_record(header["error_model"]) if "error_model" in header else None
 
 
 def _part(

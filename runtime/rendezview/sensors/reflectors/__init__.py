@@ -5,6 +5,7 @@ from rendezview.sensors.reflectors.cameras import RangedCamera, SwitchingSensor
 from rendezview.sensors.reflectors.closed_form import Calibration, calibrate, closed_form
 from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions
 from rendezview.sensors.reflectors.discs import predict_spots
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
 from rendezview.sensors.reflectors.pattern import (
     ReflectorPattern,
@@ -13,7 +14,6 @@ from rendezview.sensors.reflectors.pattern import (
     pose_of,
     six_numbers,
 )
-from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.refinement import refine
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.spots import Centroid, Spots, find_spots

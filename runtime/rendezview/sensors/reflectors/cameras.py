@@ -9,8 +9,8 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.difference import LitDark
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
-from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 
 

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.reflectors.difference import Grey, LitDark
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
-from rendezview.sensors.reflectors.reading import ReflectorObservation
 
 _SCALE = 2
 _SPOT, _REFLECTOR, _WORDS = (120, 120, 120), (0, 165, 255), (230, 230, 230)  # blue green red

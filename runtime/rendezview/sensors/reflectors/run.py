@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -24,8 +24,8 @@ from rendezview.sensors.reflectors.closed_form import (
     closed_form,
 )
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, registered
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
-from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.track import TrackingOptions
 
@@ -130,9 +130,9 @@ def follow(
                 dark = registered(dark, lit_from_dark)
             frames = LitDark(pair.lit.read(), dark)
         except RendezviewError as error:
-            yield pair, ReflectorObservation(Status.UNREADABLE, str(error))
+            yield pair, ReflectorObservation(Status.UNREADABLE, str(error), time_s=pair.lit.time_s)
             continue
-        yield pair, sensors[camera].update(time_s, frames)
+        yield pair, replace(sensors[camera].update(time_s, frames), time_s=pair.lit.time_s)
 
 
 def record(
@@ -142,40 +142,11 @@ def record(
     calibration: Calibration | None = None,
 ) -> dict[str, Any]:
     """One reading as it stands in a log of JSON lines."""
-    spots = [
-        {**spot, "reflector": name}
-        for spot, name in zip(reading.spots.records(), reading.reflectors, strict=True)
-    ]
-    rates = reading.rates
-    plain = None
+    line = {"im_id": pair.lit.im_id, "image": pair.lit.name, **reading.record()}
     if calibration is not None:
-        plain = _closed(pair, reading, patterns, calibration)
-    return {
-        "im_id": pair.lit.im_id,
-        "image": pair.lit.name,
-        "time_s": pair.lit.time_s,
-        "status": str(reading.status),
-        "reason": reading.reason,
-        "spots": spots,
-        "triplet": reading.triplet if reading.pose is not None else None,
-        "group": reading.group if reading.pose is not None else None,
-        "pose": reading.pose,
-        "six": reading.six,
-        "roll_ambiguous": reading.roll_ambiguous if reading.pose is not None else None,
-        "covariance": reading.covariance,
-        "rates": None
-        if rates is None
-        else {
-            "velocity_m_s": rates.velocity_m_s,
-            "turn_rad_s": rates.turn_rad_s,
-            "six_per_s": rates.six_per_s,
-            "covariance": rates.covariance,
-            "span_s": rates.span_s,
-        },
-        **({} if calibration is None else {"closed_form": plain}),
-        "tracked": reading.tracked,
-        "stage_ms": reading.stage_ms,
-    }
+        last = {key: line.pop(key) for key in ("tracked", "stage_ms")}
+        line |= {"closed_form": _closed(pair, reading, patterns, calibration), **last}
+    return line
 
 
 def _closed(

@@ -20,9 +20,9 @@ from rendezview.sensors.reflectors.acquisition import (
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.sensors.reflectors.discs import camera_numbers
 from rendezview.sensors.reflectors.matching import expect_spots
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
-from rendezview.sensors.reflectors.reading import ReflectorObservation
 from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, Spots, find_spots
 from rendezview.sensors.reflectors.track import Track, TrackingOptions
@@ -142,8 +142,8 @@ class ReflectorSensor:
                 self._track.misses += 1
             self._unconfirmed = None
             return ReflectorObservation(
-                found.status, found.reason, spots=spots, reflectors=(None,) * len(spots),
-                stage_ms=stage_ms,
+                found.status, found.reason, time_s=time_s, spots=spots,
+                reflectors=(None,) * len(spots), stage_ms=stage_ms,
             )  # fmt: skip
         assert found.reflectors is not None
         assert found.spot_indices is not None
@@ -155,7 +155,8 @@ class ReflectorSensor:
             self._unconfirmed = (time_s, pose, self._table_of(found, spots))
             return ReflectorObservation(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
-                spots=spots, reflectors=tuple(names), group=found.group, stage_ms=stage_ms,
+                time_s=time_s, spots=spots, reflectors=tuple(names), group=found.group,
+                stage_ms=stage_ms,
             )  # fmt: skip
         ambiguous = found.roll_ambiguous
         if prior is not None and self._track is not None:  # it stays as well known as it was
@@ -313,12 +314,13 @@ class ReflectorSensor:
                 Status.PARTIAL,
                 f"{len(seen)} of the reflectors seen ({', '.join(names)}), which fixes no pose; "
                 f"not seen: {', '.join(lost)}",
-                spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
+                time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
             )  # fmt: skip
         return ReflectorObservation(
             Status.LOST,
             "no reflector where it was expected"
             + ("" if self.is_tracking else ": the whole picture is searched next"),
+            time_s=time_s,
             tracked=True,
             stage_ms=stage_ms,
         )
@@ -392,6 +394,7 @@ class ReflectorSensor:
         rates = self._rates.add(time_s, pose, six, refined.covariance)
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
         return ReflectorObservation(
-            Status.OK, None, pose, refined.covariance, six, rates, spots, names, whole.name,
-            ambiguous, tracked, stage_ms,
+            Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
+            rates=rates, spots=spots, reflectors=names, group=whole.name,
+            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms,
         )  # fmt: skip

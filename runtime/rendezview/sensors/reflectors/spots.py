@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.spot_centroid import window_moments
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.difference import (
     Grey,
@@ -228,13 +229,10 @@ def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _window(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-def]
     height, width = lit.shape
-    has_dark = dark.shape[0] > 0
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     # The rows above the threshold are the top of the spot: its true width is larger.
     sigma = min(max(1.2 * row[SIZE], _SMALLEST_PX), _LARGEST_PX)
-    pedestal = 0.0
-    if not has_dark:
-        pedestal = _rim(lit, row)
+    pedestal = _rim(lit, row) if dark.shape[0] == 0 else 0.0
     settled = False
     for turn in range(_ROUNDS):
         reach = _REACH * sigma
@@ -242,32 +240,9 @@ def _window(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-de
         y0, y1 = max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1)
         if x1 < x0 or y1 < y0:
             break
-        f = -0.5 / (sigma * sigma)
-        for u in range(x0, x1 + 1):
-            columns[u] = math.exp(f * (u - x) * (u - x))
-        for v in range(y0, y1 + 1):
-            rows[v] = math.exp(f * (v - y) * (v - y))
-        total = mx = my = mxx = myy = lever = 0.0
-        for v in range(y0, y1 + 1):
-            dy = v - y
-            a = ax = axx = q = qxx = 0.0
-            for u in range(x0, x1 + 1):
-                value = float(lit[v, u]) - pedestal
-                if has_dark:
-                    value -= dark[v, u]
-                w, dx = columns[u], u - x
-                wv = w * value
-                a += wv
-                ax += wv * dx
-                axx += wv * dx * dx
-                q += w * w
-                qxx += w * w * dx * dx
-            total += rows[v] * a
-            mx += rows[v] * ax
-            my += rows[v] * a * dy
-            mxx += rows[v] * axx
-            myy += rows[v] * a * dy * dy
-            lever += rows[v] * rows[v] * 0.5 * (qxx + q * dy * dy)
+        total, mx, my, mxx, myy, _, lever = window_moments(
+            lit, dark, pedestal, x, y, sigma, (x0, x1, y0, y1), columns, rows
+        )
         if not total > 0.0:
             break
         row[AMPLITUDE] = total / (math.pi * sigma * sigma)  # a Gaussian's peak, whatever its phase

@@ -9,7 +9,8 @@ from rendezview.sensors.ring.circle_pose import (
 )
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse, fit_hyper, fit_paper
-from rendezview.sensors.ring.sensor import RingObservation, RingPrior, RingSensor
+from rendezview.sensors.ring.observation import RingObservation
+from rendezview.sensors.ring.sensor import RingPrior, RingSensor
 
 __all__ = [
     "Choice",

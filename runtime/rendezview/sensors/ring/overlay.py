@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.ring.circle_pose import CirclePose
 from rendezview.sensors.ring.ellipse import Ellipse
-from rendezview.sensors.ring.sensor import RingObservation
+from rendezview.sensors.ring.observation import RingObservation
 
 Picture = npt.NDArray[np.uint8]
 
@@ -27,13 +27,13 @@ def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera)
     canvas = np.asarray(cv2.cvtColor(np.asarray(image, np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
     for k, edge in reversed(list(enumerate(reading.edges))):
         _ellipse(canvas, edge.ellipse, camera, _BEST if k == reading.edge else _OTHER)
-    for k, pose in enumerate(reading.poses):
+    for k, circle in enumerate(reading.circles):
         chosen = reading.choice is not None and reading.choice.index == k
-        _axis(canvas, pose, camera, _CHOSEN if chosen else _REFUSED)
+        _axis(canvas, circle, camera, _CHOSEN if chosen else _REFUSED)
     lines = [f"{reading.status}: {len(reading.edges)} ellipses"]
-    if reading.pose is not None:
-        far = float(np.linalg.norm(reading.pose.centre_m))
-        lines = [f"range {far:.3f} m   tilt {math.degrees(reading.pose.tilt_rad):.2f} deg"]
+    if reading.circle is not None:
+        far = float(np.linalg.norm(reading.circle.centre_m))
+        lines = [f"range {far:.3f} m   tilt {math.degrees(reading.circle.tilt_rad):.2f} deg"]
     elif reading.reason:
         lines.append(reading.reason[:90].encode("ascii", "replace").decode())
     for number, line in enumerate(lines):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 from rendezview.errors import RendezviewError
@@ -10,7 +11,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.detector import RingOptions
-from rendezview.sensors.ring.sensor import RingObservation, RingPrior, RingSensor
+from rendezview.sensors.ring.observation import RingObservation
+from rendezview.sensors.ring.sensor import RingPrior, RingSensor
 
 
 def follow(
@@ -21,7 +23,10 @@ def follow(
     prior: Callable[[Frame], RingPrior | None] | None = None,
     independent: bool = False,
 ) -> Iterator[tuple[Frame, GreyImage | None, RingObservation]]:
-    """One reading a frame, in order; a picture that cannot be read says so and is passed.
+    """One observation of each frame, in the order of the sequence.
+
+    A picture that cannot be read has the status ``UNREADABLE``. The sensor's clock counts the
+    frames: those of a set of single frames may have any times, or none.
 
     Args:
         sequence: the frames.
@@ -31,7 +36,7 @@ def follow(
         independent: each on its own, no memory.
     """
     sensors: dict[Camera, RingSensor] = {}
-    for frame in sequence:
+    for number, frame in enumerate(sequence):
         if frame.camera not in sensors:
             sensors[frame.camera] = RingSensor(frame.camera, radius_m, options)
         sensor = sensors[frame.camera]
@@ -40,42 +45,13 @@ def follow(
         try:
             image = frame.read()
         except RendezviewError as error:
-            yield frame, None, RingObservation(Status.UNREADABLE, str(error))
+            unread = RingObservation(Status.UNREADABLE, str(error), time_s=frame.time_s)
+            yield frame, None, unread
             continue
-        yield frame, image, sensor.update(image, prior(frame) if prior else None)
+        observation = sensor.update(float(number), image, prior(frame) if prior else None)
+        yield frame, image, replace(observation, time_s=frame.time_s)
 
 
-def record(frame: Frame, reading: RingObservation) -> dict[str, Any]:
+def record(frame: Frame, observation: RingObservation) -> dict[str, Any]:
     """One frame as it stands in the log of JSON lines."""
-    return {
-        "im_id": frame.im_id,
-        "image": frame.name,
-        "time_s": frame.time_s,
-        "status": str(reading.status),
-        "reason": reading.reason,
-        "ellipses": [
-            {
-                "centre_px": edge.ellipse.centre_px,
-                "semi_axes_px": edge.ellipse.semi_axes_px,
-                "angle_rad": edge.ellipse.angle_rad,
-                "covariance": edge.ellipse.covariance,
-                "arc_deg": edge.arc_deg,
-                "score": edge.score,
-                "family": edge.family,
-                "contrast_grey": edge.contrast_grey,
-            }
-            for edge in reading.edges
-        ],
-        "ellipse": reading.edge,
-        "poses": [
-            {
-                "centre_m": pose.centre_m,
-                "axis": pose.axis,
-                "covariance": pose.covariance,
-                "chosen": reading.choice is not None and reading.choice.index == k,
-                "reason": None if reading.choice is None else reading.choice.reason,
-            }
-            for k, pose in enumerate(reading.poses)
-        ],
-        "stage_ms": reading.stage_ms,
-    }
+    return {"im_id": frame.im_id, "image": frame.name, **observation.record()}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+import threading
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,7 @@ from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle
 from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse
+from rendezview.sensors.ring.observation import RingObservation
 
 Array = npt.NDArray[np.float64]
 
@@ -35,28 +37,10 @@ class RingPrior:
     range_m: float | None = None  # to the ring's centre; counts while its place is not known
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RingObservation:
-    """What a frame says of the ring."""
-
-    status: Status
-    reason: str | None
-    edges: tuple[RingEdge, ...] = ()  # best first
-    edge: int | None = None  # number of the one that the poses are of
-    poses: tuple[CirclePose, ...] = ()
-    choice: Choice | None = None
-    stage_ms: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def pose(self) -> CirclePose | None:
-        """The chosen pose."""
-        if self.choice is None or self.choice.index is None:
-            return None
-        return self.poses[self.choice.index]
-
-
 class RingSensor:
     """Follows one ring through the frames of a camera.
+
+    Threads may share an instance: their calls run one after the other.
 
     Args:
         camera: of the frames.
@@ -71,62 +55,80 @@ class RingSensor:
             raise ValueError(f"radius_m must be positive, not {radius_m}")
         self.camera, self.radius_m = camera, radius_m
         self._detector = RingDetector(camera, options)
+        self._lock = threading.Lock()
         self.reset()
 
     def reset(self) -> None:
-        """Forget the frames so far."""
+        """Forget the frames so far, and their times."""
+        with self._lock:
+            self._last_s = -math.inf
+            self._forget()
+
+    def _forget(self) -> None:
         self._last: CirclePose | None = None
         self._pair: tuple[CirclePose, ...] = ()  # of the last frame, where none was chosen
         self._missed = 0
         self._motion = MotionChooser()
 
-    def update(self, image: npt.ArrayLike, prior: RingPrior | None = None) -> RingObservation:
-        """Read a frame, (H, W) uint8.
+    def update(
+        self, time_s: float, image: npt.ArrayLike, prior: RingPrior | None = None
+    ) -> RingObservation:
+        """Look at the next frame, (H, W) uint8.
 
         Args:
+            time_s: of the frame, later than that of the frame before.
             image: the picture.
-            prior: what is known otherwise; wins over the memory of the last frame.
+            prior: what other sensors know; it wins over the memory of the last frame.
 
         Raises:
+            ValueError: the time is not finite, or not later than that of the frame before.
             RendezviewError: the image is not one of this camera's.
         """
-        detection = self._detector.detect(image)
-        given = prior or RingPrior()
-        if self.radius_m is None:
-            edge = self._by_shape(detection, given)
-            if edge is None:
-                return self._nothing(detection, detection.reason or "no ellipse")
-            reason = "no radius is given, so no pose"
-            return RingObservation(
-                Status.OK, reason, detection.edges, edge, stage_ms=detection.stage_ms
-            )
-        edge, told = self._select(detection, given)
-        if edge is None:
-            return self._nothing(detection, told)
-        poses, misfits = joint_poses(self.camera, _companions(detection.edges, edge), self.radius_m)
-        if not poses:
-            return self._nothing(detection, "the ellipse is no circle's picture")
-        choice = self._choose(poses, misfits, given)
-        if choice.index is not None:
-            self._last, self._missed = poses[choice.index], 0
-        else:
-            self._pair = poses
-        status = Status.AMBIGUOUS if choice.index is None else Status.OK
-        why = choice.reason if choice.index is None else None
-        return RingObservation(
-            status, why, detection.edges, edge, poses, choice, detection.stage_ms
-        )
+        with self._lock:
+            if not (math.isfinite(time_s) and time_s > self._last_s):
+                raise ValueError(
+                    f"frames must come in order of time: {time_s} after {self._last_s}"
+                )
+            detection = self._detector.detect(image)
+            self._last_s = time_s
+            return self._read(time_s, detection, prior or RingPrior())
 
-    def _nothing(self, detection: Detection, reason: str) -> RingObservation:
+    def _read(self, time_s: float, detection: Detection, prior: RingPrior) -> RingObservation:
+        if self.radius_m is None:
+            if not detection.edges:
+                return self._nothing(time_s, detection, detection.reason or "no ellipse")
+            return RingObservation(
+                Status.OK, "no radius is given, so no pose", time_s=time_s,
+                edges=detection.edges, edge=0, stage_ms=detection.stage_ms,
+            )  # fmt: skip
+        edge, why = self._select(detection, prior)
+        if edge is None:
+            return self._nothing(time_s, detection, why)
+        circles, misfits = joint_poses(
+            self.camera, _companions(detection.edges, edge), self.radius_m
+        )
+        if not circles:
+            return self._nothing(time_s, detection, "the ellipse is no circle's picture")
+        choice = self._choose(circles, misfits, prior)
+        if choice.index is not None:
+            self._last, self._missed = circles[choice.index], 0
+        else:
+            self._pair = circles
+        status = Status.AMBIGUOUS if choice.index is None else Status.OK
+        return RingObservation(
+            status, choice.reason if choice.index is None else None, time_s=time_s,
+            edges=detection.edges, edge=edge, circles=circles, choice=choice,
+            stage_ms=detection.stage_ms,
+        )  # fmt: skip
+
+    def _nothing(self, time_s: float, detection: Detection, reason: str) -> RingObservation:
         self._missed += 1
         if self._missed >= _FORGET_FRAMES:
-            self.reset()
+            self._forget()
         return RingObservation(
-            Status.NOT_FOUND, reason, detection.edges, stage_ms=detection.stage_ms
-        )
-
-    def _by_shape(self, detection: Detection, prior: RingPrior) -> int | None:
-        return 0 if detection.edges else None
+            Status.NOT_FOUND, reason, time_s=time_s,
+            edges=detection.edges, stage_ms=detection.stage_ms,
+        )  # fmt: skip
 
     def _select(self, detection: Detection, prior: RingPrior) -> tuple[int | None, str]:
         """Which ellipse is the ring's edge of the known radius."""

@@ -5,13 +5,10 @@ from rendezview.sensors.stereo.detectors import UNKNOWN, Photodiode, Spots
 from rendezview.sensors.stereo.euler import YawPitchRoll, rotation_of, yaw_pitch_roll
 from rendezview.sensors.stereo.lens import Lens
 from rendezview.sensors.stereo.motion import MotionOptions
+from rendezview.sensors.stereo.observation import StereoObservation
 from rendezview.sensors.stereo.response import Normalisation, Response, ResponseFit, fit_response
 from rendezview.sensors.stereo.rig import Rig, RigCamera, Sights
-from rendezview.sensors.stereo.tracker import (
-    StereoObservation,
-    StereoTracker,
-    TrackerOptions,
-)
+from rendezview.sensors.stereo.tracker import StereoTracker, TrackerOptions
 
 __all__ = [
     "UNKNOWN",

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.sensors.stereo.collinearity import lights_seen, rotation_vector, solve
+from rendezview.sensors.stereo.collinearity import lights_seen, solve
 from rendezview.sensors.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
@@ -128,9 +129,8 @@ def agree(
 
 def distance(one: Fit, other: Fit) -> float:
     """Squared distance of two poses in standard deviations of the first."""
-    away = np.empty(6)
-    rotation_vector(other.rotation @ one.rotation.T, away)
-    away[3:] = other.translation - one.translation
+    turn = so3.between(other.rotation, one.rotation)
+    away = np.concatenate([turn, other.translation - one.translation])
     return float(away @ one.information @ away)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.pose import Array
 from rendezview.sensors.stereo.agreement import (
     FEWEST_LIGHTS,
@@ -17,7 +18,7 @@ from rendezview.sensors.stereo.agreement import (
     Disagreement,
     agree,
 )
-from rendezview.sensors.stereo.collinearity import invert, lights_seen, solve
+from rendezview.sensors.stereo.collinearity import lights_seen, solve
 from rendezview.sensors.stereo.detectors import read_currents
 from rendezview.sensors.stereo.rig import Sights, ideal_spot
 from rendezview.sensors.stereo.tracker import StereoTracker

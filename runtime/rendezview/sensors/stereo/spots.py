@@ -16,6 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.errors import RendezviewError
+from rendezview.estimation.spot_centroid import window_moments
 from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 
 Array = npt.NDArray[np.float64]
@@ -116,26 +117,23 @@ def _centre(
     x, y = sx / total, sy / total
     s2 = max(0.25, (max(w, h) / 4.0) ** 2)
     height, width = grey.shape
+    columns, rows, nothing = np.empty(width), np.empty(height), grey[:0, :0]
     peak = 0.0
     for _ in range(_ITERATIONS):
         reach = 3.0 * np.sqrt(s2) + 1.0
-        left, right = max(int(x - reach), 0), min(int(x + reach) + 2, width)
-        top, bottom = max(int(y - reach), 0), min(int(y + reach) + 2, height)
-        sw = sq = swx = swy = sw2 = 0.0
-        for j in range(top, bottom):
-            for i in range(left, right):
-                dx, dy = i - x, j - y
-                d2 = dx * dx + dy * dy
-                g = np.exp(-0.5 * d2 / s2)
-                value = g * (float(grey[j, i]) - sky)
-                sw, swx, swy, sq = sw + value, swx + value * dx, swy + value * dy, sq + value * d2
-                sw2 += g * g
+        box = (
+            max(int(x - reach), 0), min(int(x + reach) + 1, width - 1),
+            max(int(y - reach), 0), min(int(y + reach) + 1, height - 1),
+        )  # fmt: skip
+        sw, swx, swy, sxx, syy, sw2, _ = window_moments(
+            grey, nothing, sky, x, y, np.sqrt(s2), box, columns, rows
+        )
         if not sw > 0.0:
             return 0.0, 0.0, 0.0, 0.0
         peak = sw / sw2
         mx, my = swx / sw, swy / sw
         # Product of spot and window: its variance m, 1/m = 1/spot + 1/window
-        m = 0.5 * (sq / sw - mx * mx - my * my)
+        m = 0.5 * ((sxx + syy) / sw - mx * mx - my * my)
         spot = 1.0 / (1.0 / m - 1.0 / s2) if 0.0 < m < 0.98 * s2 else 4.0 * s2
         shift = 1.0 + s2 / max(spot, 0.25)  # the window holds the centre back by so much
         x, y = x + shift * mx, y + shift * my

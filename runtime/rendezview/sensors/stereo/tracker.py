@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.stereo import motion
@@ -22,9 +24,9 @@ from rendezview.sensors.stereo.agreement import (
 )
 from rendezview.sensors.stereo.collinearity import lights_seen
 from rendezview.sensors.stereo.detectors import Spots
-from rendezview.sensors.stereo.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.sensors.stereo.identity import identify, nearest_lights
 from rendezview.sensors.stereo.motion import Motion, MotionOptions
+from rendezview.sensors.stereo.observation import Names, StereoObservation
 from rendezview.sensors.stereo.rig import Rig, Sights, required_leds
 from rendezview.sensors.stereo.start import candidates
 
@@ -40,62 +42,6 @@ class TrackerOptions:
     window: float = 0.03  # normalised; unnamed spots are looked for so far from the forecast
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StereoObservation:
-    """One reading's answer. Poses are ``None`` where there is none, with the reason."""
-
-    status: Status
-    reason: str | None = None
-    fit: Fit | None = None  # this reading alone, rig frame
-    estimate: Motion | None = None  # the filter after it, where there is one
-    found_anew: bool = False  # without help of the estimate before
-    spots: tuple[Spots, ...] = ()  # with the lights' numbers
-    camera_from_rig: Pose | None = None  # of the first camera
-
-    @property
-    def rig_from_target(self) -> Pose | None:
-        """The pose in the rig (laboratory) frame: the filter's where there is one."""
-        source = self.estimate or self.fit
-        return None if source is None else Pose(source.rotation, source.translation)
-
-    @property
-    def pose(self) -> Pose | None:
-        """``camera_from_target`` of the first camera."""
-        found = self.rig_from_target
-        return (
-            None if found is None or self.camera_from_rig is None else self.camera_from_rig @ found
-        )
-
-    @property
-    def covariance(self) -> Array | None:
-        """(6, 6) of `pose`, in the frame of the first camera."""
-        if self.estimate is not None:
-            in_rig = self.estimate.covariance[:6, :6]
-        elif self.fit is not None:
-            in_rig = np.asarray(np.linalg.inv(self.fit.information), np.float64)
-        else:
-            return None
-        assert self.camera_from_rig is not None
-        both = np.kron(np.eye(2), self.camera_from_rig.rotation)
-        return np.asarray(both @ in_rig @ both.T)
-
-    @property
-    def yaw_pitch_roll(self) -> YawPitchRoll | None:
-        """ψ, θ, φ of eq. 3 in the rig frame, radians."""
-        source = self.estimate or self.fit
-        return None if source is None else yaw_pitch_roll(source.rotation)
-
-    @property
-    def left_out(self) -> tuple[tuple[int, int], ...]:
-        """(camera, light) that were seen and not believed."""
-        return () if self.fit is None else self.fit.left_out
-
-    @property
-    def exchanged(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of lights that were seen under each other's number."""
-        return () if self.fit is None else self.fit.exchanged
-
-
 class StereoTracker:
     """Follows the lights of one target with the cameras of one rig.
 
@@ -104,6 +50,7 @@ class StereoTracker:
         leds: (L, 3) lights in the target frame, metres.
         normals: (L, 3) directions of their beams; left out, they shine everywhere.
         options: of following.
+        led_names: of the lights, for logs; left out: led1, led2 ...
 
     Raises:
         RendezviewError: fewer than three lights, or all on one line.
@@ -115,6 +62,7 @@ class StereoTracker:
         leds: npt.ArrayLike,
         normals: npt.ArrayLike | None = None,
         options: TrackerOptions | None = None,
+        led_names: Sequence[str] | None = None,
     ) -> None:
         self.rig = rig
         self.leds = required_leds(list(np.asarray(leds, dtype=np.float64)), "the target")
@@ -124,9 +72,14 @@ class StereoTracker:
         if self.normals.shape != self.leds.shape:
             raise ValueError(f"normals must be {self.leds.shape}, not {self.normals.shape}")
         self.options = options or TrackerOptions()
+        self.names = Names(
+            tuple(camera.name for camera in rig.cameras),
+            tuple(led_names or (f"led{k + 1}" for k in range(len(self.leds)))),
+        )
         self._first = rig.cameras[0].camera_from_rig
         self._last: Motion | None = None
         self._last_time_s = -np.inf
+        self._lock = threading.Lock()  # of the two above
 
     @classmethod
     def of_target(
@@ -139,7 +92,8 @@ class StereoTracker:
         """
         required_leds([led.position_m for led in target.leds], f"target {target.name!r}")
         positions = np.array([led.position_m for led in target.leds])
-        return cls(rig, positions, np.array([led.normal for led in target.leds]), options)
+        normals = np.array([led.normal for led in target.leds])
+        return cls(rig, positions, normals, options, [led.name for led in target.leds])
 
     @property
     def estimate(self) -> Motion | None:
@@ -149,21 +103,28 @@ class StereoTracker:
     def update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
         """Solve the next reading, one `Spots` for each camera.
 
-        Named spots are taken as named; if any spot has no name, all are told by geometry.
+        Named spots keep their names; if any spot has no name, all are identified by geometry.
 
         Raises:
             ValueError: times that do not rise, or spots that are not this rig's or target's.
         """
+        start_s = time.perf_counter()
+        with self._lock:
+            observation = self._update(time_s, spots)
+        observation.stage_ms["track"] = 1e3 * (time.perf_counter() - start_s)
+        return observation
+
+    def _update(self, time_s: float, spots: Sequence[Spots]) -> StereoObservation:
         if not (np.isfinite(time_s) and time_s > self._last_time_s):
             raise ValueError(
                 f"readings must come in order of time: {time_s} s after {self._last_time_s} s"
             )
         self._last_time_s = time_s
         forecast = self._forecast(time_s)
-        found_anew, named = forecast is None, tuple(spots)
+        restarted, named = forecast is None, tuple(spots)
         fit: Fit | Disagreement | None = None
         if not all(found.identified for found in spots):
-            fit, named, found_anew = self._identify(spots, forecast)
+            fit, named, restarted = self._identify(spots, forecast)
         sights = self.rig.sights(named, len(self.leds))
         if fit is None and lights_seen(sights.weight) < FEWEST_LIGHTS:
             return self._partial(time_s, forecast, sights, named)
@@ -172,13 +133,13 @@ class StereoTracker:
             if fit is None or not fit.agrees:
                 fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
         if fit is None or (isinstance(fit, Disagreement) and not fit.ambiguous):
-            found_anew = True
+            restarted = True
             fit = self.locate(sights, forecast)
         if isinstance(fit, Disagreement):
             self._lose(time_s)
             status = Status.AMBIGUOUS if fit.ambiguous else Status.DISAGREE
-            return StereoObservation(status, fit.reason, spots=named)
-        return self._accept(time_s, fit, forecast, found_anew, named)
+            return self._none(time_s, status, fit.reason, named)
+        return self._accept(time_s, fit, forecast, restarted, named)
 
     def locate(self, sights: Sights, forecast: Motion | None = None) -> Fit | Disagreement:
         """The pose from identified lights without knowing where the target is.
@@ -250,24 +211,27 @@ class StereoTracker:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
             if after is not None:
                 self._last = after
-                return StereoObservation(
-                    Status.PARTIAL, reason, estimate=after, spots=named, camera_from_rig=self._first
-                )
+                return StereoObservation.of_pose(
+                    Status.PARTIAL, reason, time_s, self._first, None, after, False, named,
+                    self.names,
+                )  # fmt: skip
         self._lose(time_s)
-        return StereoObservation(Status.FEW_LIGHTS, reason, spots=named)
+        return self._none(time_s, Status.FEW_LIGHTS, reason, named)
 
     def _accept(
         self,
         time_s: float,
         fit: Fit,
         forecast: Motion | None,
-        found_anew: bool,
+        restarted: bool,
         named: tuple[Spots, ...],
     ) -> StereoObservation:
         options = self.options.motion
         if options is None:
             self._last = Motion(time_s, fit.rotation, fit.translation, _NO_RATES, _NO_COVARIANCE)
-            return StereoObservation(Status.OK, None, fit, None, found_anew, named, self._first)
+            return StereoObservation.of_pose(
+                Status.OK, None, time_s, self._first, fit, None, restarted, named, self.names
+            )
         after = None
         own = fit.rotation, fit.translation
         if forecast is not None and not motion.breaks(forecast, *own, fit.information):
@@ -278,7 +242,14 @@ class StereoTracker:
             covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
             after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
         self._last = after
-        return StereoObservation(Status.OK, None, fit, after, found_anew, named, self._first)
+        return StereoObservation.of_pose(
+            Status.OK, None, time_s, self._first, fit, after, restarted, named, self.names
+        )
+
+    def _none(
+        self, time_s: float, status: Status, reason: str, named: tuple[Spots, ...]
+    ) -> StereoObservation:
+        return StereoObservation(status, reason, spots=named, names=self.names, time_s=time_s)
 
     def _lose(self, time_s: float) -> None:
         if self._last is not None and time_s - self._last.time_s > self.options.longest_outage_s:

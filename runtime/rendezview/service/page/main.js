@@ -29,7 +29,7 @@ let decoding = false, fetching = false, drawing = false;
 let banner = ""; // what the words were said of
 let fresh = false, slowAt = 0, plotAt = 0, plotCost = 0, moved = false;
 
-/** For tests and scripts/service_page.py: what was drawn, and how often. */
+/** For tests and experiment service-page: what was drawn, and how often. */
 const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, webgl: null });
 
 // What comes

@@ -49,11 +49,11 @@ _LOOSE_STRIDE = 2  # so many points are enough to judge that
 _HOPELESS = 0.65  # of the best loosely judged support: below, one of 200 right poses lies
 _LEAST_EDGES = 12  # found, for six unknowns
 _LONGEST_TURN_RAD = 0.2  # of one step
-_AGREEING = 0.53  # of the spread: such a residual supports the pose by exp(−½)
+_AGREEING = 0.53  # of the spread: such a residual ratios the pose by exp(−½)
 _SMALL = 0.01  # of the target's radius in pixels: there a step stops as at one pixel
 _NO_LIGHT = np.zeros(1)
 _NO_SUN = np.zeros(3)
-ASTRAY = -9.0  # of ``align``: no pose
+DIVERGED = -9.0  # of ``align``: no pose
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix
 
 
@@ -236,7 +236,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
 
     Returns:
         How well one light explains the frame, see ``light``, 0 where that was not asked;
-        ``ASTRAY`` where too few edges are found or the pose runs away.
+        ``DIVERGED`` where too few edges are found or the pose runs away.
     """
     matrix, right = np.empty((6, 6)), np.empty(6)
     shade = np.zeros(views.palette.shape[0])
@@ -267,7 +267,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
                 )  # fmt: skip
             used, weights = normal_equations(edges, _CUT_SPREADS * stage[SPREAD], matrix, right)
             if used < _LEAST_EDGES:
-                return ASTRAY
+                return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre
             held = stage[DAMPING] * weights * scale * scale
             for a in range(3):
@@ -279,7 +279,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             rotation[:] = turned(step[:3] * shorter, rotation)
             centre += step[3:] * shorter
             if not (centre[2] > 1.02 * radius_m and centre[2] < 1e9 * radius_m):
-                return ASTRAY
+                return DIVERGED
             shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
             # The last step is small in pixels, and beside a target that is small itself.
             small = stage[STOP] * min(1.0, _SMALL * scale * radius_m)
@@ -291,13 +291,13 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
 
 
 @njit(cache=True, nogil=True)
-def support(  # type: ignore[no-untyped-def]
+def inlier_ratios(  # type: ignore[no-untyped-def]
     image, lens, frame, views, rotation, centre, spread_px, stride, edges
 ):
-    """How well a pose explains the frame: shares of the outline and of inner edges, and seen.
+    """How well a pose explains the frame: shares of the outline and of inner edges, and visible.
 
     An edge within half the spread of its place counts nearly whole; every ``stride``-th point is
-    looked at. ``seen`` is the share of the outline's points that lie in the picture.
+    looked at. ``visible`` is the share of the outline's points that lie in the picture.
     """
     nearest = np.zeros(1, dtype=np.int64)
     shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
@@ -308,7 +308,7 @@ def support(  # type: ignore[no-untyped-def]
         int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
-    outlines, inners, seen = 1e-9, 1e-9, 0.0
+    outlines, inners, visible = 1e-9, 1e-9, 0.0
     for j in range(0, count, stride):
         agrees = 0.0
         if edges[j, STATE] == FOUND:
@@ -316,30 +316,30 @@ def support(  # type: ignore[no-untyped-def]
         if kinds[j] == OUTLINE:
             outlines += 1.0
             outline += agrees
-            seen += edges[j, STATE] >= 0.0
+            visible += edges[j, STATE] >= 0.0
         elif kinds[j] != NO_POINT:
             inners += 1.0
             inner += agrees
-    return outline / outlines, inner / inners, seen / outlines
+    return outline / outlines, inner / inners, visible / outlines
 
 
 @njit(cache=True, nogil=True)
 def align_each(  # type: ignore[no-untyped-def]
-    image, lens, frame, first, then, views, rotations, centres, survivors, supports
+    image, lens, frame, first, then, views, rotations, centres, survivors, ratios
 ):
-    """``align`` and ``support`` of K hypotheses, in place.
+    """``align`` and ``inlier_ratios`` of K hypotheses, in place.
 
-    All go through the stages ``first``; the ``survivors`` best supported, loosely judged, go
-    on through ``then``, but for those far below the best. ``supports`` is (K, 3), 0 for the others
+    All go through the stages ``first``; the ``survivors`` with the best loose inlier ratio, go
+    on through ``then``, but for those far below the best. ``ratios`` is (K, 3), 0 for the others
     and the lost.
     """
     edges = np.zeros((views.point.shape[2], COLUMNS))
     count = rotations.shape[0]
     rough = np.zeros(count)
     for k in range(count):
-        supports[k] = 0.0
-        if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != ASTRAY:
-            outline, inner, _ = support(
+        ratios[k] = 0.0
+        if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != DIVERGED:
+            outline, inner, _ = inlier_ratios(
                 image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, _LOOSE_STRIDE, edges
             )
             rough[k] = outline + 0.5 * inner
@@ -348,7 +348,7 @@ def align_each(  # type: ignore[no-untyped-def]
         k = order[i]
         if rough[k] < _HOPELESS * rough[order[0]] or rough[k] <= 0.0:
             break
-        if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != ASTRAY:
-            supports[k] = support(
+        if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:
+            ratios[k] = inlier_ratios(
                 image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, 1, edges
             )

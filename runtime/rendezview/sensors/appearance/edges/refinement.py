@@ -16,28 +16,27 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.grey_frame import grain
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import (
-    ASTRAY,
     CLOSE_PX,
+    DIVERGED,
     VIEWS,
     Stage,
     align,
     align_each,
     covariance_of,
+    inlier_ratios,
     strain_covariance,
-    support,
 )
 from rendezview.sensors.appearance.edges.contours import Contours
 from rendezview.sensors.appearance.edges.edge_search import (
     COLUMNS,
     ViewTables,
 )
+from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.sky import sky_level
-
-Picture = npt.NDArray[np.uint8]
+from rendezview.sensors.appearance.sky import Sky
 
 # Many starting points are aligned roughly, the better ones coarsely, …
 _QUICK = (
@@ -63,9 +62,6 @@ _CUT_PX = 1.25  # of the last stage
 _INEXACT = _FINE[:-1]
 _INEXACT_CUT_PX = 3.0
 _LEAST_SIGMA_PX = 0.1  # of an edge's place: what blur and grain leave in the best of cases
-_DARK_SKY_GREY = 60.0  # above, the sky is no sky
-_GRAIN_ROWS = 64
-_SCATTER_GREY = 3.0  # of the border beyond the grain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,59 +75,22 @@ class RefineOptions:
             raise ValueError(f"blur_px must be 0.3 to 5: {self.blur_px}")
 
 
-@dataclass(frozen=True, slots=True)
-class Sky:
-    """What lies behind the target."""
-
-    level_grey: float
-    noise_grey: float  # one σ, of neighbouring pixels
-    dark: bool  # black sky: whatever is brighter is the target
-    sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
-
-    @classmethod
-    def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
-        """Measured along the border and on a sparse grid."""
-        level, spread = sky_level(image)
-        noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
-        border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
-        bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
-        dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
-        return cls(level, noise, dark, sun_camera)
-
-    @property
-    def vector(self) -> Array:
-        """(6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown."""
-        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
-        return np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
     """A pose on the edges of a frame."""
 
     pose: Pose  # camera_from_target
     covariance: Array  # (6, 6) rotation vector, translation; camera frame, left
-    outline: float  # share of the outline whose edges are where the pose puts them
-    inner: float  # the same of creases and steps
-    seen: float  # share of the outline that lies in the picture
-    residual_px: float  # root mean square of the edges that count
+    outline: float  # inlier ratio of the outline: share of its points with an edge in place
+    inner: float  # inlier ratio of creases and steps
+    visible: float  # share of the outline that lies in the picture
+    residual_px: float  # root mean square over the inliers
     light: float  # share of the grey levels beside the edges that one light explains
 
     @property
-    def support(self) -> float:
-        """One figure of merit, 0 … 1: two thirds the outline's, one third the inner edges'."""
+    def inlier_ratio(self) -> float:
+        """0 … 1: two thirds the outline's, one third the inner edges'."""
         return (2.0 * self.outline + self.inner) / 3.0
-
-
-def inflating(outline: float, residual_px: float, dark: float) -> Array:
-    """(4,) what tells how much larger errors are than independent edges would make them."""
-    return np.array([1.0, 1.0 - outline, residual_px, dark])
-
-
-# Of ``inflating``, log of the factor of the covariance: neighbouring edges err together, and the
-# less of the outline is seen the more. Fitted by scripts/pose_confidence.py (seeds 1, 88, 99),
-# the first raised until the normalised error squared at low Sun phase averages six on these.
-_INFLATION = np.array([0.77, 3.13, 4.41, -1.42])
 
 
 class Refiner:
@@ -145,6 +104,7 @@ class Refiner:
         self.model = model
         self.camera = camera
         self.options = options or RefineOptions()
+        self.error_model = model.error_model or ErrorModel.packaged()
         contours: Contours = model.contours
         self._views = ViewTables(
             np.ascontiguousarray(model.lattice.nodes),
@@ -181,7 +141,7 @@ class Refiner:
         rotation, centre = self._centred(start)
         frame, stages = sky.vector, self._stages[1:] if closely else self._stages
         light = align(image, self._lens, frame, stages, self._views, rotation, centre, self._edges)
-        return None if light == ASTRAY else self._result(image, frame, rotation, centre, light)
+        return None if light == DIVERGED else self._result(image, frame, rotation, centre, light)
 
     def best(
         self,
@@ -193,7 +153,7 @@ class Refiner:
         *,
         thorough: bool = False,
     ) -> list[Refined]:
-        """Starting poses aligned coarsely, the ``keep`` best supported refined, best first.
+        """Align starting poses coarsely, refine the ``keep`` best; by inlier ratio, best first.
 
         Args:
             rotations: (K, 3, 3) camera_from_target, changed in place.
@@ -201,14 +161,14 @@ class Refiner:
             thorough: align with more points, in more steps.
         """
         rough, coarse = _THOROUGH if thorough else _QUICK
-        supports = np.empty((len(rotations), 3))
+        ratios = np.empty((len(rotations), 3))
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
         align_each(
             image, self._lens, frame, rough, coarse, self._views, rotations, centres,
-            survivors, supports,
+            survivors, ratios,
         )  # fmt: skip
-        merit = (2.0 * supports[:, 0] + supports[:, 1]) / 3.0
+        merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
         chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
         found = []
         for k in chosen:
@@ -222,9 +182,9 @@ class Refiner:
                 centres[k],
                 self._edges,
             )
-            if light != ASTRAY:
+            if light != DIVERGED:
                 found.append(self._result(image, frame, rotations[k], centres[k], light))
-        return sorted(found, key=lambda r: -r.support)
+        return sorted(found, key=lambda r: -r.inlier_ratio)
 
     def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
         """How well bright and dark agree with a pose, −1 … 1; None where the model cannot tell."""
@@ -266,15 +226,15 @@ class Refiner:
             strained = strain_covariance(
                 self._edges, self._cut_px, self._nothing_known, centre, arm
             )
-        outline, inner, seen = support(
+        outline, inner, visible = inlier_ratios(
             image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, self._edges
         )
-        covariance *= np.exp(inflating(outline, spread_px, frame[2]) @ _INFLATION)
+        covariance *= self.error_model.inflation(outline, spread_px, frame[2])
         covariance *= self._stages[-1, VIEWS]  # which show the same edges
         if strained is not None:
             covariance += self.model.shape_error**2 * strained
         pose = Pose(rotation, centre - arm)
-        return Refined(pose, covariance, outline, inner, seen, residual, light)
+        return Refined(pose, covariance, outline, inner, visible, residual, light)
 
 
 _SAME_COSINE = float(np.cos(np.deg2rad(1.5)))

@@ -1,4 +1,4 @@
-"""First poses without a prior: every view of the model at every roll against one signature."""
+"""Retrieval of starting poses: one signature against every view of the model at every roll."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
-from rendezview.sensors.appearance.edges.shadowed_silhouettes import LIT_BINS, READING_UNIT
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import (
+    LIT_BINS,
+    READING_UNIT,
+    ShadowedSilhouettes,
+)
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.placement import range_from_area
 from rendezview.sensors.appearance.outline.signature import (
@@ -17,24 +21,25 @@ from rendezview.sensors.appearance.outline.signature import (
     Readings,
     Signature,
     quantised,
+    radial_maxima,
     rolled,
+    spokes_of,
     twist,
 )
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of
 
-_BEST = 2000  # likenesses that are looked through
-_HARMONICS = 20
-_CORRELATED = 2000  # entries at most, of a large catalogue
-_SAMPLED = 17  # one of so many values; no divisor of a number of bins
-_SUN_REACH_RAD = np.deg2rad(30.0)  # the catalogue's Suns are 32° apart
-_APART_RAD = np.deg2rad(7.0)  # views nearer than this, at the same roll, are one hypothesis
-_SAME_ROLL_BINS = 3
-_EXCESS_TOLERANCE = 0.06  # of the mean radius: perspective and the spacing of the views
+_KEPT = 2000  # most similar entries at a shift; of these the poses are chosen
+_HARMONICS = 20  # of a signature, compared first in a large catalogue
+_CORRELATED = 2000  # entries; of a larger catalogue those with the most similar harmonics
+_SAMPLED = 17  # one value in 17 gives the bound; no divisor of a number of bins
+_SUN_REACH_RAD = np.deg2rad(30.0)  # rad; the catalogue's Suns are 32° apart
+_APART_RAD = np.deg2rad(7.0)  # rad; views closer than this at the same roll are one
+_SAME_ROLL_BINS = 3  # of 90, so 12°
+_OVERSHOOT_TOLERANCE = 0.06  # of the mean radius: perspective and the spacing of the views
 _BORESIGHT = np.array([0.0, 0.0, 1.0])
 
 
 class _Catalogue:
-    """Signatures with their spectra: the likeness of one to all, at every roll at once."""
+    """Signatures with their spectra: the similarity of one to all, at every roll at once."""
 
     def __init__(self, readings: Readings) -> None:
         self.bins = readings.shape[1]
@@ -43,8 +48,8 @@ class _Catalogue:
         # What a roll leaves unchanged: the sizes of the harmonics.
         self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
 
-    def most_alike(self, readings: Readings) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Entries and shifts in bins, least distance first, at most ``_BEST``.
+    def most_similar(self, readings: Readings) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Entries and shifts in bins, least distance first, at most ``_KEPT``.
 
         By circular correlation, of the entries whose harmonics are of the right size.
         """
@@ -55,7 +60,7 @@ class _Catalogue:
             entries = least(_squared_distances(self._sizes, sizes), _CORRELATED)
         correlation = fft.irfft(spectrum * self._spectra[entries], n=self.bins, axis=1)
         distance = (self._squares[entries][:, None] - 2.0 * correlation).ravel()
-        first = least(distance, _BEST)
+        first = least(distance, _KEPT)
         first = first[np.argsort(distance[first], kind="stable")]
         rows, shifts = np.divmod(first, self.bins)
         return entries[rows], shifts
@@ -71,13 +76,13 @@ def least(values: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.intp]:
     sample, place = values[::_SAMPLED], count // _SAMPLED * 3 // 2 + _SAMPLED
     bound = np.partition(sample, place)[place] if place < len(sample) else np.inf
     few = np.flatnonzero(values <= bound)
-    if len(few) < count:  # which so large a sample hardly allows
+    if len(few) < count:  # very unlikely with so large a sample
         few = np.arange(len(values))
     return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
 
 
 class Retrieval:
-    """All views of one model, ready to be compared with a signature."""
+    """All views of one model, prepared for the comparison with a signature."""
 
     def __init__(self, model: ViewModel) -> None:
         self.model = model
@@ -85,90 +90,95 @@ class Retrieval:
         self._bins = LIT_BINS if model.bins % LIT_BINS == 0 else model.bins
         self._whole = _Catalogue(self._coarse(self._readings))
         self._directions = np.ascontiguousarray(model.lattice.nodes)
-        self._lit: _Catalogue | None = None
+        self._shadowed: _Catalogue | None = None
         if model.lit is not None and self._bins == LIT_BINS:
-            self._lit = _Catalogue(model.lit.readings.astype(np.float32) * np.float32(READING_UNIT))
+            readings = model.lit.readings.astype(np.float32) * np.float32(READING_UNIT)
+            self._shadowed = _Catalogue(readings)
 
     def of(
         self, signature: Signature, most: int, sun_camera: Array | None = None
     ) -> tuple[Array, Array]:
-        """Poses whose views are most alike the signature, spread out.
+        """Poses whose views are most similar to the signature, spread out.
 
-        Half of them from whole silhouettes, half from those that the Sun lights in part;
-        all from the former where the model has no others.
+        Half of them come from whole silhouettes, half from shadowed silhouettes; all from whole
+        ones where the model has no others.
 
         Args:
             most: how many at most.
             sun_camera: (3,) unit, towards the Sun, camera frame, if it is known: then only
-                parts that this Sun can light are compared.
+                shadowed silhouettes under this Sun are compared.
 
         Returns:
             Rotations (K, 3, 3) camera_from_target and the view centre (K, 3), camera frame; the
-            most alike of both kinds first, in turns.
+            most similar of both kinds first, in turns.
         """
         readings = self._coarse(signature.readings)
-        step = 2.0 * np.pi / self._bins
-        cosine = float(np.cos(_APART_RAD))
-        views, shifts = self._whole.most_alike(readings)
-        share = most if self._lit is None else most // 2
-        chosen = _spread(views, shifts, self._directions, cosine, self._bins, share)
-        chosen_views, rolls = views[chosen], -step * shifts[chosen]
-        data = self.model.views
-        range_m = range_from_area(
-            self.model, data.area_m2[chosen_views], data.area_slope[chosen_views], signature.area_sr
-        )
-        whole = _placed(
-            signature, data.centred_from_target[chosen_views], data.offset_m[chosen_views], range_m,
-            rolls,
-        )  # fmt: skip
-        lit = self.model.lit
-        if self._lit is None or lit is None:
+        share = most if self._shadowed is None else most // 2
+        whole = self._of_whole(signature, readings, share)
+        if self._shadowed is None or self.model.lit is None:
             return whole
-        entries, shifts = self._lit.most_alike(readings)
-        if sun_camera is not None:
-            entries, shifts = self._under(entries, shifts, signature, sun_camera)
-        seen = lit.view[entries].astype(np.intp)
-        chosen = _spread(seen, shifts, self._directions, cosine, self._bins, most - share)
-        entries, rolls = entries[chosen], -step * shifts[chosen]
-        attitudes = np.zeros((0, 3, 3))
-        if len(entries):
-            attitudes = Rotation.from_quat(lit.quat_wxyz[entries][:, [1, 2, 3, 0]]).as_matrix()
-        part = _placed(
-            signature, attitudes, lit.offset_m[entries].astype(np.float64),
-            np.sqrt(lit.area_m2[entries] / signature.area_sr), rolls,
-        )  # fmt: skip
-        turns = np.argsort(
-            np.concatenate([np.arange(len(p[0])) for p in (whole, part)]), kind="stable"
+        shadowed = self._of_shadowed(
+            self._shadowed, self.model.lit, signature, readings, most - share, sun_camera
+        )
+        in_turns = np.argsort(
+            np.concatenate([np.arange(len(p[0])) for p in (whole, shadowed)]), kind="stable"
         )
         return (
-            np.concatenate([whole[0], part[0]])[turns],
-            np.concatenate([whole[1], part[1]])[turns],
+            np.concatenate([whole[0], shadowed[0]])[in_turns],
+            np.concatenate([whole[1], shadowed[1]])[in_turns],
         )
 
-    def _under(
-        self,
-        entries: npt.NDArray[np.intp],
-        shifts: npt.NDArray[np.intp],
-        signature: Signature,
-        sun_camera: Array,
-    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Of lit views at rolls those whose Sun stands where it is."""
-        lit = self.model.lit
-        assert lit is not None
-        sun = signature.centred_from_camera @ sun_camera
-        roll = -2.0 * np.pi / self._bins * shifts
-        c, s = np.cos(roll), np.sin(roll)
-        unrolled = np.stack([c * sun[0] + s * sun[1], c * sun[1] - s * sun[0], sun[2] + 0.0 * c], 1)
-        attitude = Rotation.from_quat(lit.quat_wxyz[entries][:, [1, 2, 3, 0]].astype(np.float64))
-        there = attitude.apply(unrolled, inverse=True)
-        good = np.einsum("ij,ij->i", there, lit.suns[lit.sun[entries]]) > np.cos(_SUN_REACH_RAD)
-        return entries[good], shifts[good]
+    def _of_whole(self, signature: Signature, readings: Readings, most: int) -> tuple[Array, Array]:
+        """Poses of the most similar whole silhouettes."""
+        views, shifts = self._whole.most_similar(readings)
+        chosen = self._spread(views, shifts, most)
+        views, rolls = views[chosen], self._rolls(shifts[chosen])
+        data = self.model.views
+        range_m = range_from_area(
+            self.model, data.area_m2[views], data.area_slope[views], signature.area_sr
+        )
+        attitudes, offsets_m = data.centred_from_target[views], data.offset_m[views]
+        return _placed(signature, attitudes, offsets_m, range_m, rolls)
 
-    def excess(self, outlines: list[Array], pose: Pose) -> float:
+    def _of_shadowed(
+        self,
+        catalogue: _Catalogue,
+        shadowed: ShadowedSilhouettes,
+        signature: Signature,
+        readings: Readings,
+        most: int,
+        sun_camera: Array | None,
+    ) -> tuple[Array, Array]:
+        """Poses of the most similar shadowed silhouettes, under the Sun if it is known."""
+        entries, shifts = catalogue.most_similar(readings)
+        if sun_camera is not None:
+            sun = signature.centred_from_camera @ sun_camera
+            lit = _under_sun(shadowed, entries, self._rolls(shifts), sun)
+            entries, shifts = entries[lit], shifts[lit]
+        chosen = self._spread(shadowed.view[entries].astype(np.intp), shifts, most)
+        entries, rolls = entries[chosen], self._rolls(shifts[chosen])
+        attitudes = np.zeros((0, 3, 3))
+        if len(entries):
+            attitudes = _attitudes(shadowed.quat_wxyz[entries]).as_matrix()
+        range_m = np.sqrt(shadowed.area_m2[entries] / signature.area_sr)
+        offsets_m = shadowed.offset_m[entries].astype(np.float64)
+        return _placed(signature, attitudes, offsets_m, range_m, rolls)
+
+    def _rolls(self, shifts: npt.NDArray[np.intp]) -> Array:
+        """Roll of a view that is shifted by some bins, rad."""
+        return np.asarray(-2.0 * np.pi / self._bins * shifts)
+
+    def _spread(
+        self, views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], most: int
+    ) -> npt.NDArray[np.intp]:
+        cosine = float(np.cos(_APART_RAD))
+        return np.asarray(_spread(views, shifts, self._directions, cosine, self._bins, most))
+
+    def overshoot(self, outlines: list[Array], pose: Pose) -> float:
         """How far outlines reach beyond the silhouette that a pose predicts.
 
-        Mean over the bins, in mean radii of the silhouette: 0 where everything that is seen
-        lies inside. What is not lit says nothing, so a target half in shadow has none.
+        Mean over the bins, in mean radii of the silhouette: 0 where all outlines lie inside.
+        Parts in shadow do not count, so a target half in shadow has none.
 
         Args:
             outlines: (M, 3) rays each, camera frame.
@@ -191,12 +201,30 @@ class Retrieval:
         seen = rolled(quantised(maxima, UNIT / np.sqrt(area_sr), model.smooth_bins), roll)
         expected = self._readings[view]
         mean = float(expected.mean())
-        beyond = np.maximum(seen - expected - _EXCESS_TOLERANCE * mean, 0.0)
+        beyond = np.maximum(seen - expected - _OVERSHOOT_TOLERANCE * mean, 0.0)
         return float(beyond.mean()) / mean
 
     def _coarse(self, readings: Readings) -> Readings:
         groups = readings.reshape(*readings.shape[:-1], self._bins, -1)
         return np.asarray(groups.mean(axis=-1), dtype=np.float32)
+
+
+def _attitudes(quat_wxyz: npt.NDArray[np.float32]) -> Rotation:
+    return Rotation.from_quat(quat_wxyz[:, [1, 2, 3, 0]])
+
+
+def _under_sun(
+    shadowed: ShadowedSilhouettes, entries: npt.NDArray[np.intp], rolls_rad: Array, sun: Array
+) -> npt.NDArray[np.bool_]:
+    """(K,) which shadowed silhouettes, at their rolls, belong to a Sun near the given one.
+
+    ``sun`` (3,) is the direction of the Sun from the camera turned to the centroid.
+    """
+    c, s = np.cos(rolls_rad), np.sin(rolls_rad)
+    unrolled = np.stack([c * sun[0] + s * sun[1], c * sun[1] - s * sun[0], sun[2] + 0.0 * c], 1)
+    there = _attitudes(shadowed.quat_wxyz[entries]).apply(unrolled, inverse=True)
+    cosine = np.einsum("ij,ij->i", there, shadowed.suns[shadowed.sun[entries]])
+    return np.asarray(cosine > np.cos(_SUN_REACH_RAD))
 
 
 def _placed(

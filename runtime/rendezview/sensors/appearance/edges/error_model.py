@@ -1,0 +1,114 @@
+"""How likely a refined pose is right, and how large its errors are: coefficients fitted to data.
+
+Two small regressions: log odds that a pose is right to 5°, and log of the factor by which the
+covariance of independent edges is multiplied. Their coefficients are data with provenance
+(``error_model.json``, written by ``experiments pose-confidence``). A view model may carry its own.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rendezview.geometry.pose import Array
+
+PACKAGED = Path(__file__).with_name("error_model.json")
+
+# What the odds depend on, in the order of the coefficients.
+CONFIDENCE_FEATURES = (
+    "constant", "outline", "inner", "residual_px", "overshoot", "margin", "visible", "dark",
+    "prior", "light", "shading",
+)  # fmt: skip
+INFLATION_FEATURES = ("constant", "outline_missing", "residual_px", "dark")
+_EVIDENCE = ("edges", "edges_and_shading")
+_SKY = ("bright_sky", "dark_sky")
+_MOST_ODDS = 30.0  # of the log odds: exp stays finite. Source: by construction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorModel:
+    """Coefficients of both regressions, by feature."""
+
+    log_odds: Array  # (2, 2, 11) without and with shading; before a bright and a dark sky
+    log_inflation: Array  # (4,)
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # what it was fitted to, by what
+
+    @classmethod
+    def packaged(cls) -> ErrorModel:
+        """The one that comes with the program; it serves models that carry none."""
+        return _packaged()
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any]) -> ErrorModel:
+        """The error model of a JSON object, see ``record``.
+
+        Raises:
+            ValueError: a coefficient is missing, unknown or no number; which one is said.
+        """
+        odds = record["log_odds"]
+        return cls(
+            np.array(
+                [
+                    [_row(odds[e][s], CONFIDENCE_FEATURES, f"log_odds.{e}.{s}") for s in _SKY]
+                    for e in _EVIDENCE
+                ]
+            ),
+            np.array(_row(record["log_inflation"], INFLATION_FEATURES, "log_inflation")),
+            dict(record.get("provenance", {})),
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As a JSON object: coefficients by name of feature. Floats keep every bit."""
+        return {
+            "log_odds": {
+                evidence: {
+                    sky: dict(zip(CONFIDENCE_FEATURES, row.tolist(), strict=True))
+                    for sky, row in zip(_SKY, rows, strict=True)
+                }
+                for evidence, rows in zip(_EVIDENCE, self.log_odds, strict=True)
+            },
+            "log_inflation": dict(
+                zip(INFLATION_FEATURES, self.log_inflation.tolist(), strict=True)
+            ),
+            "provenance": dict(self.provenance),
+        }
+
+    def confidence(self, features: Array, *, shading: bool, dark: bool) -> float:
+        """Probability that a pose is right to 5°, 0 … 1, of its ``CONFIDENCE_FEATURES`` (11,)."""
+        odds = float(features @ self.log_odds[int(shading), int(dark)])
+        return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))
+
+    def inflation(self, outline: float, residual_px: float, dark: float) -> float:
+        """Factor of a covariance that takes edges as independent: neighbouring ones err together.
+
+        The less of the outline is found, the more.
+        """
+        features = inflation_features(outline, residual_px, dark)
+        return float(np.exp(features @ self.log_inflation))
+
+
+def inflation_features(outline: float, residual_px: float, dark: float) -> Array:
+    """(4,) ``INFLATION_FEATURES`` of a refined pose."""
+    return np.array([1.0, 1.0 - outline, residual_px, dark])
+
+
+@cache
+def _packaged() -> ErrorModel:
+    return ErrorModel.of_record(json.loads(PACKAGED.read_text(encoding="utf-8")))
+
+
+def _row(coefficients: Mapping[str, Any], names: tuple[str, ...], what: str) -> list[float]:
+    """Coefficients in the order of the features."""
+    if set(coefficients) != set(names):
+        odd = ", ".join(sorted(set(coefficients) ^ set(names)))
+        raise ValueError(f"error_model.{what} has other features than the program: {odd}")
+    row = [float(coefficients[name]) for name in names]
+    if not np.all(np.isfinite(row)):
+        raise ValueError(f"error_model.{what} must hold finite numbers: {row}")
+    return row

@@ -1,0 +1,74 @@
+"""The observation of the reflector sensor: spots, the pose, the six numbers and their rates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import DockingRing
+from rendezview.sensors.measurement import Measurement
+from rendezview.sensors.observation import Observation
+from rendezview.sensors.reflectors.pattern import SixNumbers
+from rendezview.sensors.reflectors.rates import Rates
+from rendezview.sensors.reflectors.spots import COLUMNS, Spots
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ReflectorObservation(Observation):
+    """The outcome of one pair of pictures; there is a pose only with ``Status.OK``."""
+
+    six: SixNumbers | None = None
+    rates: Rates | None = None
+    spots: Spots = field(default_factory=lambda: Spots(np.empty((0, COLUMNS))))
+    reflectors: tuple[str | None, ...] = ()  # name of the reflector of each spot
+    group: str | None = None  # the six numbers are of this group's face
+    roll_ambiguous: bool = False  # rotated by a symmetry of the reflectors it looks the same
+    tracked: bool = False  # by windows, not by a search of the whole picture
+
+    @property
+    def triplet(self) -> list[int] | None:
+        """Numbers of the spots that are reflectors, in the order of the reflectors."""
+        named = [k for k, name in enumerate(self.reflectors) if name is not None]
+        return named or None
+
+    def measurement(
+        self, sensor: str, *, ring: DockingRing | None = None, mount: Pose | None = None
+    ) -> Measurement | None:
+        """The pose for the filter; ``None`` while the roll may be wrong by half a turn."""
+        if self.roll_ambiguous:
+            return None
+        return Observation.measurement(self, sensor, ring=ring, mount=mount)
+
+    def record(self) -> dict[str, Any]:
+        """The observation as its line of JSON."""
+        has_pose = self.pose is not None
+        rates = self.rates
+        return {
+            "time_s": self.time_s,
+            "status": str(self.status),
+            "reason": self.reason,
+            "spots": [
+                {**spot, "reflector": name}
+                for spot, name in zip(self.spots.records(), self.reflectors, strict=True)
+            ],
+            "triplet": self.triplet if has_pose else None,
+            "group": self.group if has_pose else None,
+            "pose": self.pose,
+            "six": self.six,
+            "roll_ambiguous": self.roll_ambiguous if has_pose else None,
+            "covariance": self.covariance,
+            "rates": None
+            if rates is None
+            else {
+                "velocity_m_s": rates.velocity_m_s,
+                "turn_rad_s": rates.turn_rad_s,
+                "six_per_s": rates.six_per_s,
+                "covariance": rates.covariance,
+                "span_s": rates.span_s,
+            },
+            "tracked": self.tracked,
+            "stage_ms": self.stage_ms,
+        }

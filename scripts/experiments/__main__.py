@@ -1,0 +1,108 @@
+"""The command line of the experiments: ``python -m experiments NAME ARGUMENTS``."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+# Group: name of the experiment: (module, what it measures).
+EXPERIMENTS = {
+    "recognition and pose": {
+        "recognition-accuracy": ("recognition.accuracy", "active nodes and views, held-out frames"),
+        "recognition-speed": ("recognition.speed", "time from a frame to the active nodes"),
+        "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
+        "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
+        "pose-cut": ("pose.cut", "poses of targets that the image border cuts"),
+        "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
+        "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
+        "pose-speed": ("pose.speed", "time of a pose beside its floors and peers"),
+        "visp-tracking": ("pose.visp_tracking", "tracking beside ViSP's model-based tracker"),
+    },
+    "ring": {
+        "ring-accuracy": ("ring.accuracy", "accuracy and detection beside OpenCV's detectors"),
+        "ring-flyaround": ("ring.flyaround", "a ring of unknown size from a fly-around"),
+        "ring-speed": ("ring.speed", "time of a detection beside OpenCV's detectors"),
+    },
+    "reflectors": {
+        "reflector-accuracy": ("reflectors.accuracy", "pose errors against the Cramér–Rao bound"),
+        "reflector-acquisition": ("reflectors.acquisition", "acquisition among glints and foil"),
+        "reflector-real-spots": ("reflectors.real_spots", "centroids in a real star picture"),
+        "reflector-solvers": ("reflectors.solvers", "a million P3P problems, beside peers"),
+        "reflector-speed": ("reflectors.speed", "time of a reading beside OpenCV's moments"),
+        "reflector-run": ("reflectors.run", "writes a simulated run as files"),
+    },
+    "stereo": {
+        "stereo-accuracy": ("stereo.accuracy", "pose errors in the simulated laboratory"),
+        "stereo-calibration": ("stereo.calibration", "calibration with and without rail errors"),
+        "stereo-laboratory": ("stereo.laboratory", "writes a simulated laboratory as files"),
+        "stereo-speed": ("stereo.speed", "readings a second"),
+    },
+    "trajectory": {
+        "trajectory-frames": ("trajectory.frames", "draws paths and recognises their frames"),
+        "trajectory-accuracy": ("trajectory.accuracy", "errors of segments, predictions and spin"),
+        "trajectory-speed": ("trajectory.speed", "time of a fit beside scipy and nlopt"),
+        "close-approach": ("trajectory.close_approach", "approach until the target overflows"),
+        "closed-loop": ("trajectory.closed_loop", "frames, recognition, fit and correction"),
+        "ccsds-orekit": ("trajectory.ccsds_orekit", "our CCSDS messages read by Orekit"),
+    },
+    "fusion": {
+        "fusion-approach": ("fusion.approach", "recognizer, ring, ranger and filter, 60 m to 1 m"),
+        "fusion-faults": ("fusion.faults", "one sensor dead, biased or late"),
+        "fusion-speed": ("fusion.speed", "time of a filter step"),
+    },
+    "service": {
+        "service-speed": ("service.speed", "cost of the service over the bare tracker"),
+        "service-page": ("service.page", "load time and update rate of the page"),
+        "service-memory": ("service.memory", "memory over many frames"),
+        "service-kill": ("service.kill", "poses lost when the recording service is killed"),
+        "service-fuzz": ("service.fuzz", "malformed frames and messages"),
+    },
+    "flight code": {
+        "export-c-check": ("flight_code.check", "exported C beside the runtime, same frames"),
+        "flight-code-search": ("flight_code.search", "views that the C code finds, by prior"),
+    },
+    "training": {
+        "training-speed": ("training.speed", "time and memory of training"),
+        "scale-out": ("training.scale_out", "several workers: speed, bytes, kills, cost"),
+        "foreground-network": ("training.foreground_network", "trains the foreground network"),
+        "check-bare-install": ("training.bare_install", "a plain install tracks a scene"),
+    },
+    "pictures": {
+        "readme-picture": ("pictures.readme", "four frames of a demo"),
+        "fusion-picture": ("fusion.picture", "errors of sensors and filter over the range"),
+        "reflector-picture": ("reflectors.picture", "spots, triplet, windows and pose"),
+        "ring-picture": ("ring.picture", "the ring as the sensor reads it"),
+        "stereo-picture": ("stereo.picture", "figure 8 of Welch et al. (1991)"),
+    },
+    "benchmark": {
+        "benchmark": ("benchmark.command", "everything beside its peers and floors"),
+        "bop-toolkit-peer": ("peers.bop_toolkit", "our scores beside the BOP toolkit's"),
+        "speed-score-peer": ("peers.speed_score", "our SPEED scores beside the published code"),
+    },
+}
+
+
+def listing() -> str:
+    """All experiments in their groups, a line each."""
+    lines = ["python -m experiments NAME [ARGUMENTS]; NAME --help says more"]
+    for group, experiments in EXPERIMENTS.items():
+        lines += ["", group]
+        lines += [f"  {name:24}{what}" for name, (_, what) in experiments.items()]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run one experiment; without arguments list them."""
+    if len(sys.argv) < 2 or sys.argv[1] in ("-h", "--help"):
+        print(listing())
+        return
+    name = sys.argv.pop(1)
+    modules = {n: module for group in EXPERIMENTS.values() for n, (module, _) in group.items()}
+    if name not in modules:
+        sys.exit(f"no experiment {name!r}; python -m experiments lists them")
+    sys.argv[0] = f"python -m experiments {name}"
+    sys.exit(importlib.import_module(f"experiments.{modules[name]}").main())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,165 @@
+"""One sensor dead, lying or late for a third of an approach: does the filter diverge?
+
+    python -m experiments fusion-faults RUNS --seeds 50
+
+RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, the middle
+or the last third of the time one sensor (or the camera, which is recognizer and ring at once) is
+silent, adds a constant offset, or gives what it saw 0.5 s ago the present time. The offset is the
+same in the sensor's own words for all seeds: pose 0.2 m, −0.15 m, 0.4 m and 3° about an axis across
+the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m; --size multiplies them.
+
+Diverged is a run whose state in its last 5 s is wrong beyond its own 99.99 % bound (six degrees of
+freedom), or that has no state then although the fault is over. Where the fault lasts to the end and
+no other sensor sees the ring, the filter coasts: its error grows, and so must its covariance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
+
+from experiments.fusion.trials import OPTIONS, Flight, Run, fly, load_run
+from rendezview.fusion import (
+    Measurement,
+    PoseMeasurement,
+    RangeMeasurement,
+    RingCandidate,
+    RingMeasurement,
+)
+from rendezview.geometry.pose import Pose
+
+SENSORS = {
+    "none": (),
+    "appearance": ("appearance",),
+    "ring": ("ring",),
+    "laser": ("laser",),
+    "camera": ("appearance", "ring"),
+}
+FAULTS = ("dead", "lying", "late")
+THIRDS = ("first", "middle", "last")
+LATE_S = 0.5
+END_S = 5.0
+SETTLED_S = 15.0  # after a fault
+
+
+def lying(measurement: Measurement, size: float) -> Measurement:
+    """With a constant offset."""
+    tilt = Rotation.from_rotvec([np.deg2rad(3.0) * size, 0.0, 0.0]).as_matrix()
+    if isinstance(measurement, PoseMeasurement):
+        pose = Pose(
+            tilt @ measurement.pose.rotation,
+            measurement.pose.translation_m + size * np.array([0.2, -0.15, 0.4]),
+        )
+        return replace(measurement, pose=pose)
+    if isinstance(measurement, RingMeasurement):
+        moved = tuple(
+            RingCandidate(
+                c.centre_m + size * np.array([0.1, -0.1, 0.2]), tilt @ c.axis, c.covariance
+            )
+            for c in measurement.candidates
+        )
+        return replace(measurement, candidates=moved)
+    assert isinstance(measurement, RangeMeasurement)
+    return replace(measurement, range_m=measurement.range_m + 0.5 * size)
+
+
+def with_fault(run: Run, sensors: tuple[str, ...], fault: str, third: int, size: float) -> Run:
+    """The run with a fault in a third of its time; the last frame is in the last third."""
+    end_s = max(run.truth)
+    start_s = end_s * third / 3.0
+    stop_s = end_s * (third + 1) / 3.0 if third < 2 else math.inf
+    changed: list[Measurement] = []
+    for measurement in run.measurements:
+        hit = measurement.sensor in sensors and start_s <= measurement.time_s < stop_s
+        if not hit:
+            changed.append(measurement)
+        elif fault == "lying":
+            changed.append(lying(measurement, size))
+        elif fault == "late":
+            changed.append(replace(measurement, time_s=measurement.time_s + LATE_S))
+    changed.sort(key=lambda m: m.time_s)
+    return Run(changed, run.truth)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one flight with a fault."""
+
+    worst: float  # error of the ring's centre over range, while the fault lasts
+    after: float  # … from 15 s after it on
+    without: int  # frames without a state, from the first state on
+    starts: int
+    locked: bool  # the faulty sensor was locked out
+    diverged: bool
+
+
+def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
+    end_s = flight.samples[-1].time_s
+    start_s, stop_s = end_s * third / 3.0, end_s * (third + 1) / 3.0
+    error = {s.time_s: s.fused[0] / s.range_m for s in flight.samples}
+    during = [e for t, e in error.items() if start_s <= t < stop_s and np.isfinite(e)]
+    after = [e for t, e in error.items() if t >= stop_s + SETTLED_S and np.isfinite(e)]
+    begun = [s for s in flight.samples if np.isfinite(s.fused[0])]
+    first_s = begun[0].time_s if begun else np.inf
+    without = sum(np.isnan(s.fused[0]) for s in flight.samples if s.time_s >= first_s)
+    last = [s for s in flight.samples if s.time_s >= end_s - END_S]
+    bound = chdtri(6, 1e-4)
+    bad = [s.nees > bound if np.isfinite(s.nees) else third < 2 for s in last]
+    return Outcome(
+        max(during, default=np.nan), max(after, default=np.nan), without, flight.starts,
+        any(flight.lockouts.get(name, 0) > 0 for name in sensors), any(bad),
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=50)
+    parser.add_argument("--size", type=float, default=1.0, help="of the lies")
+    parser.add_argument("--tell", action="store_true", help="each run that diverged")
+    arguments = parser.parse_args()
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    runs = {seed: load_run(arguments.runs / str(seed)) for seed in seeds}
+    print(
+        f"seeds {seeds.start} to {seeds.stop - 1}, lies × {arguments.size:g}; error of the ring's "
+        f"centre in % of range, median and worst of the seeds: while it lasts, from "
+        f"{SETTLED_S:g} s after it on"
+    )
+    print(
+        f"{'sensor':11s} {'fault':6s} {'third':7s} {'during':>15s} {'after':>15s} "
+        f"{'no state':>9s} {'anew':>5s} {'locked out':>10s} {'diverged':>8s}"
+    )
+    for name, sensors in SENSORS.items():
+        for fault in FAULTS if sensors else ("–",):
+            for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
+                outcomes = []
+                for seed, run in runs.items():
+                    flight = fly(with_fault(run, sensors, fault, third, arguments.size), OPTIONS)
+                    found = outcome(flight, sensors, third)
+                    outcomes.append(found)
+                    if found.diverged and arguments.tell:
+                        print(f"    seed {seed}: {found}, {flight.lockouts}")
+                worst = 100.0 * np.array([o.worst for o in outcomes])
+                after = 100.0 * np.array([o.after for o in outcomes])
+                frames = sum(o.without for o in outcomes)
+                print(
+                    f"{name:11s} {fault:6s} {word:7s} {_two(worst)} {_two(after)} {frames:9d} "
+                    f"{sum(o.starts > 1 for o in outcomes):5d} "
+                    f"{sum(o.locked for o in outcomes):10d} "
+                    f"{sum(o.diverged for o in outcomes):8d}",
+                    flush=True,
+                )
+
+
+def _two(values: np.ndarray) -> str:
+    values = values[np.isfinite(values)]
+    if len(values) == 0:
+        return f"{'–':>15s}"
+    return f"{np.median(values):6.2f} {values.max():8.2f}"

@@ -1,0 +1,113 @@
+"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``.
+
+    python -m experiments pose-confidence LOG.jsonl [LOG.jsonl …] [--output error_model.json]
+
+Prints, each target left out in turn, how many answers would be given and wrong at several least
+confidences. ``--output`` writes the coefficients as ``edges/error_model.json`` has them, where
+training and models without their own read them. The logs must come from models that carry the
+packaged coefficients or none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+from sklearn.linear_model import LogisticRegression
+
+from rendezview.sensors.appearance.edges.error_model import ErrorModel, inflation_features
+
+WRONG_DEG = 5.0
+_DARK = 7  # the feature that tells dark skies
+_WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
+
+
+def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    """(2, 2, 11) coefficients, by the edges alone and with the surface, bright skies and dark.
+
+    By the edges alone everything is fitted again, without the last feature.
+    """
+    tables = []
+    for look in (False, True):
+        rows = []
+        for dark in (False, True):
+            these = ((features[:, _DARK] > 0.5) == dark) & (looked | (not look))
+            weight = np.where(right[these], 1.0, _WEIGHT_OF_WRONG)
+            known = features[these] * np.append(np.ones(features.shape[1] - 1), float(look))
+            model = LogisticRegression(C=10.0, max_iter=10_000, fit_intercept=False)
+            rows.append(model.fit(known, right[these], sample_weight=weight).coef_[0])
+        tables.append(rows)
+    return np.array(tables)
+
+
+def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    rows = coefficients[looked.astype(int), (features[:, _DARK] > 0.5).astype(int)]
+    return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, rows)))
+
+
+def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients of log κ², by most likely Gaussian errors, and the NEES that remain.
+
+    They come on top of those with which the logs were made.
+    """
+    right = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
+    features = np.array([inflation_features(*np.array(r["features"])[[1, 3, 7]]) for r in right])
+    nees = np.array([r["nees"] for r in right])
+
+    def unlikely(theta: np.ndarray) -> float:
+        log = features @ theta
+        return float(np.sum(6.0 * log + nees * np.exp(-log)) + 0.1 * theta[1:] @ theta[1:])
+
+    theta = minimize(unlikely, np.array([1.5, 0.0, 0.0, 0.0]), method="Nelder-Mead",
+                     options={"maxiter": 20_000, "maxfev": 20_000}).x  # fmt: skip
+    return theta, nees * np.exp(-features @ theta)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("logs", type=Path, nargs="+")
+    parser.add_argument("--output", type=Path, help="JSON file of the coefficients")
+    arguments = parser.parse_args()
+    records = [json.loads(line) for log in arguments.logs for line in log.read_text().splitlines()]
+    chosen = [r for r in records if "features" in r]
+    features = np.array([r["features"] for r in chosen])
+    right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
+    looked = np.array([r["looked"] for r in chosen])
+    target = np.array([r["target"] for r in chosen])
+    held_out = np.zeros(len(chosen))
+    for name in np.unique(target):
+        others, these = target != name, target == name
+        coefficients = fitted(features[others], right[others], looked[others])
+        held_out[these] = probability(coefficients, features[these], looked[these])
+    theta, rest = inflation(records)
+    print("inflation", np.round(theta, 2).tolist())
+    answers = [r for r in records if r.get("rotation_deg", 180.0) < WRONG_DEG]
+    conditions = sorted({r["condition"] for r in records})
+    for condition in conditions:
+        part = rest[[r["condition"] == condition for r in answers]]
+        print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
+    log_odds = np.round(fitted(features, right, looked), 2)
+    print("coefficients", log_odds.tolist())
+    if arguments.output is not None:
+        low = rest[[r["condition"] == "low" for r in answers]]
+        if len(low):  # raised until the normalised error squared averages six there
+            theta[0] += np.log(low.mean() / 6.0)
+        provenance = {"command": "pose-confidence", "logs": [p.name for p in arguments.logs]}
+        inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
+        made = ErrorModel(log_odds, inflation_now, provenance)
+        arguments.output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
+    for mode in ("first", "tracked"):
+        for condition in conditions:
+            these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
+            total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
+            for least in (0.5, 0.6, 0.7, 0.8, 0.9):
+                given = these & (held_out >= least)
+                print(
+                    f"{mode} {condition}: least {least}: right "
+                    f"{100 * np.sum(given & right) / total:.1f} %, wrong "
+                    f"{100 * np.sum(given & ~right) / total:.1f} %"
+                )

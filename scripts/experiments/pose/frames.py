@@ -1,0 +1,114 @@
+"""The frames on which docs/refinement.md judges poses: drawn by Mitsuba, kept as BOP scenes.
+
+    python -m experiments pose-frames FRAMES models_cad/hubble mesh.obj --count 200 --seed 77
+
+FRAMES/<target>/<condition> holds independent frames of random attitudes: 640 × 480, 53° across,
+the bounding sphere 100–220 px in radius anywhere in the picture, blur 0.7 px, σ = 3 grey levels,
+each frame with its own exposure and Sun. Conditions: ``low`` Sun phase 0–30°, black sky; ``high``
+30–70°, black sky; ``earth`` 0–60° before the Earth, whose limb crosses some of the frames. A scene
+that is there already is left as it is. ``sun.json`` has the directions to the Sun, camera frame.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.sequences import BopSceneWriter
+from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.command import default_camera
+from rendezview.training.bundled import find_target
+from rendezview.training.mesh import Mesh, load_mesh
+
+RADIUS_PX = (100.0, 220.0)
+MARGIN_PX = 6.0
+
+
+@dataclass(frozen=True)
+class Condition:
+    phase_deg: tuple[float, float]
+    earth: bool = False
+
+
+CONDITIONS = {
+    "low": Condition((0.0, 30.0)),
+    "high": Condition((30.0, 70.0)),
+    "earth": Condition((0.0, 60.0), earth=True),
+}
+
+
+def random_pose(mesh: Mesh, camera: Camera, rng: np.random.Generator) -> Pose:
+    """Any attitude, the bounding sphere anywhere in the picture but whole."""
+    centre_m, radius_m = mesh.bounding_sphere
+    radius_px = rng.uniform(*RADIUS_PX)
+    depth_m = camera.fx * radius_m / radius_px
+    room = np.array([camera.width, camera.height]) / 2.0 - radius_px * 1.08 - MARGIN_PX
+    shift_px = rng.uniform(-1.0, 1.0, 2) * np.maximum(room, 0.0)
+    place = np.array([shift_px[0] / camera.fx, shift_px[1] / camera.fy, 1.0]) * depth_m
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    return Pose(rotation, place - rotation @ centre_m)
+
+
+def one_frame(
+    mesh: Mesh, camera: Camera, condition: Condition, seed: list[int]
+) -> tuple[np.ndarray, Pose, Array]:
+    rng = np.random.default_rng(seed)
+    pose = random_pose(mesh, camera, rng)
+    phase = math.radians(rng.uniform(*condition.phase_deg))
+    sun = sun_at_phase(pose.apply(mesh.bounding_sphere[0]), phase, rng.uniform(0.0, 2.0 * math.pi))
+    earth = Earth(seed=int(rng.integers(2**31))) if condition.earth else None
+    # The Earth's centre up to 70° off the boresight: its limb crosses the frame in half of them.
+    off = math.radians(rng.uniform(0.0, 70.0))
+    around = rng.uniform(0.0, 2.0 * math.pi)
+    below = (math.sin(off) * math.cos(around), math.sin(off) * math.sin(around), math.cos(off))
+    options = SceneOptions(
+        sky_frame="camera", earth=earth, earth_direction_sky=below, mitsuba=MitsubaOptions()
+    )
+    return render_frame(mesh, camera, pose, sun, options, rng), pose, sun
+
+
+def render_scene(
+    folder: Path, mesh: Mesh, camera: Camera, name: str, count: int, seed: int
+) -> None:
+    """One target under one condition, unless it is there."""
+    if folder.exists():
+        print(f"{folder}: there already", flush=True)
+        return
+    condition = CONDITIONS[name]
+    stream = list(CONDITIONS).index(name)
+    # Mitsuba uses all cores by itself.
+    frames = Parallel(n_jobs=1, return_as="generator")(
+        delayed(one_frame)(mesh, camera, condition, [seed, stream, i]) for i in range(count)
+    )
+    suns = []
+    with BopSceneWriter(folder, camera) as writer:
+        for i, (image, pose, sun) in enumerate(frames):
+            writer.add(i, image, pose, float(i))
+            suns.append(sun.tolist())
+    (folder / "sun.json").write_text(json.dumps(suns))
+    print(f"{folder}: {count} frames", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("frames", type=Path, help="folder of the scenes")
+    parser.add_argument("targets", nargs="+", help="meshes or bundled targets")
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=77)
+    arguments = parser.parse_args()
+    camera = default_camera()
+    for target in arguments.targets:
+        found = find_target(target)
+        mesh = load_mesh(found.mesh_path, found.unit)
+        for name in CONDITIONS:
+            folder = arguments.frames / found.name / name
+            render_scene(folder, mesh, camera, name, arguments.count, arguments.seed)

@@ -1,0 +1,169 @@
+"""How long a pose takes at 1024 × 1024 on one core, beside what it could be done with.
+
+    python -m experiments pose-speed models_cad/hubble [--model FILE] [--peer-python PYTHON]
+
+Frames of our own simulator, Sun phase 20°, medians of single calls. In the same run: the floor
+(threshold, contours, contour → bins), nearest of all views by FFT, scikit-learn's trees in a loop,
+and OpenCV's linemod by an interpreter that has opencv-contrib.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy import fft
+from scipy.spatial.transform import Rotation
+from sklearn.tree import DecisionTreeClassifier
+from threadpoolctl import threadpool_limits
+
+from experiments.peers.linemod import linemod_ms
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.bundled import find_target
+from rendezview.training.job import train
+from rendezview.training.mesh import Mesh, load_mesh
+
+TRACKING, WITH_NODES = "tracking, refinement only", "tracking with on nodes"
+FIRST, FLOOR = "first pose, no prior", "floor: threshold, contours, bins"
+NEAREST = "nearest of all views by FFT"
+SKLEARN = "scikit-learn, predict in a loop over the nodes"
+REPEATS = {TRACKING: 20, WITH_NODES: 20, FIRST: 5, FLOOR: 20, NEAREST: 5}
+
+
+def median_ms(call: Callable[[], object], repeats: int = 60) -> float:
+    call()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("target")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--peer-python", type=Path)
+    parser.add_argument("--frames", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=77)
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+    found = find_target(arguments.target)
+    mesh = load_mesh(found.mesh_path, found.unit)
+    with tempfile.TemporaryDirectory() as folder:
+        path = arguments.model or Path(folder) / "model.rvm"
+        if arguments.model is None:
+            train(mesh, path, name=found.name)
+        load = median_ms(lambda: ViewModel.load(path), 15)
+        model, size = ViewModel.load(path), path.stat().st_size
+    full, fast = recognizers(model)
+    rows: dict[str, list[float]] = {}
+    seen = list(frames(mesh, full.camera, arguments.frames, arguments.seed))
+    for frame, prior, _ in seen:
+        for name, call in calls(full, fast, frame, prior).items():
+            rows.setdefault(name, []).append(median_ms(call, REPEATS[name]))
+    rows[SKLEARN] = [median_ms(looped_trees(model), 5)]
+    if arguments.peer_python is not None:
+        images = [frame for frame, _, _ in seen]
+        for templates, ms in (linemod_ms(arguments.peer_python, images) or {}).items():
+            rows[f"cv2.linemod, templates: {templates}"] = [ms]
+    floor_ms = float(np.median(rows["floor: threshold, contours, bins"]))
+    print(f"model {size / 1e6:.1f} MB, loaded in {load:.1f} ms")
+    for name, times in rows.items():
+        ms = float(np.median(times))
+        print(f"{name:48s} {ms:8.2f} ms  {ms / floor_ms:6.1f} × floor")
+
+
+def recognizers(model: ViewModel) -> tuple[Recognizer, Recognizer]:
+    """With the trees and without, for the camera of :func:`frames`."""
+    camera = Camera.from_fov(1024, 1024, np.deg2rad(40.0))
+    return Recognizer(model, camera), Recognizer(model, camera, trees=False)
+
+
+def frames(
+    mesh: Mesh, camera: Camera, count: int, seed: int
+) -> Iterator[tuple[np.ndarray, Pose, Pose]]:
+    """Frames; for each a pose about a degree and 1 % of range off, and the true one."""
+    centre_m, radius_m = mesh.bounding_sphere
+    rng = np.random.default_rng(seed)
+    for _ in range(count):
+        rotation = Rotation.random(random_state=rng).as_matrix()
+        depth = radius_m * rng.uniform(4.0, 7.0)
+        pose = Pose(rotation, np.array([0.0, 0.0, depth]) - rotation @ centre_m)
+        sun = sun_at_phase([0.0, 0.0, 1.0], np.deg2rad(20.0), rng.uniform(0.0, 6.28))
+        frame = render_frame(mesh, camera, pose, sun, SceneOptions(sky_frame="camera"), rng)
+        turn = Rotation.from_rotvec(rng.normal(size=3) * 0.01).as_matrix() @ rotation
+        yield frame, Pose(turn, np.array([0.0, 0.0, 1.01 * depth]) - turn @ centre_m), pose
+
+
+def calls(
+    full: Recognizer, fast: Recognizer, frame: np.ndarray, prior: Pose
+) -> dict[str, Callable[[], object]]:
+    """What is done with a frame, by ours and by what stands beside it."""
+    model, camera = full.model, full.camera
+    found: dict[str, Callable[[], object]] = {
+        TRACKING: lambda: fast.recognize(frame, prior),
+        WITH_NODES: lambda: full.recognize(frame, prior),
+        FIRST: lambda: full.recognize(frame),
+        FLOOR: lambda: floor(frame, camera, model),
+    }
+    nearest = nearest_view(frame, camera, model)
+    if nearest is not None:
+        found[NEAREST] = nearest
+    return found
+
+
+def nearest_view(
+    frame: np.ndarray, camera: Camera, model: ViewModel
+) -> Callable[[], np.ndarray] | None:
+    """Circular correlation of the frame's signature with all views: the best one's attitude."""
+    mask = cv2.threshold(frame, 30, 255, cv2.THRESH_BINARY)[1]
+    outlines = [camera.rays(o) for o in outlines_of_mask(mask)]
+    signature = Signature.of_outlines(outlines, model.bins, 1)
+    if signature is None:
+        return None
+    views = model.views.readings.astype(np.float32)
+    views -= views.mean(axis=1, keepdims=True)
+    views /= np.linalg.norm(views, axis=1, keepdims=True)
+    spectra = np.conj(fft.rfft(views, axis=1))
+
+    def search() -> np.ndarray:
+        likeness = fft.irfft(fft.rfft(signature.readings) * spectra, n=model.bins, axis=1)
+        view, shift = divmod(int(np.argmax(likeness)), model.bins)
+        # Bins run counter-clockwise, a positive roll clockwise.
+        roll = Rotation.from_rotvec([0.0, 0.0, -2.0 * np.pi * shift / model.bins]).as_matrix()
+        attitude = roll @ model.views.centred_from_target[view]
+        return signature.centred_from_camera.T @ attitude
+
+    return search
+
+
+def looped_trees(model: ViewModel) -> Callable[[], object]:
+    """A tree of scikit-learn for every node, asked one after the other."""
+    samples = model.views.readings[:400].astype(np.float32)
+    trees = [
+        DecisionTreeClassifier(criterion="entropy", max_depth=8).fit(
+            samples, np.arange(len(samples)) % 40 == k % 40
+        )
+        for k in range(len(model.forest))
+    ]
+    return lambda: [tree.predict(samples[:1]) for tree in trees]
+
+
+def floor(frame: np.ndarray, camera: Camera, model: ViewModel) -> object:
+    mask = cv2.threshold(frame, 30, 255, cv2.THRESH_BINARY)[1]
+    border = max(outer_borders(np.asarray(mask, np.uint8)), key=len)
+    rays = camera.rays(border.astype(np.float64))
+    return Signature.of_outlines([rays], model.bins, 1)

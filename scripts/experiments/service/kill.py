@@ -1,0 +1,154 @@
+"""Kill the recording service again and again, and count acknowledged poses that are lost.
+
+    python -m experiments service-kill hubble.rvm SCENE [--kills 100] [--seed 0]
+
+Each time a service is started with a log, two clients send frames as fast as they are answered,
+and after a random while the whole process group gets `kill -9`. Then the log is read as it was
+left, and once more after it is mended, by the reader of the `mcap` package. What was answered
+with ``"recorded": true`` must be there, number for number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+
+from rendezview.client import Client
+from rendezview.errors import RendezviewError
+from rendezview.io.sequences import open_sequence
+from rendezview.service.log_file import mend
+from rendezview.service.replay import read_log
+
+
+def serve(model: Path, folder: Path, models: Path) -> tuple[subprocess.Popen[str], str]:
+    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
+    flags = ["--port", "0", "--workers", "1", "--record", str(folder), "--models", str(models)]
+    # The model is in a log before its first pose; written 200 times it only takes time.
+    process = subprocess.Popen(
+        [*command, str(model), *flags],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env=os.environ | {"RENDEZVIEW_SERVE_RECORD_MODEL": "false"},
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "serves at" in line:
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            return process, line.split("serves at ")[1].strip()
+    raise SystemExit("the service does not start")
+
+
+def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) -> None:
+    sequence = open_sequence(scene)
+    images = [frame.read() for frame in sequence]
+    images += images[-2:0:-1]
+    told = acknowledged.setdefault(name, [])
+    try:
+        with Client(url) as client:
+            session = client.open(sequence.frames[0].camera, name=name)
+            k = 0
+            while True:
+                state = session.track(images[k % len(images)], k / 30.0)
+                if state["recorded"]:
+                    told.append(state)
+                k += 1
+    except (RendezviewError, OSError):
+        pass  # killed
+
+
+def states_of(path: Path) -> dict[int, dict]:
+    with open(path, "rb") as file:
+        found = {}
+        messages = make_reader(file).iter_messages(topics=["/rendezview/state"])
+        for _, _, message in messages:
+            state = json.loads(message.data)
+            found[state["frame"]] = state
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("model", type=Path)
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(arguments.seed)
+    acknowledged_in_all = lost = unreadable = cut_files = cut_bytes = 0
+    with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(1) as starter:
+
+        def start(number: int) -> Future[tuple[subprocess.Popen[str], str]]:
+            folder = Path(work) / f"logs-{number}"
+            folder.mkdir()
+            return starter.submit(serve, arguments.model, folder, Path(work) / f"models-{number}")
+
+        upcoming = start(1)
+        for done in range(1, arguments.kills + 1):
+            folder = Path(work) / f"logs-{done}"
+            process, url = upcoming.result()
+            acknowledged: dict[str, list[dict]] = {}
+            threads = [
+                threading.Thread(target=send, args=(url, arguments.scene, name, acknowledged))
+                for name in ("one", "two")
+            ]
+            for thread in threads:
+                thread.start()
+            until = time.monotonic() + 20.0
+            while not any(acknowledged.values()) and time.monotonic() < until:
+                time.sleep(0.01)
+            time.sleep(float(rng.uniform(0.0, 1.0)))
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            if done < arguments.kills:
+                upcoming = start(done + 1)  # while the logs of this one are read
+            for thread in threads:
+                thread.join()
+            for name, told in acknowledged.items():
+                acknowledged_in_all += len(told)
+                paths = list(folder.glob(f"{name}-*.mcap"))
+                if not paths:
+                    lost += len(told)
+                    continue
+                try:
+                    as_left = {
+                        f.state["frame"]: f.state
+                        for f in read_log(paths[0]).frames()
+                        if f.state is not None
+                    }
+                    cut = mend(paths[0])
+                    mended = states_of(paths[0])
+                except Exception as error:  # whatever a reader says
+                    print(f"{paths[0]}: {error}")
+                    unreadable += 1
+                    lost += len(told)
+                    continue
+                if cut is not None:
+                    cut_files += cut > 0
+                    cut_bytes += cut
+                lost += sum(
+                    as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in told
+                )
+            shutil.rmtree(folder)
+            shutil.rmtree(Path(work) / f"models-{done}", ignore_errors=True)
+            told_so_far = f"{done} of {arguments.kills}: {acknowledged_in_all} poses, {lost} lost"
+            print(f"\r{told_so_far}", end="", file=sys.stderr, flush=True)
+    print(
+        f"seed {arguments.seed}: {arguments.kills} kills, {acknowledged_in_all} acknowledged "
+        f"poses, {lost} lost, {unreadable} logs unreadable; {cut_files} logs ended in half a "
+        f"frame ({cut_bytes} bytes cut)"
+    )
+    sys.exit(bool(lost or unreadable))

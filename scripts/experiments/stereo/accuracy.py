@@ -1,0 +1,362 @@
+"""The stereo LED tracker in its simulated laboratory, as docs/stereo.md reports it.
+
+    python -m experiments stereo-accuracy --part figure8 --seed 11
+    python -m experiments stereo-accuracy --part convergence --seed 12
+    python -m experiments stereo-accuracy --part recovery --seed 13
+    python -m experiments stereo-accuracy --part faults --seed 14
+    python -m experiments stereo-accuracy --part identity --seed 15
+
+figure8: a stage turns by 2° or 0.5° a reading, as in figure 8 of Welch et al. (1991); angle
+read against angle set, slope and scatter about the line, beside the Cramér–Rao bound. The
+photodiode rig is calibrated in the simulation first, never given its truth.
+convergence: one iteration from the last estimate after a step of 2°.
+recovery: the pose from one reading, knowing nothing.
+faults: lights missing, exchanged, or seen by reflection.
+identity: two picture cameras, all lights shining at once, none named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.stereo import (
+    MotionOptions,
+    Normalisation,
+    Rig,
+    Sights,
+    Spots,
+    StereoTracker,
+    TrackerOptions,
+    yaw_pitch_roll,
+)
+from rendezview.sensors.stereo.agreement import Disagreement, Fit, distance, iterate
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.sensors.stereo.spots import find_spots
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
+
+PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
+POSITIONS = 41  # of the stage; the paper's figure does not say
+RATE_HZ = 10.0
+AVERAGED = 60  # the paper: "several"; its calibration averages 60
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parts: dict[str, Callable[[argparse.Namespace, Target], None]] = {
+        "figure8": figure8, "convergence": convergence, "recovery": recovery,
+        "faults": faults, "identity": identity,
+    }  # fmt: skip
+    parser.add_argument("--part", choices=parts, required=True)
+    parser.add_argument("--target", default="models_cad/scole")
+    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--cases", type=int, help="default: 10000; 100 runs; 2000; 500")
+    parser.add_argument("--snr", type=float, default=200.0)
+    arguments = parser.parse_args()
+    print(f"seed {arguments.seed}, signal-to-noise {arguments.snr:g}, target {arguments.target}")
+    start = time.perf_counter()
+    parts[arguments.part](arguments, Target.load(arguments.target))
+    print(f"{time.perf_counter() - start:.0f} s")
+
+
+def leds_of(target: Target) -> np.ndarray:
+    return np.array([led.position_m for led in target.leds])
+
+
+def spots_of(rig: Rig, currents: np.ndarray) -> list[Spots]:
+    return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
+
+
+def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
+    """Slope, and r.m.s. scatter about the fitted line (two degrees of freedom fewer)."""
+    slope, offset = np.polyfit(set_deg, read_deg, 1)
+    left = read_deg - slope * set_deg - offset
+    return float(slope), float(np.sqrt((left**2).sum() / (len(left) - 2)))
+
+
+def turned_deg(rotations: np.ndarray) -> np.ndarray:
+    """Turn of each about the stage's axis, the laboratory's z, from their mean, degrees.
+
+    Unlike the yaw of eq. 3 it does not care how the lights' plane stands on the stage.
+    """
+    u, _, vt = np.linalg.svd(rotations.mean(axis=0))
+    _x, _y, z, w = Rotation.from_matrix(rotations @ (u @ vt).T).as_quat().T
+    return np.rad2deg(2.0 * np.arctan2(z, w))
+
+
+def figure8(arguments: argparse.Namespace, target: Target) -> None:
+    runs, seed = arguments.cases or 100, arguments.seed
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=arguments.snr), seed)
+    rng = np.random.default_rng(seed)
+    record = laboratory.calibration(rng)
+    rig = calibrate_laboratory(record).rig
+    plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
+    table = Table("step", "method", "readings", "slope", "scatter", "bound", "ratio")
+    for step in (2.0, 0.5):
+        angles = step * (np.arange(POSITIONS) - POSITIONS // 2)
+        poses = laboratory.stage(np.deg2rad(angles))
+        bound = np.sqrt(np.mean([_about_z(laboratory.bound(pose)) for pose in poses]))
+        rows: dict[str, list[tuple[float, float]]] = {}
+        for _ in range(runs):
+            currents = laboratory.currents(poses, rng)
+            mean = laboratory.currents(poses, None) + rng.normal(
+                0.0, laboratory.noise / np.sqrt(AVERAGED), currents.shape
+            )
+            for name, given in (("paper, one scan", currents), (f"paper, {AVERAGED} scans", mean)):
+                rows.setdefault(name, []).append(
+                    line(angles, by_paper(plain, target, given, poses[0]))
+                )
+            for name, motion in (("ours, one scan", None), ("ours, filter", MotionOptions())):
+                rotations = by_tracker(rig, target, currents, motion)
+                rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
+            rows.setdefault(f"ours, {AVERAGED} scans", []).append(
+                line(angles, turned_deg(by_tracker(rig, target, mean, None)))
+            )
+        table.add_row(f"{step}°", "paper, as printed", "several scans", "≠ 1", f"{PAPER[step]}°")
+        for name, lines in rows.items():
+            scans = AVERAGED if f"{AVERAGED}" in name else 1
+            _row(table, step, name, scans, lines, None if "filter" in name else
+                 float(np.rad2deg(bound)) / np.sqrt(scans))  # fmt: skip
+        options = PictureOptions(signal_to_noise=arguments.snr)
+        cameras = picture_rig(laboratory, options)
+        bound = np.sqrt(
+            np.mean([_about_z(picture_bound(cameras, laboratory.leds, p, options)) for p in poses])
+        )
+        lines = [
+            line(angles, turned_deg(by_pictures(cameras, target, poses, options, rng)))
+            for _ in range(max(runs // 10, 1))
+        ]
+        _row(table, step, "ours, two picture cameras", 1, lines, float(np.rad2deg(bound)))
+    Console(width=110).print(table)
+
+
+def _row(
+    table: Table, step: float, name: str, scans: int, lines: list[tuple[float, float]],
+    bound: float | None,
+) -> None:  # fmt: skip
+    slopes, scatters = np.array(lines).T
+    scatter = float(np.sqrt((scatters**2).mean()))
+    table.add_row(
+        f"{step}°", name, f"{len(lines)} × {POSITIONS} of {scans} scan{'s' * (scans > 1)}",
+        f"{slopes.mean():.4f}", f"{scatter:.5f}°",
+        "" if bound is None else f"{bound:.5f}°", "" if bound is None else f"{scatter / bound:.3f}",
+    )  # fmt: skip
+
+
+def _about_z(covariance: np.ndarray) -> float:
+    return float(covariance[2, 2])
+
+
+def by_paper(rig: Rig, target: Target, currents: np.ndarray, first: Pose) -> np.ndarray:
+    """One unweighted iteration from the last estimate; yaw of eq. 3, degrees."""
+    leds, rotation, translation = leds_of(target), first.rotation, first.translation_m
+    yaws = []
+    for reading in currents:
+        sights = rig.sights(spots_of(rig, reading), len(leds))
+        even = np.where(sights.weight > 0.0, np.median(sights.weight), 0.0)
+        fit = iterate(rig, leds, Sights(sights.xy, even), rotation, translation, iterations=1)
+        rotation, translation = fit.rotation, fit.translation
+        yaws.append(yaw_pitch_roll(rotation).yaw)
+    return np.rad2deg(np.unwrap(yaws))
+
+
+def by_tracker(
+    rig: Rig, target: Target, currents: np.ndarray, motion: MotionOptions | None
+) -> np.ndarray:
+    tracker = StereoTracker.of_target(rig, target, TrackerOptions(motion=motion))
+    rotations = []
+    for k, reading in enumerate(currents):
+        observation = tracker.update(k / RATE_HZ, spots_of(rig, reading))
+        rotations.append((observation.estimate or observation.fit).rotation)
+    return np.stack(rotations)
+
+
+def by_pictures(
+    rig: Rig, target: Target, poses: list[Pose], options: PictureOptions, rng: np.random.Generator
+) -> np.ndarray:
+    """Single readings of two pictures; the lights are not named."""
+    tracker = StereoTracker.of_target(rig, target)
+    rotations = []
+    for k, pose in enumerate(poses):
+        spots = [
+            find_spots(draw(rig, c, pose.apply(tracker.leds), options, rng))
+            for c in range(len(rig))
+        ]
+        rotations.append(tracker.update(k / RATE_HZ, spots).fit.rotation)
+    return np.stack(rotations)
+
+
+def random_pose(rng: np.random.Generator, tilt_deg: float) -> Pose:
+    """Any yaw, tilted up to so much any way, lights towards the cameras."""
+    tilt = np.deg2rad(tilt_deg) * np.sqrt(rng.uniform())
+    around = rng.uniform(0.0, 2.0 * np.pi)
+    tilted = Rotation.from_rotvec(tilt * np.array([np.cos(around), np.sin(around), 0.0]))
+    turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    place = rng.uniform(-1.0, 1.0, 3) * (0.1, 0.1, 0.5)
+    return Pose((tilted * turn).as_matrix(), place)
+
+
+def convergence(arguments: argparse.Namespace, target: Target) -> None:
+    cases = arguments.cases or 10_000
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(
+        signal_to_noise=arguments.snr, distorted=False), arguments.seed)  # fmt: skip
+    rng = np.random.default_rng(arguments.seed)
+    rig, leds = laboratory.rig, laboratory.leds
+    from_end, from_truth, end_truth, unsolved = [], [], [], 0
+    for _ in range(cases):
+        before = random_pose(rng, 20.0)
+        after = Pose(Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.0)]).as_matrix(), np.zeros(3))
+        after = after @ before
+        first, second = laboratory.currents([before, after], rng)
+        last = iterate(rig, leds, rig.sights(spots_of(rig, first), len(leds)),
+                       before.rotation, before.translation_m)  # fmt: skip
+        sights = rig.sights(spots_of(rig, second), len(leds))
+        if last is None:
+            unsolved += 1
+            continue
+        once = iterate(rig, leds, sights, last.rotation, last.translation, iterations=1)
+        end = iterate(rig, leds, sights, last.rotation, last.translation)
+        if once is None or end is None:
+            unsolved += 1
+            continue
+        from_end.append(Rotation.from_matrix(once.rotation @ end.rotation.T).as_rotvec())
+        from_truth.append(Rotation.from_matrix(once.rotation @ after.rotation.T).as_rotvec())
+        end_truth.append(Rotation.from_matrix(end.rotation @ after.rotation.T).as_rotvec())
+    print(f"{cases} steps of 2° from the last estimate, tilt to 20°, any yaw; {unsolved} unsolved")
+    for name, vectors in (("one iteration, from where iteration ends", from_end),
+                          ("one iteration, from the truth", from_truth),
+                          ("all iterations, from the truth", end_truth)):  # fmt: skip
+        turn = np.rad2deg(np.abs(vectors))
+        for what, angle in (("yaw", turn[:, 2]), ("attitude", np.linalg.norm(turn, axis=1))):
+            print(f"{name}, {what}: below 1° in {(angle < 1.0).sum()}, r.m.s. "
+                  f"{np.sqrt((angle**2).mean()):.3f}°, worst {angle.max():.3f}°")  # fmt: skip
+
+
+def recovery(arguments: argparse.Namespace, target: Target) -> None:
+    cases = arguments.cases or 10_000
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(
+        signal_to_noise=arguments.snr, distorted=False), arguments.seed)  # fmt: skip
+    rng = np.random.default_rng(arguments.seed)
+    tracker = StereoTracker.of_target(laboratory.rig, target)
+    outcome = {"right": 0, "refused": 0, "wrong": 0}
+    spent, yaws = [], []
+    for _ in range(cases):
+        pose = random_pose(rng, 60.0)
+        sights = tracker.rig.sights(spots_of(tracker.rig, laboratory.currents([pose], rng)[0]), 6)
+        start = time.perf_counter()
+        found = tracker.locate(sights)
+        spent.append(time.perf_counter() - start)
+        told = judge(tracker, sights, found, pose)
+        outcome[told] += 1
+        if isinstance(found, Fit):
+            yaws.append(abs(Rotation.from_matrix(found.rotation @ pose.rotation.T).as_rotvec()[2]))
+    print(f"{cases} readings, any yaw, tilt to 60°, nothing known: {outcome}, "
+          f"median {1e3 * np.median(spent):.1f} ms")  # fmt: skip
+    print(f"turn about the boresight against the truth: worst {np.rad2deg(max(yaws)):.2f}°")
+
+
+def judge(tracker: StereoTracker, sights: Sights, found: Fit | Disagreement, pose: Pose) -> str:
+    """right: the minimum next to the truth, and the truth within its covariance."""
+    if isinstance(found, Disagreement):
+        return "refused"
+    near = iterate(tracker.rig, tracker.leds, found.sights, pose.rotation, pose.translation_m)
+    truth = Fit(pose.rotation, pose.translation_m, found.information, 0.0, 0, 0, sights)
+    same = near is not None and distance(found, near) < 0.5
+    if same and distance(found, truth) < 60.0:
+        return "right"
+    return "wrong"
+
+
+def faults(arguments: argparse.Namespace, target: Target) -> None:
+    cases = arguments.cases or 2000
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(
+        signal_to_noise=arguments.snr, distorted=False), arguments.seed)  # fmt: skip
+    rng = np.random.default_rng(arguments.seed)
+    tracker = StereoTracker.of_target(laboratory.rig, target)
+    count = len(tracker.leds)
+
+    def missing(light: np.ndarray) -> None:
+        light[:, rng.choice(count, 2, replace=False)] = np.nan
+
+    def half_missing(light: np.ndarray) -> None:
+        light[0, rng.choice(count, 3, replace=False)] = np.nan
+
+    def exchanged(light: np.ndarray) -> None:
+        a, b = rng.choice(count, 2, replace=False)
+        light[:, [a, b]] = light[:, [b, a]]
+
+    def exchanged_once(light: np.ndarray) -> None:
+        a, b = rng.choice(count, 2, replace=False)
+        light[0, [a, b]] = light[0, [b, a]]
+
+    def reflected(light: np.ndarray) -> None:
+        place = rng.uniform(-0.8, 0.8, 2) * laboratory.options.half_width_m
+        light[rng.integers(2), rng.integers(count)] = laboratory.light(0, place)
+
+    def one_camera(light: np.ndarray) -> None:
+        light[1] = np.nan
+
+    table = Table("fault", "start", "right", "refused", "wrong")
+    for fault in (missing, half_missing, exchanged, exchanged_once, reflected, one_camera):
+        for known in (True, False):
+            outcome = {"right": 0, "refused": 0, "wrong": 0}
+            for _ in range(cases if known else cases // 4):
+                pose = random_pose(rng, 20.0)
+                light = laboratory.currents([pose], rng)[0]
+                fault(light)
+                sights = tracker.rig.sights(spots_of(tracker.rig, light), count)
+                found: Fit | Disagreement
+                if known:
+                    last = pose.perturbed(np.append(rng.normal(0.0, np.deg2rad(2.0), 3), [0, 0, 0]))
+                    other = StereoTracker.of_target(tracker.rig, target)
+                    other.update(0.0, spots_of(tracker.rig, laboratory.currents([last], rng)[0]))
+                    observation = other.update(0.1, spots_of(tracker.rig, light))
+                    found = observation.fit or Disagreement(observation.reason or "")
+                else:
+                    found = tracker.locate(sights)
+                outcome[judge(tracker, sights, found, pose)] += 1
+            table.add_row(fault.__name__.replace("_", " "), "tracking" if known else "nothing",
+                          *(str(n) for n in outcome.values()))  # fmt: skip
+    Console(width=100).print(table)
+
+
+def identity(arguments: argparse.Namespace, target: Target) -> None:
+    cases = arguments.cases or 300
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(distorted=False), arguments.seed)
+    rig = picture_rig(laboratory, PictureOptions())
+    rng = np.random.default_rng(arguments.seed)
+    sigma_px = 0.05
+    table = Table("spots", "right", "refused", "wrong", "median ms")
+    for name, hidden, false in (("all six", 0, 0), ("one hidden", 1, 0), ("two false", 0, 2),
+                                ("one hidden, two false", 1, 2)):  # fmt: skip
+        outcome, spent = {"right": 0, "refused": 0, "wrong": 0}, []
+        for _ in range(cases):
+            pose = random_pose(rng, 30.0)
+            tracker = StereoTracker.of_target(rig, target)
+            spots = []
+            for camera in rig.cameras:
+                seen = camera.project(pose.apply(tracker.leds))
+                seen = seen[rng.permutation(len(seen))[hidden:]]
+                seen = np.concatenate([seen, rng.uniform(0.0, 1023.0, (false, 2))])
+                seen = seen[rng.permutation(len(seen))]
+                seen = seen + rng.normal(0.0, sigma_px, seen.shape)
+                spots.append(Spots(seen, np.full(seen.shape, sigma_px), np.full(len(seen), -1)))
+            start = time.perf_counter()
+            observation = tracker.update(0.0, spots)
+            spent.append(1e3 * (time.perf_counter() - start))
+            if observation.fit is None:
+                outcome["refused"] += 1
+                continue
+            sights = rig.sights(observation.spots, len(tracker.leds))
+            outcome[judge(tracker, sights, observation.fit, pose)] += 1
+        table.add_row(name, *(str(n) for n in outcome.values()), f"{np.median(spent):.0f}")
+    Console(width=100).print(table)

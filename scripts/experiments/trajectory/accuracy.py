@@ -1,0 +1,222 @@
+"""Accuracy of segments, predictions and spin, docs/trajectory.md.
+
+    python -m experiments trajectory-frames SIGHTINGS MODEL TARGET circular spiral vbar spin tumble
+    python -m experiments trajectory-accuracy SIGHTINGS [--seeds 0 20]
+
+One segment of 100 frames each; seeds of which no file is there are left out. Position errors are
+medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
+trees alone. "between nodes": the signatures stored around them (``--model``). "refined": refined
+poses. "own attitude": the chaser knows its own in the path's axes (a star tracker), and the
+target's takes no part in the place. For circular and
+spiral the spin is that of the target in the frame of the line of sight; pointing jitter is
+taken as known to the chaser (its own attitude). NEES is of the place in the middle, three for
+perfect statistics. Rows: median, 90 % and largest over the seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from experiments.trajectory.frames import CAMERA, KINDS, SPAN_S, true_path
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.outline.interpolation import Interpolator
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.votes import Match
+from rendezview.trajectory import (
+    Nothing,
+    PointCloud,
+    Segment,
+    Shape,
+    Spin,
+    camera_place,
+    centre_place,
+    fit_segment,
+    fit_spin,
+    fit_spin_of_directions,
+)
+
+SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR}
+
+
+def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, PointCloud]:
+    """On nodes alone; refined poses, with the target's attitude as reference and with one's own."""
+    centre, times = data["centre_m"], data["times_s"]
+    nodes = PointCloud.of_nodes(
+        times[data["node_frame"]], data["node_m"] - centre, data["node_weight"]
+    )
+    parts = [
+        camera_place(Pose(rotation, translation), covariance, centre)
+        for rotation, translation, covariance in zip(
+            data["rotation"], data["translation_m"], data["covariance"], strict=True
+        )
+    ]
+    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
+    refined = PointCloud.of_places(times[data["pose_frame"]], places, spreads)
+    # The camera's axes known to the chaser, so that the target's attitude takes no part.
+    known = np.swapaxes(data["jitter"] @ data["true_rotation"], 1, 2)[data["pose_frame"]]
+    parts = [
+        centre_place(Pose(rotation, translation), covariance, centre)
+        for rotation, translation, covariance in zip(
+            data["rotation"], data["translation_m"], data["covariance"], strict=True
+        )
+    ]
+    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
+    own = PointCloud.of_places(
+        times[data["pose_frame"]],
+        np.einsum("nij,nj->ni", known, places),
+        known @ spreads @ np.swapaxes(known, 1, 2),
+    )
+    found = {"nodes": nodes, "refined": refined, "refined, own attitude": own}
+    if between is not None:
+        found["between nodes"] = PointCloud.of_nodes(*between_nodes(data, between))
+    return found
+
+
+def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
+    """Times, points about the centre and weights, from stored signatures and on nodes alone."""
+    times, points, weights = [], [], []
+    for k, frame in enumerate(data["outline_frame"]):
+        on = data["node_frame"] == frame
+        seen = np.flatnonzero(data["tree_frame"] == frame)
+        if not on.any() or len(seen) == 0:
+            continue
+        away = data["node_m"][on] - data["centre_m"]
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        trust = data["node_weight"][on]
+        mean = trust @ away / np.linalg.norm(trust @ away)
+        turn = data["centred_from_camera"][k]
+        signature = Signature(data["readings"][k], float(data["area_sr"][k]), turn)
+        match = Match(np.flatnonzero(on), trust, mean, turn @ data["tree_rotation"][seen[0]])
+        found, share = between.points(match, signature, 1.0 / CAMERA.fx)
+        times.append(np.full(len(found), data["times_s"][frame]))
+        points.append(found - data["centre_m"])
+        weights.append(share)
+    return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
+
+
+def spins(
+    data: dict[str, Array], kind: str, between: Interpolator | None
+) -> dict[str, Spin | Nothing]:
+    """From directions of on nodes, from attitudes with the chaser's own known."""
+    frames, times = data["pose_frame"], data["times_s"]
+    back = np.swapaxes(data["jitter"][frames], 1, 2)
+    attitudes = back @ data["rotation"]
+    spreads = back @ data["covariance"][:, :3, :3] @ np.swapaxes(back, 1, 2)
+    tumbling = kind == "tumble"
+    found = {
+        "nodes": fit_spin_of_directions(
+            times[data["node_frame"]],
+            data["node_m"] - data["centre_m"],
+            data["node_weight"],
+            tumbling=tumbling,
+        ),
+        "refined": fit_spin(times[frames], attitudes, spreads, tumbling=tumbling),
+    }
+    if between is not None:
+        cloud = between_nodes(data, between)
+        found["between nodes"] = fit_spin_of_directions(*cloud, tumbling=tumbling)
+    return found
+
+
+def segment_errors(segment: Segment, data: dict[str, Array], kind: str, seed: int) -> Array:
+    """Median error of the fit, % of range; of the prediction; NEES; within 10 % of range."""
+    flown, _ = true_path(kind, float(data["radius_m"]), data["centre_m"], seed)
+    times = data["times_s"]
+    errors = []
+    for at in (times, times + SPAN_S):
+        truth = flown(at) - data["centre_m"]
+        off = np.linalg.norm(segment.places(at) - truth, axis=1) / np.linalg.norm(truth, axis=1)
+        errors.append(100.0 * float(np.median(off)))
+    middle = np.array([segment.middle_s])
+    miss = segment.places(middle)[0] - (flown(middle)[0] - data["centre_m"])
+    nees = float(miss @ np.linalg.solve(segment.place_covariance(segment.middle_s), miss))
+    return np.array([*errors, nees])
+
+
+def spin_errors(spin: Spin, data: dict[str, Array], kind: str, seed: int) -> Array:
+    """Rate, %; axis, degrees; camera's place as the spin puts it, % of range, fitted, predicted."""
+    _, turn = true_path(kind, float(data["radius_m"]), data["centre_m"], seed)
+    true_rate = turn(np.array([spin.time_s]))[1][0]
+    size = float(np.linalg.norm(true_rate))
+    rate = 100.0 * abs(spin.speed_rad_s / size - 1.0)
+    cosine = np.clip(spin.axis @ true_rate / size, -1.0, 1.0)
+    off = []
+    for at in (data["times_s"], data["times_s"] + SPAN_S):
+        true_turn, _ = turn(at)
+        found, _ = spin.at(at)
+        # The camera stands on −z of the reference: its direction in target axes.
+        moved = np.linalg.norm(true_turn[:, 2] - found[:, 2], axis=1)
+        off.append(100.0 * float(np.median(moved)))
+    return np.array([rate, float(np.rad2deg(np.arccos(cosine))), *off])
+
+
+def row(name: str, values: list[Array], count: int) -> str:
+    """Median, 90 % and largest of each column."""
+    if not values:
+        return f"| {name} | 0 of {count} |"
+    table = np.array(values)
+    cells = []
+    for column in table.T:
+        median, high = np.percentile(column, [50.0, 90.0])
+        cells.append(f"{median:.3f} / {high:.3f} / {column.max():.3f}")
+    return f"| {name} | {len(values)} of {count} | " + " | ".join(cells) + " |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--target", default="client")
+    parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
+    parser.add_argument("--model", type=Path, help="also between its nodes (has far readings)")
+    args = parser.parse_args()
+    between = None if args.model is None else Interpolator(ViewModel.load(args.model))
+    seeds = range(*args.seeds)
+    print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
+    print("|---|---|---|---|---|")
+    kept: dict[tuple[str, int], dict[str, Array]] = {}
+    for kind in KINDS:
+        for seed in seeds:
+            path = args.folder / f"{args.target}-{kind}-{seed}.npz"
+            if not path.exists():
+                continue
+            with np.load(path) as file:
+                kept[kind, seed] = {name: file[name] for name in file.files}
+    frame_errors: list[float] = []
+    for kind, shape in SHAPES.items():
+        there = [seed for seed in seeds if (kind, seed) in kept]
+        found = {seed: clouds(kept[kind, seed], between) for seed in there}
+        for source in found[there[0]] if there else ():
+            values = []
+            for seed in there:
+                data = kept[kind, seed]
+                segment = fit_segment(found[seed][source], shape)
+                if isinstance(segment, Nothing):
+                    print(f"{kind} {source} seed {seed}: {segment.reason}")
+                    continue
+                values.append(segment_errors(segment, data, kind, seed))
+            print(row(f"{kind}, {source}", values, len(there)))
+    for data in kept.values():
+        places = clouds(data, None)["refined"].places_m + data["centre_m"]
+        truth = data["truth_m"][data["pose_frame"]]
+        far = np.linalg.norm(truth - data["centre_m"], axis=1)
+        frame_errors.append(100.0 * float(np.median(np.linalg.norm(places - truth, axis=1) / far)))
+    print(f"one refined frame: {np.median(frame_errors):.3f} % of range, median of medians")
+    print()
+    print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
+    print("|---|---|---|---|---|---|")
+    for kind in ("spin", "tumble", "circular", "spiral"):
+        there = [seed for seed in seeds if (kind, seed) in kept]
+        turns = {seed: spins(kept[kind, seed], kind, between) for seed in there}
+        for source in turns[there[0]] if there else ():
+            values = []
+            for seed in there:
+                spin = turns[seed][source]
+                if isinstance(spin, Nothing):
+                    print(f"{kind} {source} seed {seed}: {spin.reason}")
+                    continue
+                values.append(spin_errors(spin, kept[kind, seed], kind, seed))
+            print(row(f"{kind}, {source}", values, len(there)))

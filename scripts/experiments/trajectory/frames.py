@@ -1,0 +1,182 @@
+"""The observations on which docs/trajectory.md judges segments: frames drawn, then recognised.
+
+    python -m experiments trajectory-frames SIGHTINGS MODEL TARGET circular --seeds 0 20
+
+SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100 frames,
+2 s apart: 1024 × 768, 53° across, the Sun behind the camera (``--sun-phase`` says otherwise),
+noise, blur and pointing jitter as ``rendezview simulate`` has them, attitude of the path random.
+Two trackers see each frame: one with refinement, one that has the trees alone. A file that is
+there already is left as it is.
+
+circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to 5
+radii, with three hops of 3 % of the distance. spin, tumble: camera fixed at 3.5 radii, the target
+turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.trajectories import looking_at, torque_free
+from rendezview.training.bundled import find_target
+from rendezview.training.mesh import load_mesh
+
+KINDS = ("circular", "spiral", "vbar", "spin", "tumble")
+FRAMES = 100
+STEP_S = 2.0
+SPAN_S = FRAMES * STEP_S
+RATE_RAD_S = 1.0 / SPAN_S
+JITTER_RAD = np.deg2rad(0.3)
+INERTIA = (1.0, 1.6, 2.0)
+CAMERA = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
+
+
+def true_path(
+    kind: str, radius_m: float, centre_m: Array, seed: int
+) -> tuple[Callable[[Array], Array], Callable[[Array], tuple[Array, Array]]]:
+    """Where the camera is, and how the target turns, at any times; without jitter.
+
+    Returns:
+        Times (N,) to camera places (N, 3), target frame; times to ``reference_from_target``
+        (N, 3, 3) and the target's angular velocity (N, 3) in its own axes. The reference is a
+        frame in which the target's centre stands still on +z, as the camera's does.
+    """
+    rng = np.random.default_rng([seed, KINDS.index(kind)])
+    axes = Rotation.random(random_state=rng).as_matrix()
+    ahead, across, normal = axes
+    if kind in ("spin", "tumble"):
+        direction = rng.standard_normal(3)
+        rate = RATE_RAD_S * direction / np.linalg.norm(direction)
+        inertia = INERTIA if kind == "tumble" else (1.0, 1.0, 1.0)
+        place = centre_m + 3.5 * radius_m * ahead
+        first = looking_at(place, centre_m, normal).rotation
+
+        def turn(times_s: Array) -> tuple[Array, Array]:
+            grid = np.concatenate([[0.0], times_s])
+            unique, back = np.unique(grid, return_inverse=True)
+            inertial_from_body, rates = torque_free(inertia, rate, unique)
+            return first @ inertial_from_body[back][1:], rates[back][1:]
+
+        def places(times_s: Array) -> Array:
+            turned, _ = turn(times_s)
+            away = np.array([0.0, 0.0, -3.5 * radius_m])
+            return np.asarray(centre_m + np.einsum("nji,j->ni", turned, away))
+
+        return places, turn
+
+    hop_s, hop_phase = SPAN_S / 3.0, rng.uniform(0.0, SPAN_S / 3.0)
+
+    def flown(times_s: Array) -> Array:
+        t = np.asarray(times_s, np.float64)[:, None]
+        if kind == "vbar":
+            distance = radius_m * (6.0 - t / SPAN_S)
+            height = 0.03 * distance * np.abs(np.sin(math.pi * (t - hop_phase) / hop_s))
+            return np.asarray(centre_m + distance * ahead + height * across)
+        distance = radius_m * (3.5 if kind == "circular" else 4.5 - 0.5 * t / SPAN_S)
+        angle = RATE_RAD_S * t
+        return np.asarray(centre_m + distance * (np.cos(angle) * ahead + np.sin(angle) * across))
+
+    def turned(times_s: Array) -> tuple[Array, Array]:
+        up = across if kind == "vbar" else normal
+        poses = np.stack([looking_at(p, centre_m, up).rotation for p in flown(times_s)])
+        rates = np.tile(-RATE_RAD_S * normal, (len(times_s), 1))
+        return poses, (np.zeros_like(rates) if kind == "vbar" else rates)
+
+    return flown, turned
+
+
+def observations(
+    model: ViewModel, target: str, kind: str, seed: int, sun_phase_rad: float
+) -> dict[str, Array]:
+    """One segment through the renderer and both trackers, as arrays."""
+    found = find_target(target)
+    mesh = load_mesh(found.mesh_path, found.unit)
+    camera = CAMERA
+    centre_m = model.centre_m
+    places, turns = true_path(kind, model.target_radius_m, centre_m, seed)
+    times_s = STEP_S * np.arange(FRAMES)
+    rotations = turns(times_s)[0]
+    truth = places(times_s)
+    rng = np.random.default_rng([seed, KINDS.index(kind), 1])
+    azimuth = rng.uniform(0.0, 2.0 * math.pi)
+    jitter = Rotation.from_rotvec(JITTER_RAD * rng.standard_normal((FRAMES, 3))).as_matrix()
+    options = SceneOptions()
+    trackers: tuple[Tracker, Tracker] | None = None
+    seen: list[tuple[AppearanceObservation, AppearanceObservation]] = []
+    for k in range(FRAMES):
+        rotation = jitter[k] @ rotations[k]
+        pose = Pose(rotation, -rotation @ truth[k])
+        sun = sun_at_phase(pose.apply(centre_m), sun_phase_rad, azimuth)
+        frame = render_frame(mesh, camera, pose, sun, options, rng, float(times_s[k]))
+        if trackers is None:
+            trackers = (
+                Tracker(Recognizer(model, camera), pose),
+                Tracker(Recognizer(model, camera, refine=False), pose),
+            )
+        seen.append(
+            (
+                trackers[0].update(float(times_s[k]), frame),
+                trackers[1].update(float(times_s[k]), frame),
+            )
+        )
+    refined = [(k, s) for k, (s, _) in enumerate(seen) if s.pose is not None]
+    nodes = [(k, s) for k, (_, s) in enumerate(seen) if len(s.points_m)]
+    trees = [(k, s.pose) for k, (_, s) in enumerate(seen) if s.pose is not None]
+    outlines = [(k, s.signature) for k, (_, s) in enumerate(seen) if s.signature is not None]
+    poses = [s.pose for _, s in refined if s.pose is not None]
+    return {
+        "centre_m": centre_m,
+        "radius_m": np.array(model.target_radius_m),
+        "times_s": times_s,
+        "truth_m": truth,
+        "true_rotation": rotations,
+        "jitter": jitter,
+        "pose_frame": np.array([k for k, _ in refined]),
+        "rotation": np.array([p.rotation for p in poses]),
+        "translation_m": np.array([p.translation_m for p in poses]),
+        "covariance": np.array([s.covariance for _, s in refined]),
+        "node_frame": np.concatenate([np.full(len(s.points_m), k) for k, s in nodes]),
+        "node_m": np.concatenate([s.points_m for _, s in nodes]),
+        "node_weight": np.concatenate([s.weights for _, s in nodes]),
+        "outline_frame": np.array([k for k, _ in outlines]),
+        "readings": np.array([s.readings for _, s in outlines], np.float32),
+        "area_sr": np.array([s.area_sr for _, s in outlines]),
+        "centred_from_camera": np.array([s.centred_from_camera for _, s in outlines]),
+        "tree_frame": np.array([k for k, _ in trees]),
+        "tree_rotation": np.array([pose.rotation for _, pose in trees]),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("target", help="mesh, target.toml, or hubble, client, scole")
+    parser.add_argument("kinds", nargs="+", choices=KINDS)
+    parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
+    parser.add_argument("--sun-phase", type=float, default=0.0, help="degrees")
+    args = parser.parse_args()
+    args.folder.mkdir(parents=True, exist_ok=True)
+    model = ViewModel.load(args.model)
+    for seed in range(*args.seeds):
+        for kind in args.kinds:
+            path = args.folder / f"{model.name}-{kind}-{seed}.npz"
+            if path.exists():
+                continue
+            arrays = observations(model, args.target, kind, seed, math.radians(args.sun_phase))
+            np.savez_compressed(path, **arrays)
+            print(
+                f"{path.name}: {len(arrays['pose_frame'])} poses, "
+                f"{len(arrays['node_frame'])} on nodes",
+                flush=True,
+            )
