@@ -1,20 +1,11 @@
-"""A million P3P problems through the default solver, and its peers on a sample of the same.
-
-    python -m experiments reflector-solvers --count 1000000 --seed 11
-
-Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), seen at right
-angles (post, or a side, square to the line of sight; right-angled triangles), random triangles,
-and near the cylinder over the reflectors' circle where two poses fall together (distance from it
-log-uniform from 1e-6 to 1e-1 of its radius). The error of a pose is the larger of its rotation
-error (rad) and its position error over range; that of a problem the least over its roots.
-"""
+"""A million P3P problems through the default solver, and its peers on a sample of the same."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -22,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import table_of
 from rendezview.sensors.reflectors.judgement import facing_root
 from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
 from rendezview.sensors.reflectors.triangulation import pose_from_distances, triangulate_batch
@@ -199,21 +191,31 @@ def peers() -> dict[str, object]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=1_000_000)
-    parser.add_argument("--peers", type=int, default=1000, help="problems of each class for peers")
-    parser.add_argument("--seed", type=int, default=11)
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(arguments.seed)
+def run(
+    *,
+    count: int = 1000000,
+    peers: Annotated[int, "problems of each class for peers"] = 1000,
+    seed: int = 11,
+) -> None:
+    """A million P3P problems through the default solver, and its peers on a sample of the same.
+
+    Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), seen at right
+    angles (post, or a side, square to the line of sight; right-angled triangles), random
+    triangles, and near the cylinder over the reflectors' circle where two poses fall together
+    (distance from it log-uniform from 1e-6 to 1e-1 of its radius). The error of a pose is the
+    larger of its rotation error (rad) and its position error over range; that of a problem the
+    least over its roots.
+    """
+    rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)
     console = Console(width=120)
-    table = Table(title=f"default solver, {arguments.count} problems, seed {arguments.seed}")
-    for name in ("class", "problems", "median", "99.9 %", "worst", "> 1e-9", "> 1e-6", "µs each"):
-        table.add_column(name, justify="left" if name == "class" else "right")
+    table = table_of(
+        f"default solver, {count} problems, seed {seed}",
+        ("class", "problems", "median", "99.9 %", "worst", "> 1e-9", "> 1e-6", "µs each"),
+    )
     everything, samples = [], {}
     for name, share in SHARES.items():
-        wanted = round(share * arguments.count)
+        wanted = round(share * count)
         rotations, places, points, rays = problems(rng, name, wanted)
         errors = []
         for part in np.array_split(np.arange(wanted), max(1, wanted // 50_000)):
@@ -237,7 +239,7 @@ def main() -> None:
     error = pose_errors(r, t, exact[0][:, None], exact[1][:, None]).min(axis=1)
     print(f"exactly two equal poses (2000, beside the million): worst {error.max():.1e}")
     chosen(rng, samples)
-    compare(console, samples, arguments.peers)
+    compare(console, samples, peers)
     iterations(console, rng)
 
 
@@ -312,16 +314,11 @@ def ask(
 
 def iterations(console: Console, rng: np.random.Generator) -> None:
     """Newton–Raphson and the alternate iteration by tilt: converged, and to the truth."""
-    table = Table(title="Bales' iterations, guidance target, 1 to 12 m, 20,000 each")
-    for name in (
-        "tilt",
-        "method",
-        "converged",
-        "to the truth (1e-6)",
-        "median steps",
-        "µs a solve",
-    ):
-        table.add_column(name, justify="right")
+    table = table_of(
+        "Bales' iterations, guidance target, 1 to 12 m, 20,000 each",
+        ("tilt", "method", "converged", "to the truth (1e-6)", "median steps", "µs a solve"),
+        left=0,
+    )
     for degrees in (0.0, 5.0, 30.0):
         n = 20_000
         axis = rng.normal(size=(n, 3)) * (1.0, 1.0, 0.0)

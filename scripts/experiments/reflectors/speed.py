@@ -1,23 +1,14 @@
-"""Time of a reading beside threshold + contours + moments of the same pictures, in one run.
-
-    python -m experiments reflector-speed --seed 41
-
-512 × 384 pairs of the paper's target at 12, 6, 3 and 1.5 m; 200 false spots for the triplets; a
-batch of P3P. One thread; the least of repeated medians, so that other work on the machine counts
-little. Compare the ratios, not the milliseconds.
-"""
+"""Time of a reading beside threshold + contours + moments of the same pictures, in one run."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from experiments.frame import show, table_of
 from experiments.reflectors.accuracy import OPTIONS, random_pose
 from experiments.reflectors.run import CAMERA, CLIENT
 from rendezview.io.target import Target
@@ -104,18 +95,31 @@ def tracking(pattern: ReflectorPattern, pairs: list[LitDark]) -> Callable[[], No
     return track
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=41)
-    arguments = parser.parse_args()
+def run(*, seed: int = 41) -> None:
+    """Time of a reading beside threshold + contours + moments of the same pictures, in one run.
+
+    512 × 384 pairs of the paper's target at 12, 6, 3 and 1.5 m; 200 false spots for the triplets;
+    a batch of P3P. One thread; the least of repeated medians, so that other work on the machine
+    counts little. Compare the ratios, not the milliseconds.
+    """
     cv2.setNumThreads(1)
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(seed)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
     acquirer = Acquirer(CAMERA, [pattern])
-    table = Table(title=f"512 × 384, seed {arguments.seed}, one thread, ms")
-    for name in ("range m", "threshold + contours + moments", "spots", "triplets and pose",
-                 "acquisition", "× floor", "tracking", "× floor"):  # fmt: skip
-        table.add_column(name, justify="right")
+    table = table_of(
+        f"512 × 384, seed {seed}, one thread, ms",
+        (
+            "range m",
+            "threshold + contours + moments",
+            "spots",
+            "triplets and pose",
+            "acquisition",
+            "× floor",
+            "tracking",
+            "× floor",
+        ),
+        left=0,
+    )
     for range_m in (12.0, 6.0, 3.0, 1.5):
         pairs = pairs_at(rng, pattern, range_m)
         first = pairs[0]
@@ -129,7 +133,7 @@ def main() -> None:
             f"{range_m:g}", f"{base:.3f}", f"{spots_ms:.3f}", f"{triplets_ms:.3f}",
             f"{both_ms:.3f}", f"{both_ms / base:.1f}", f"{track_ms:.3f}", f"{track_ms / base:.1f}",
         )  # fmt: skip
-    Console(width=120).print(table)
+    show(table, width=120)
     for alike in (False, True):
         crowd = many_spots(rng, 200, alike)
         found = acquirer.acquire(crowd)

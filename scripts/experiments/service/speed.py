@@ -1,16 +1,7 @@
-"""What the service costs over the bare tracker call, and what several clients share.
-
-    python -m experiments service-speed hubble.rvm SCENE [--clients 8] [--frames 100000]
-
-SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target, moving
-little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port of
-this machine; the bare calls run in a process of their own, in turns with the service's, so that
-what else the machine does falls on both.
-"""
+"""What the service costs over the bare tracker call, and what several clients share."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import resource
@@ -21,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
@@ -255,22 +247,29 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--clients", type=int, default=8)
-    parser.add_argument("--frames", type=int, default=0, help="of all clients; 0: for 15 s")
-    parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--only", choices=["overhead", "many"])
-    parser.add_argument("--client", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
+def run(
+    model: Path,
+    scene: Path,
+    *,
+    clients: int = 8,
+    frames: Annotated[int, "of all clients; 0: for 15 s"] = 0,
+    rounds: int = 20,
+    only: Literal["overhead", "many"] | None = None,
+    client: str | None = None,
+) -> None:
+    """What the service costs over the bare tracker call, and what several clients share.
+
+    SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target, moving
+    little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
+    of this machine; the bare calls run in a process of their own, in turns with the service's, so
+    that what else the machine does falls on both.
+    """
     cv2.setNumThreads(1)
-    if arguments.client:
-        run_client(arguments.client, arguments.scene, arguments.frames, 1)
+    if client:
+        run_client(client, scene, frames, 1)
         return
-    loop = Loop(arguments.scene)
-    if arguments.only != "many":
-        overhead(loop, arguments.model, arguments.rounds)
-    if arguments.only != "overhead":
-        many(loop, arguments.model, arguments.scene, arguments.clients, arguments.frames)
+    loop = Loop(scene)
+    if only != "many":
+        overhead(loop, model, rounds)
+    if only != "overhead":
+        many(loop, model, scene, clients, frames)
