@@ -197,7 +197,7 @@ def detection(seed: int, count: int, least_score: float, peer: Path | None) -> N
         reach += any(right(e.ellipse.shape, t) for e in found for _, t in edges)
         if found and found[0].score >= least_score:
             good = any(right(found[0].ellipse.shape, t) for _, t in edges)
-            concentric = sum(edge.family == found[0].family for edge in found) > 1
+            concentric = sum(edge.group == found[0].group for edge in found) > 1
             for name in (best, several) if concentric else (best,):
                 counts[name][0] += 1
                 counts[name][1] += good
