@@ -43,3 +43,23 @@ def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, fl
                 spent.append(float(returned) if way.own_clock else took / way.answers)
             best[name] = min(best[name], float(np.median(spent)))
     return best
+
+
+def median_ms(
+    call: Callable[[], object], calls: int = 60, *, seconds: float = 0.0, rounds: int = 1
+) -> float:
+    """Median milliseconds of a call on the wall clock, after a warm-up; the least of ``rounds``.
+
+    A round has at least ``calls`` calls, and lasts at least ``seconds``.
+    """
+    call()
+    medians = []
+    for _ in range(rounds):
+        spent: list[float] = []
+        until = time.perf_counter() + seconds
+        while len(spent) < calls or time.perf_counter() < until:
+            start = time.perf_counter()
+            call()
+            spent.append(time.perf_counter() - start)
+        medians.append(1e3 * float(np.median(spent)))
+    return min(medians)

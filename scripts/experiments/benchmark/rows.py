@@ -20,7 +20,7 @@ from experiments.flight_code.check import LIMIT_BYTES, perturbed
 from experiments.flight_code.driver import FlightCode, build, compiler, object_bytes
 from experiments.frame import MODELS_CAD
 from experiments.fusion import speed as fusion_speed
-from experiments.peers import linemod as recognition_peers
+from experiments.peers import opencv_contrib
 from experiments.peers import visp as visp_driver
 from experiments.pose import speed as pose_speed
 from experiments.pose import visp_tracking
@@ -73,7 +73,7 @@ def poses(bench: Bench) -> Iterator[Row]:
     full, fast = pose_speed.recognizers(bench.model)
     table: dict[str, list[float]] = {}
     errors: dict[str, list[float]] = {"with a prior": [], "first pose": [], pose_speed.NEAREST: []}
-    for frame, prior, truth in pose_speed.frames(bench.mesh, full.camera, bench.frames, bench.seed):
+    for frame, prior, truth in pose_speed.scene(bench.mesh, full.camera, bench.frames, bench.seed):
 
         def degrees_off(pose: Pose | None, truth: Pose = truth) -> float:
             if pose is None:
@@ -146,13 +146,11 @@ def nodes(bench: Bench) -> Iterator[Row]:
     )
     yield from times(command, spent, {trees: ("scikit-learn, a call a tree",)})
     if bench.peer_python is not None:
-        peer = recognition_peers.linemod_ms(bench.peer_python, frames)
-        if peer is None:
-            return
+        peer = opencv_contrib.linemod_ms(bench.peer_python, frames)
         ours = race({pose: Way(lambda: recognizer.recognize(frames[0], priors[0]))}, bench.seconds)
         for templates, ms in peer.items():
             name = f"linemod, templates: {templates}"
-            yield Row(pose, ours[pose], name, 1e-3 * ms, "s", "recognition-peers")
+            yield Row(pose, ours[pose], name, 1e-3 * ms, "s", "recognition-speed")
 
 
 def flight_code(bench: Bench) -> Iterator[Row]:
@@ -174,8 +172,7 @@ def flight_code(bench: Bench) -> Iterator[Row]:
             spent = bench.race(
                 {
                     "all trees in C": Way(
-                        lambda: 1e-9 * float(np.median(code.trees_ns(stacked, few))),
-                        own_clock=True,
+                        lambda: 1e-9 * float(np.median(code.trees_ns(stacked, few))), own_clock=True
                     ),
                     "the runtime's loop": Way(
                         lambda: [
@@ -257,9 +254,9 @@ def rings(bench: Bench) -> Iterator[Row]:
         )
         yield from times("ring-speed", spent, {ours: (floor,)})
         if bench.peer_python is not None:
-            theirs = ring_speed.peers(bench.peer_python, frames, 15)
+            theirs = opencv_contrib.ellipse_ms(bench.peer_python, frames, 15)
             best, _ = ring_speed.ours(camera, frames, 30)
-            for name, values in ring_speed.peers(bench.peer_python, frames, 15).items():
+            for name, values in opencv_contrib.ellipse_ms(bench.peer_python, frames, 15).items():
                 peer_ms = float(np.mean(np.minimum(theirs[name], values)))
                 ours_ms = float(np.mean(best))
                 yield Row(ours, 1e-3 * ours_ms, name, 1e-3 * peer_ms, "s", "ring-speed")

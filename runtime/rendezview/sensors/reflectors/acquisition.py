@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,7 +102,7 @@ class Acquirer:
     """Looks for the groups of a target in the spots of one camera.
 
     ``constellation`` holds the reflectors of all groups; numbers of reflectors are its own.
-    One thread at a time: the work space is kept.
+    Threads may share an instance: their searches run one after the other.
     """
 
     def __init__(
@@ -126,7 +127,8 @@ class Acquirer:
             p.name: np.argsort([g != p.name for g in self._groups], kind="stable") for p in patterns
         }
         self._lens = camera_numbers(camera, self.options.blur_px)
-        self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # work space
+        self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # scratch
+        self._lock = threading.Lock()  # of the scratch
 
     def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
         """Find the target.
@@ -147,7 +149,8 @@ class Acquirer:
                 Status.NO_SPOTS,
                 f"{len(spots)} spots, {len(usable)} of them round and whole; three are needed",
             )
-        rows, scores, poses, crowded = self._candidates(spots, usable, prior)
+        with self._lock:
+            rows, scores, poses, crowded = self._candidates(spots, usable, prior)
         if crowded:
             return Acquisition(
                 Status.CROWDED,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -38,6 +39,8 @@ from rendezview.sensors.reflectors.windows import (
 class ReflectorSensor:
     """Follows one target with one camera, in order of time.
 
+    Threads may share an instance: their calls run one after the other.
+
     Args:
         camera: of the pictures.
         patterns: the groups of reflectors, as `patterns_of` gives them. All are one rigid target:
@@ -69,6 +72,7 @@ class ReflectorSensor:
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf
+        self._lock = threading.Lock()
         n = len(self.constellation)
         self._expected, self._table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self._outcome = np.zeros(n, np.int64)
@@ -85,19 +89,20 @@ class ReflectorSensor:
         return self._track is not None and self._track.misses <= self.tracking.coast
 
     def start(self, time_s: float, pose: Pose, *, roll_known: bool = True) -> None:
-        """Begin to track from a pose known otherwise (another camera or sensor)."""
+        """Begin to track from a pose of another camera or sensor."""
         n = len(self.constellation)
         nowhere = np.full((n, 2), np.nan)
-        self._track = Track(
-            time_s, pose, nowhere, nowhere.copy(), time_s, np.full(n, np.nan), 2.0,
-            not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
-        )  # fmt: skip
-        self._rates.clear()
+        with self._lock:
+            self._track = Track(
+                time_s, pose, nowhere, nowhere.copy(), time_s, np.full(n, np.nan), 2.0,
+                not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
+            )  # fmt: skip
+            self._rates.clear()
 
     def update(
         self, time_s: float, frames: LitDark, acceleration: npt.ArrayLike | None = None
     ) -> ReflectorObservation:
-        """Read the next pair of pictures.
+        """Look at the next pair of pictures.
 
         Args:
             time_s: of the lit picture, later than the last.
@@ -109,18 +114,21 @@ class ReflectorSensor:
             ValueError: times do not rise, or the acceleration is not (6,) and finite.
             RendezviewError: the pictures are not the camera's.
         """
-        if not (np.isfinite(time_s) and time_s > self._last_s):
-            raise ValueError(f"readings must come in order of time: {time_s} after {self._last_s}")
-        frames.check(self.camera)
-        self._last_s = time_s
         push = None
         if acceleration is not None:
             push = np.asarray(acceleration, dtype=np.float64)
             if push.shape != (6,) or not np.isfinite(push).all():
                 raise ValueError(f"acceleration must be (6,) and finite, not {push.tolist()}")
-        if self.is_tracking:
-            return self._follow(time_s, frames, push)
-        return self._acquire(time_s, frames)
+        frames.check(self.camera)
+        with self._lock:
+            if not (np.isfinite(time_s) and time_s > self._last_s):
+                raise ValueError(
+                    f"readings must come in order of time: {time_s} after {self._last_s}"
+                )
+            self._last_s = time_s
+            if self.is_tracking:
+                return self._follow(time_s, frames, push)
+            return self._acquire(time_s, frames)
 
     # --- acquisition
 
