@@ -34,12 +34,9 @@ def error_deg(found: OnNodes | Match | Status | str | None, truth: Array) -> flo
 
 
 def run(
-    model: Path,
-    target: Annotated[Path, "of which the model is: folder or target.toml"],
-    *,
-    frames: int = 400,
-    seed: int = 77,
-) -> None:
+    model: Path, target: Annotated[Path, "of which the model is: folder or target.toml"], *,
+    frames: int = 400, seed: int = 77,
+) -> None:  # fmt: skip
     """Direction of view that exported flight code finds, by how well the attitude was known before.
 
         rendezview train hubble -o hubble.rvm

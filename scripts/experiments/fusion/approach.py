@@ -83,14 +83,11 @@ def tables(flights: list[Flight]) -> None:
 
 
 def run(
-    runs: Annotated[Path, "folder of the runs, kept"],
-    *,
+    runs: Annotated[Path, "folder of the runs, kept"], *,
     model: Annotated[Path | None, "view model of the client; for new runs"] = None,
-    first_seed: int = 0,
-    seeds: int = 50,
-    keep_frames: Annotated[bool, "1 MB a frame"] = False,
+    first_seed: int = 0, seeds: int = 50, keep_frames: Annotated[bool, "1 MB a frame"] = False,
     json: Annotated[Path | None, "write every sample too"] = None,
-) -> None:
+) -> None:  # fmt: skip
     """An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
 
     Every seed is an approach of its own: motion, Sun (10–40° from behind the camera), roll,

@@ -105,13 +105,10 @@ def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
 
 
 def run(
-    runs: Path,
-    *,
-    first_seed: int = 0,
-    seeds: int = 50,
+    runs: Path, *, first_seed: int = 0, seeds: int = 50,
     size: Annotated[float, "of the lies"] = 1.0,
     tell: Annotated[bool, "each run that diverged"] = False,
-) -> None:
+) -> None:  # fmt: skip
     """One sensor dead, lying or late for a third of an approach: does the filter diverge?
 
     RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, the

@@ -64,14 +64,9 @@ def lay_out(folder: Path, sequence: Sequence, points_m: Array, target: Target, d
 
 
 def run(
-    scene: Path,
-    poses: Path,
-    target: str,
-    *,
-    unit: str | None = None,
-    toolkit: Path,
+    scene: Path, poses: Path, target: str, *, unit: str | None = None, toolkit: Path,
     python: Path = Path(sys.executable),
-) -> None:
+) -> None:  # fmt: skip
     """Our results and measures beside those of the public BOP toolkit, in one run.
 
     FOLDER is a checkout of the toolkit, PYTHON an interpreter with the packages that it needs.

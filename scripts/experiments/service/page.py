@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from experiments.service.speed import Loop, Served
+from experiments.service.serving import Loop, Served
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
 
@@ -79,14 +79,9 @@ def first_use_ms(browser: Browser, url: str) -> float:
 
 
 def run(
-    model: Path,
-    scene: Path,
-    *,
-    loads: int = 7,
-    seconds: int = 30,
-    screenshot: Path | None = None,
+    model: Path, scene: Path, *, loads: int = 7, seconds: int = 30, screenshot: Path | None = None,
     browser: str = shutil.which("chromium"),
-) -> None:
+) -> None:  # fmt: skip
     """When the page is first of use, and how many updates a second it draws.
 
     SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target. A

@@ -154,12 +154,9 @@ def row(name: str, values: list[Array], count: int) -> str:
 
 
 def run(
-    folder: Path,
-    *,
-    target: str = "client",
-    seeds: tuple[int, int] = (0, 20),
+    folder: Path, *, target: str = "client", seeds: tuple[int, int] = (0, 20),
     model: Annotated[Path | None, "also between its nodes (has far readings)"] = None,
-) -> None:
+) -> None:  # fmt: skip
     """Accuracy of segments, predictions and spin, docs/trajectory.md.
 
     One segment of 100 frames each; seeds of which no file is there are left out. Position errors

@@ -46,12 +46,9 @@ def fly(model: ViewModel, mesh: Mesh, seed: int, frames: int) -> tuple[np.ndarra
 
 
 def run(
-    model: Path,
-    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"],
-    *,
-    seeds: tuple[int, int] = (0, 6),
-    frames: int = 60,
-) -> None:
+    model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
+    seeds: tuple[int, int] = (0, 6), frames: int = 60,
+) -> None:  # fmt: skip
     """Straight approaches until the target overflows the picture, docs/trajectory.md.
 
     From 3 to 1.15 target radii, each seed from another direction, 640 × 480 pixels, 53° across,

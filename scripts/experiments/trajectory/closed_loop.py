@@ -95,14 +95,11 @@ def flights(
 
 
 def run(
-    model: Path,
-    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"],
-    *,
-    kinds: list[str] = KINDS,
-    seeds: tuple[int, int] = (0, 20),
+    model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
+    kinds: list[str] = KINDS, seeds: tuple[int, int] = (0, 20),
     nodes: Annotated[bool, "on nodes alone, no refinement"] = False,
     by_target: Annotated[bool, "no star tracker: the target's attitude instead"] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Closed loop, docs/trajectory.md: frames, recognition, fit and correction, or none of it.
 
     Each flight lasts 1200 s, a frame every 10 s (640 × 480, 53° across, drawn at the true pose by

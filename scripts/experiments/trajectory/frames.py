@@ -145,14 +145,10 @@ def observations(
 
 
 def run(
-    folder: Path,
-    model: Path,
-    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"],
-    kinds: list[str],
-    *,
-    seeds: tuple[int, int] = (0, 20),
-    sun_phase: Annotated[float, "degrees"] = 0.0,
-) -> None:
+    folder: Path, model: Path,
+    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], kinds: list[str], *,
+    seeds: tuple[int, int] = (0, 20), sun_phase: Annotated[float, "degrees"] = 0.0,
+) -> None:  # fmt: skip
     """The observations on which docs/trajectory.md judges segments: frames drawn, then recognised.
 
     SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100
