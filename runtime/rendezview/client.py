@@ -34,7 +34,6 @@ Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a P
 State = dict[str, Any]
 
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
-_IDLE_S = 30.0
 
 
 class ServiceError(RendezviewError):
