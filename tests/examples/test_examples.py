@@ -6,6 +6,7 @@ import json
 import runpy
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -104,7 +105,8 @@ def test_fuse_three_sensors(
     ]
     mesh, options = with_ring(bumpy_mesh), SceneOptions(sun_phase_rad=0.2)
     simulate(mesh, camera, poses, options, tmp_path / "scene", 1)
-    refining_model.save(tmp_path / "model.rvm")
+    # The model does not know the ring: its mesh may be off by half a percent.
+    replace(refining_model, shape_error=0.005).save(tmp_path / "model.rvm")
     trimesh.Trimesh(mesh.vertices_m, mesh.faces).export(tmp_path / "bumpy.stl")
     (tmp_path / "target.toml").write_text(
         f"""name = "bumpy"
