@@ -15,7 +15,8 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 
-_SERIES = 1e-8  # rad²: below it the series of order four is exact to rounding
+# rad²; below it the next term of the series, angle⁴/120, is below the rounding of float64.
+_SERIES = 1e-8  # Source: by construction
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -139,3 +140,9 @@ def hat(w: Array) -> Array:
     """(3, 3) matrix [w]× with ``[w]× v = w × v``."""
     x, y, z = w
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def about_z(angle_rad: float) -> Array:
+    """(3, 3) rotation by an angle about z; about the boresight, in a camera frame."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
