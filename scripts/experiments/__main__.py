@@ -102,9 +102,6 @@ def main() -> None:
         sys.exit(f"no experiment {name!r}; python -m experiments lists them")
     module_name, _, function = entries[name].partition(":")
     module = importlib.import_module(f"experiments.{module_name}")
-    if not hasattr(module, function or "run") or hasattr(module, "main"):
-        sys.argv[:2] = [f"python -m experiments {name}"]
-        sys.exit(module.main())
     from experiments.frame import run
 
     sys.exit(run(name, getattr(module, function or "run"), sys.argv[2:]))  # type: ignore[arg-type]

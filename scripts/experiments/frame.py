@@ -11,6 +11,7 @@ from types import UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 
@@ -32,7 +33,8 @@ def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> o
     """Call an experiment with the arguments of a command line.
 
     Positional parameters are positional arguments, keyword-only ones are options. Their types
-    are those of the signature; ``Annotated[type, "help"]`` adds the help.
+    are those of the signature; ``Annotated[type, "help"]`` adds the help, and a dictionary after
+    it more settings of `argparse`.
     """
     parser = argparse.ArgumentParser(
         prog=f"python -m experiments {name}",
@@ -60,7 +62,9 @@ def _settings(hint: Any) -> dict[str, Any]:
     """What `argparse` needs to know of a type."""
     settings: dict[str, Any] = {}
     if get_origin(hint) is Annotated:
-        hint, settings["help"] = get_args(hint)
+        hint, settings["help"], *more = get_args(hint)
+        for extra in more:
+            settings |= extra
     if isinstance(hint, UnionType):  # X | None
         hint = next(kind for kind in get_args(hint) if kind is not type(None))
     if hint is bool:
@@ -76,10 +80,13 @@ def _settings(hint: Any) -> dict[str, Any]:
     return settings | {"type": hint}
 
 
-def table_of(title: str, columns: Sequence[str], *, left: int = 1) -> Table:
-    """An empty table; all columns but the first ``left`` ones are on the right."""
+def table_of(title: str, columns: str | Sequence[str], *, left: int = 1) -> Table:
+    """An empty table; all columns but the first ``left`` ones are on the right.
+
+    ``columns`` is a sequence, or one string with " | " between the names.
+    """
     made = Table(title=title)
-    for k, column in enumerate(columns):
+    for k, column in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
         made.add_column(column, justify="left" if k < left else "right")
     return made
 
@@ -103,9 +110,11 @@ def two(
     return form.format(np.median(values), np.percentile(values, high))
 
 
-def nees(error: np.ndarray, covariance: np.ndarray) -> float:
+def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
-    return float(error @ np.linalg.solve(covariance, error))
+    return float(
+        np.dot(np.asarray(error), np.linalg.solve(np.asarray(covariance), np.asarray(error)))
+    )
 
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:

@@ -53,20 +53,18 @@ def predict_covariance(
     """
     n = len(covariance)
     out = covariance.copy()
-    row = np.empty(3)
     for j in range(n):  # rows: F P
+        a, b, c = out[0, j], out[1, j], out[2, j]
         for i in range(3):
-            row[i] = turn[i, 0] * out[0, j] + turn[i, 1] * out[1, j] + turn[i, 2] * out[2, j]
-        for i in range(3):
-            out[i, j] = row[i] + dt * out[6 + i, j]
+            out[i, j] = turn[i, 0] * a + turn[i, 1] * b + turn[i, 2] * c + dt * out[6 + i, j]
             out[3 + i, j] += dt * out[9 + i, j]
-        for i in range(12, n):
+    for i in range(12, n):
+        for j in range(n):
             out[i, j] *= fade[i - 12]
     for i in range(n):  # columns: (F P) Fᵀ
+        a, b, c = out[i, 0], out[i, 1], out[i, 2]
         for j in range(3):
-            row[j] = turn[j, 0] * out[i, 0] + turn[j, 1] * out[i, 1] + turn[j, 2] * out[i, 2]
-        for j in range(3):
-            out[i, j] = row[j] + dt * out[i, 6 + j]
+            out[i, j] = turn[j, 0] * a + turn[j, 1] * b + turn[j, 2] * c + dt * out[i, 6 + j]
             out[i, 3 + j] += dt * out[i, 9 + j]
         for j in range(12, n):
             out[i, j] *= fade[j - 12]

@@ -65,11 +65,9 @@ def agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, first) 
 
 
 def run(
-    *,
-    frames: int = 2500,
-    seed: int = 39,
+    *, frames: int = 2500, seed: int = 39,
     tell: Annotated[bool, "say what was missed or false"] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Acquisition among glints and foil: found when three spots are visible, and never falsely.
 
     Every pair is searched on its own, without memory. In a tenth of the pairs one or more

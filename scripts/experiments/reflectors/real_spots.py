@@ -61,7 +61,7 @@ def run(
     print(f"{lit.shape[1]} × {lit.shape[0]}, noise {spread:.2f} grey levels, {len(known)} listed")
     table = table_of(
         "distance from the catalogue's windowed centroid, px",
-        ("centroid", "spots", "peak over 100", "median", "90 %", "worst"),
+        "centroid | spots | peak over 100 | median | 90 % | worst",
         left=0,
     )
     for method in Centroid:

@@ -20,17 +20,11 @@ CLIENT = MODELS_CAD / "client"
 
 
 def run(
-    output: Annotated[Path, "folder of the run"],
-    *,
-    readings: int = 60,
-    from_: Annotated[float, "metres"] = 12.0,
-    to: Annotated[float, "metres"] = 1.0,
-    tilt: Annotated[float, "degrees"] = 25.0,
-    group: str = "far",
-    clutter: Annotated[bool, "foil and glints"] = False,
-    seed: int = 0,
-    overwrite: bool = False,
-) -> None:
+    output: Annotated[Path, "folder of the run"], *, readings: int = 60,
+    from_: Annotated[float, "metres"] = 12.0, to: Annotated[float, "metres"] = 1.0,
+    tilt: Annotated[float, "degrees"] = 25.0, group: str = "far",
+    clutter: Annotated[bool, "foil and glints"] = False, seed: int = 0, overwrite: bool = False,
+) -> None:  # fmt: skip
     """Write a simulated run of a video guidance sensor: lit and dark pictures with their truth.
 
         rendezview reflectors run/lit run/dark --target models_cad/client -o readings.jsonl

@@ -14,6 +14,7 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import table_of
+from experiments.peers.opencv_contrib import least_ms
 from rendezview.sensors.reflectors.judgement import facing_root
 from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
 from rendezview.sensors.reflectors.triangulation import pose_from_distances, triangulate_batch
@@ -139,16 +140,6 @@ def pose_errors(found_r: np.ndarray, found_t: np.ndarray, r: np.ndarray, t: np.n
     return np.nan_to_num(np.maximum(turn, move), nan=np.inf)
 
 
-def best_us(call, repeats: int = 5) -> float:
-    """Least time of a call, microseconds."""
-    spent = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        spent.append(time.perf_counter() - start)
-    return 1e6 * min(spent)
-
-
 def this_one(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(p.rotation, p.translation_m) for p in solve_p3p(rays, points)]
 
@@ -192,11 +183,9 @@ def peers() -> dict[str, object]:
 
 
 def run(
-    *,
-    count: int = 1000000,
-    peers: Annotated[int, "problems of each class for peers"] = 1000,
+    *, count: int = 1000000, peers: Annotated[int, "problems of each class for peers"] = 1000,
     seed: int = 11,
-) -> None:
+) -> None:  # fmt: skip
     """A million P3P problems through the default solver, and its peers on a sample of the same.
 
     Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), seen at right
@@ -222,7 +211,8 @@ def run(
             r, t, _ = solve_p3p_batch(rays[part], points[part])
             errors.append(pose_errors(r, t, rotations[part, None], places[part, None]).min(axis=1))
         some = slice(0, min(wanted, 20_000))
-        us = best_us(partial(solve_p3p_batch, rays[some], points[some])) / some.stop
+        solve = partial(solve_p3p_batch, rays[some], points[some])
+        us = 1e3 * least_ms(solve, 5) / some.stop
         error = np.concatenate(errors)
         everything.append(error)
         samples[name] = (rotations, places, points, rays)
@@ -316,7 +306,7 @@ def iterations(console: Console, rng: np.random.Generator) -> None:
     """Newton–Raphson and the alternate iteration by tilt: converged, and to the truth."""
     table = table_of(
         "Bales' iterations, guidance target, 1 to 12 m, 20,000 each",
-        ("tilt", "method", "converged", "to the truth (1e-6)", "median steps", "µs a solve"),
+        "tilt | method | converged | to the truth (1e-6) | median steps | µs a solve",
         left=0,
     )
     for degrees in (0.0, 5.0, 30.0):
@@ -332,15 +322,8 @@ def iterations(console: Console, rng: np.random.Generator) -> None:
         for name, alternate in (("Newton–Raphson", False), ("alternate", True)):
             distances, steps, converged = triangulate_batch(rays, BASE, POST, alternate=alternate)
             right = (np.abs(distances / truth - 1.0) < 1e-6).all(axis=1)
-            us = (
-                best_us(
-                    lambda a=alternate, r=rays: triangulate_batch(
-                        r[:2000], BASE, POST, alternate=a
-                    ),
-                    3,
-                )
-                / 2000.0
-            )
+            solve = partial(triangulate_batch, rays[:2000], BASE, POST, alternate=alternate)
+            us = 1e3 * least_ms(solve, 3) / 2000.0
             table.add_row(
                 f"{degrees:.0f}°", name, f"{100 * converged.mean():.2f} %",
                 f"{100 * (converged & right).mean():.2f} %", f"{np.median(steps):.0f}", f"{us:.2f}",

@@ -19,7 +19,7 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from experiments.service.speed import Served
+from experiments.service.serving import Served
 from rendezview.client import Client, ServiceError
 from rendezview.geometry.camera import Camera
 
@@ -273,13 +273,10 @@ class Fuzz:
 
 
 def run(
-    model: Path,
-    *,
-    count: int = 50000,
-    seed: int = 0,
+    model: Path, *, count: int = 50000, seed: int = 0,
     schemathesis: Annotated[str | None, "its command, such as .st/bin/schemathesis"] = None,
     examples: Annotated[int, "of schemathesis, each route"] = 100,
-) -> None:
+) -> None:  # fmt: skip
     """Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
 
     Frames of all kinds and lines of other sensors, damaged in all ways, by HTTP and by WebSocket;

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -17,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
+from experiments.service.serving import Served
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
@@ -24,23 +22,10 @@ from rendezview.service.log_file import mend
 from rendezview.service.replay import read_log
 
 
-def serve(model: Path, folder: Path, models: Path) -> tuple[subprocess.Popen[str], str]:
-    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
-    flags = ["--port", "0", "--workers", "1", "--record", str(folder), "--models", str(models)]
-    # The model is in a log before its first pose; written 200 times it only takes time.
-    process = subprocess.Popen(
-        [*command, str(model), *flags],
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        env=os.environ | {"RENDEZVIEW_SERVE_RECORD_MODEL": "false"},
-    )
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "serves at" in line:
-            threading.Thread(target=process.stderr.read, daemon=True).start()
-            return process, line.split("serves at ")[1].strip()
-    raise SystemExit("the service does not start")
+def serve(model: Path, folder: Path, models: Path) -> Served:
+    """A recording service. Its logs are without the model: written 200 times it only takes time."""
+    flags = ("--workers", "1", "--record", str(folder), "--models", str(models))
+    return Served(model, *flags, group=True, record_model="false")
 
 
 def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) -> None:
@@ -83,7 +68,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
     acknowledged_in_all = lost = unreadable = cut_files = cut_bytes = 0
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(1) as starter:
 
-        def start(number: int) -> Future[tuple[subprocess.Popen[str], str]]:
+        def start(number: int) -> Future[Served]:
             folder = Path(work) / f"logs-{number}"
             folder.mkdir()
             return starter.submit(serve, model, folder, Path(work) / f"models-{number}")
@@ -91,10 +76,10 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
         upcoming = start(1)
         for done in range(1, kills + 1):
             folder = Path(work) / f"logs-{done}"
-            process, url = upcoming.result()
+            served = upcoming.result()
             acknowledged: dict[str, list[dict]] = {}
             threads = [
-                threading.Thread(target=send, args=(url, scene, name, acknowledged))
+                threading.Thread(target=send, args=(served.url, scene, name, acknowledged))
                 for name in ("one", "two")
             ]
             for thread in threads:
@@ -103,8 +88,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
             while not any(acknowledged.values()) and time.monotonic() < until:
                 time.sleep(0.01)
             time.sleep(float(rng.uniform(0.0, 1.0)))
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            served.kill()
             if done < kills:
                 upcoming = start(done + 1)  # while the logs of this one are read
             for thread in threads:

@@ -9,16 +9,11 @@ from pathlib import Path
 
 import cv2
 
-from experiments.service.speed import Loop, Served
+from experiments.service.serving import Loop, Served
 from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 
 _POINTS = 10
-
-
-def resident_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def open_files(pid: int) -> int:
@@ -52,12 +47,10 @@ def run(
     are full soon, and what grows after that is a leak.
     """
     loop = shrunk(Loop(scene), shrink)
-    os.environ["RENDEZVIEW_SERVE_HISTORY_S"] = str(history_s)
-    os.environ["RENDEZVIEW_SERVE_RECORD_MODEL"] = "false"
-    # All come from one address, faster than any camera.
-    os.environ["RENDEZVIEW_SERVE_REQUESTS_PER_S"] = "1000000"
+    # All frames come from one address, faster than any camera.
+    settings = {"history_s": history_s, "record_model": "false", "requests_per_s": 1_000_000}
     with tempfile.TemporaryDirectory() as folder:
-        served = Served(model, "--workers", "2", "--record", folder)
+        served = Served(model, "--workers", "2", "--record", folder, **settings)
         pids = served.pids()
         names = ["service", *(f"worker {k}" for k in range(1, len(pids)))]
         size = f"{loop.camera.width} × {loop.camera.height} px"
@@ -66,7 +59,7 @@ def run(
         start_s = time.monotonic()
 
         def tell(done: int) -> None:
-            sizes = " ".join(f"{resident_mb(pid):12.1f}" for pid in pids)
+            sizes = " ".join(f"{mb:12.1f}" for mb in served.each_mb())
             files = [open_files(pid) for pid in pids]
             print(f"{done:8} {time.monotonic() - start_s:5.0f} {sizes}", *files, flush=True)
 

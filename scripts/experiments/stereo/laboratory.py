@@ -15,15 +15,10 @@ from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 
 def run(
-    folder: Path,
-    *,
-    target: str = "models_cad/scole",
-    step: Annotated[float, "degrees a reading"] = 2.0,
-    readings: int = 41,
-    rate: Annotated[float, "readings a second"] = 10.0,
-    snr: float = 200.0,
-    seed: int = 1,
-) -> None:
+    folder: Path, *, target: str = "models_cad/scole",
+    step: Annotated[float, "degrees a reading"] = 2.0, readings: int = 41,
+    rate: Annotated[float, "readings a second"] = 10.0, snr: float = 200.0, seed: int = 1,
+) -> None:  # fmt: skip
     """Write a simulated laboratory as files for `rendezview stereo calibrate` and `track`.
 
         rendezview stereo calibrate lab/record.json -o lab/rig.json

@@ -192,13 +192,9 @@ def write(weights, statistics, path: Path) -> None:
 
 
 def run(
-    frames: Path,
-    network: Annotated[Path, "ONNX file to write"],
-    *,
-    count: int = 5600,
-    steps: Annotated[int, f"of {BATCH} pictures"] = 7000,
-    seed: int = 7,
-) -> None:
+    frames: Path, network: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
+    steps: Annotated[int, f"of {BATCH} pictures"] = 7000, seed: int = 7,
+) -> None:  # fmt: skip
     """The network that tells target from bright sky, learned from random spacecraft.
 
         pip install jax optax onnx

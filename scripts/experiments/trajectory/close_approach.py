@@ -46,12 +46,9 @@ def fly(model: ViewModel, mesh: Mesh, seed: int, frames: int) -> tuple[np.ndarra
 
 
 def run(
-    model: Path,
-    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"],
-    *,
-    seeds: tuple[int, int] = (0, 6),
-    frames: int = 60,
-) -> None:
+    model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
+    seeds: tuple[int, int] = (0, 6), frames: int = 60,
+) -> None:  # fmt: skip
     """Straight approaches until the target overflows the picture, docs/trajectory.md.
 
     From 3 to 1.15 target radii, each seed from another direction, 640 × 480 pixels, 53° across,
@@ -59,11 +56,11 @@ def run(
     Printed: frames with a pose within 5°, frames without a pose, wrong ones, and the attitude's
     error in the median of all frames and of those nearer than 1.6 radii.
     """
-    model = ViewModel.load(model)
-    target = find_target(target)
-    mesh = load_mesh(target.mesh_path, target.unit)
+    views = ViewModel.load(model)
+    craft = find_target(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
     for seed in range(*seeds):
-        radii, off_deg = fly(model, mesh, seed, frames)
+        radii, off_deg = fly(views, mesh, seed, frames)
         print(
             f"seed {seed}: {np.count_nonzero(off_deg < WRONG_DEG)} of {frames} held, "
             f"{np.count_nonzero(np.isnan(off_deg))} without a pose, "

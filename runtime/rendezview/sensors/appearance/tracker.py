@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
+from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
@@ -96,12 +96,10 @@ class Tracker:
         if motion is None or motion.time_s is None or not motion.moves:
             return None if motion is None else motion.pose
         ahead_s = min(time_s - motion.time_s, self.options.longest_prediction_s)
-        rotation = Rotation.from_rotvec(motion.turn_rad_s * ahead_s).as_matrix()
-        rotation = rotation @ motion.pose.rotation
-        centre = motion.pose.apply(model.centre_m) + motion.move_m_s * ahead_s
-        if centre[2] < _NEAREST_RADII * model.target_radius_m:
-            return motion.pose
-        return Pose(rotation, centre - rotation @ model.centre_m)
+        rates = np.concatenate([motion.turn_rad_s, motion.move_m_s])
+        pose = extrapolate(motion.pose, rates, ahead_s, model.centre_m)
+        near = pose.apply(model.centre_m)[2] < _NEAREST_RADII * model.target_radius_m
+        return motion.pose if near else pose
 
     def update(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
@@ -210,11 +208,9 @@ class Tracker:
         """Take a pose over, the rates since the last one, and how well it is confirmed."""
         last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
         if last is not None and last.time_s is not None and time_s > last.time_s:
-            since_s = time_s - last.time_s
             centre_m: Array = self.recognizer.model.centre_m
-            turn = Rotation.from_matrix(pose.rotation @ last.pose.rotation.T).as_rotvec()
-            turn_rad_s = turn / since_s
-            move_m_s = (pose.apply(centre_m) - last.pose.apply(centre_m)) / since_s
+            rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
+            turn_rad_s, move_m_s = rates[:3], rates[3:]
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
         self._misses, self._rivals = 0, []
         found = observation.found

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.sensors.stereo.collinearity import lights_seen, solve
+from rendezview.sensors.stereo.collinearity import count_lights, solve
 from rendezview.sensors.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
@@ -64,12 +64,13 @@ def iterate(
     iterations: int = ITERATIONS,
 ) -> Fit | None:
     """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
+    lights, equations = count_lights(sights.weight)
+    if lights < FEWEST_LIGHTS or equations < UNKNOWNS:
+        return None
     fit = Fit(
         np.array(rotation, order="C"), np.array(translation), np.empty((6, 6)), 0.0,
-        int(np.count_nonzero(sights.weight)) - UNKNOWNS, 0, sights,
+        equations - UNKNOWNS, 0, sights,
     )  # fmt: skip
-    if fit.spare < 0 or lights_seen(sights.weight) < FEWEST_LIGHTS:
-        return None
     fit.cost, fit.steps, done = solve(
         fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy,
         sights.weight, _NOTHING, _IDENTITY, _ORIGIN, iterations, TOLERANCE, fit.information,

@@ -128,15 +128,17 @@ def squares(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lights_seen(weight: Array) -> int:
-    """How many lights any camera sees."""
-    count = 0
+def count_lights(weight: Array) -> tuple[int, int]:
+    """How many lights any camera sees, and how many equations they give."""
+    lights, equations = 0, 0
     for j in range(weight.shape[1]):
+        visible = False
         for k in range(weight.shape[0]):
             if weight[k, j, 0] > 0.0:
-                count += 1
-                break
-    return count
+                visible = True
+                equations += 2
+        lights += visible
+    return lights, equations
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -70,11 +70,10 @@ def predict(state: Motion, time_s: float, options: MotionOptions) -> Motion:
     dt = time_s - state.time_s
     if not dt >= 0.0:
         raise ValueError(f"the filter cannot go back, from {state.time_s} s to {time_s} s")
-    rotation, covariance = _predict(
-        state.rotation, state.rates, state.covariance, dt,
+    rotation, translation, covariance = _predict(
+        state.rotation, state.translation, state.rates, state.covariance, dt,
         options.angular_acceleration**2, options.linear_acceleration**2,
     )  # fmt: skip
-    translation = state.translation + dt * state.rates[3:]
     return Motion(time_s, rotation, translation, state.rates, covariance)
 
 
@@ -119,13 +118,26 @@ def breaks(state: Motion, rotation: Array, translation: Array, information: Arra
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _predict(
-    rotation: Array, rates: Array, covariance: Array, dt: float, angular: float, linear: float
-) -> tuple[Array, Array]:
-    """Rotation and covariance ``dt`` later; spectral densities of the white accelerations."""
-    turn, density = so3.exp(dt * rates[:3]), np.zeros((6, 6))
+    rotation: Array,
+    translation: Array,
+    rates: Array,
+    covariance: Array,
+    dt: float,
+    angular: float,
+    linear: float,
+) -> tuple[Array, Array, Array]:
+    """Rotation, translation and covariance ``dt`` later; densities of the white accelerations."""
+    turn, later, density = so3.exp(dt * rates[:3]), np.empty((3, 3)), np.zeros((6, 6))
     for i in range(3):
         density[i, i], density[3 + i, 3 + i] = angular, linear
-    return turn @ rotation, predict_covariance(covariance, turn, dt, density, np.ones(0))
+        for j in range(3):
+            later[i, j] = (
+                turn[i, 0] * rotation[0, j]
+                + turn[i, 1] * rotation[1, j]
+                + turn[i, 2] * rotation[2, j]
+            )
+    predicted = predict_covariance(covariance, turn, dt, density, np.ones(0))
+    return later, translation + dt * rates[3:], predicted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -66,7 +66,7 @@ class StereoObservation(Observation):
             )  # fmt: skip
         return cls(
             status, reason, fit, estimate, restarted, spots, names,
-            time_s=time_s, pose=Pose(rotation, place), covariance=covariance,
+            time_s=time_s, pose=Pose.unchecked(rotation, place), covariance=covariance,
         )  # fmt: skip
 
     @property
