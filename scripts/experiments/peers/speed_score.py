@@ -20,7 +20,7 @@ def run(metrics: Path, *, pairs: int = 2000, seed: int = 3) -> int:
 
     METRICS is core/utils/metrics.py of a checkout of SPNv2, with its speed_score. Random truths and
     estimates, from far below the thresholds to far above, go through both. Printed: the largest
-    difference. Exit 1 where it is over 1e-7, the arc cosine of a number near 1.
+    difference. Exit 1 where it is over 1e-7, the accuracy of an arc cosine near 0.
     """
     spec = importlib.util.spec_from_file_location("spnv2_metrics", metrics)
     if spec is None or spec.loader is None:
