@@ -112,7 +112,9 @@ def two(
 
 def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
-    return float(np.dot(error, np.linalg.solve(covariance, error)))
+    return float(
+        np.dot(np.asarray(error), np.linalg.solve(np.asarray(covariance), np.asarray(error)))
+    )
 
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:

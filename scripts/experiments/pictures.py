@@ -12,7 +12,7 @@ import cv2
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Polygon, Rectangle
 
 from experiments.frame import CLIENT, PICTURES
 from experiments.reflectors.run import CAMERA
@@ -129,7 +129,7 @@ def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> 
         panel.set_yticks([])
     for place, size in zip(spots.centroids_px, spots.size_px, strict=True):
         axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=GREY, lw=0.8))
-    axes[1].add_patch(plt.Polygon(three, fill=False, color=ORANGE, lw=0.9))
+    axes[1].add_patch(Polygon(three, fill=False, color=ORANGE, lw=0.9))
     windows = zip(sensor._expected[:, :2], sensor._half, strict=True)  # as it looked, no copy
     for (middle, half), place, size, name in zip(
         windows, three, reading.spots.size_px, reading.reflectors, strict=True
@@ -158,8 +158,8 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
     solver on single and on averaged scans of photodiodes, ours, and two picture cameras. The
     figures are those of ``stereo-accuracy --part figure8``, which has many runs.
     """
-    target = Target.load(target)
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(), seed)
+    craft = Target.load(target)
+    laboratory = Laboratory(leds_of(craft), LaboratoryOptions(), seed)
     rng = np.random.default_rng(seed)
     record = laboratory.calibration(rng)
     rig = calibrate_laboratory(record).rig
@@ -173,15 +173,15 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
     cameras = picture_rig(laboratory, options)
     panels = {
         "photodiodes, one scan a reading": {
-            "the paper's solver": by_paper(plain, target, single, poses[0]),
-            "ours": turned_deg(by_tracker(rig, target, single, None)),
-            "ours, filter": turned_deg(by_tracker(rig, target, single, MotionOptions())),
+            "the paper's solver": by_paper(plain, craft, single, poses[0]),
+            "ours": turned_deg(by_tracker(rig, craft, single, None)),
+            "ours, filter": turned_deg(by_tracker(rig, craft, single, MotionOptions())),
         },
         f"the mean of {AVERAGED} scans, and single pictures": {
-            "the paper's solver": by_paper(plain, target, mean, poses[0]),
-            "ours": turned_deg(by_tracker(rig, target, mean, None)),
+            "the paper's solver": by_paper(plain, craft, mean, poses[0]),
+            "ours": turned_deg(by_tracker(rig, craft, mean, None)),
             "ours, two picture cameras, no mean": turned_deg(
-                by_pictures(cameras, target, poses, options, rng)
+                by_pictures(cameras, craft, poses, options, rng)
             ),
         },
     }

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ import numpy as np
 class Way:
     """A call, and how many answers it gives; ``own_clock``: it returns seconds an answer."""
 
-    call: Callable[[], object]
+    call: Callable[[], Any]
     answers: int = 1
     own_clock: bool = False
 
@@ -34,7 +35,7 @@ def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, fl
     best = dict.fromkeys(ways, np.inf)
     for k in range(rounds):
         for name in list(ways) if k % 2 else list(reversed(ways)):
-            way, spent = ways[name], []
+            way, spent = ways[name], list[float]()
             until = time.perf_counter() + seconds / (rounds * len(ways))
             while not spent or time.perf_counter() < until:
                 start = now()

@@ -27,6 +27,7 @@ from experiments.pose import visp_tracking
 from experiments.recognition import speed as recognition_speed
 from experiments.reflectors import solvers as reflector_solvers
 from experiments.reflectors import speed as reflector_speed
+from experiments.reflectors.run import CAMERA
 from experiments.ring import speed as ring_speed
 from experiments.stereo import speed as stereo_speed
 from experiments.timing import Way, race
@@ -193,7 +194,7 @@ def reflectors(bench: Bench) -> Iterator[Row]:
     """A reading of the reflectors beside what OpenCV needs for three centroids."""
     rng = np.random.default_rng(41)
     pattern = patterns_of(Target.load(MODELS / "client"), ("far",))[0]
-    acquirer = Acquirer(reflector_speed.CAMERA, [pattern])
+    acquirer = Acquirer(CAMERA, [pattern])
     pairs = reflector_speed.pairs_at(rng, pattern, 6.0)
     first = pairs[0]
     floor = "difference, threshold, contours, moments"

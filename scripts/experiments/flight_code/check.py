@@ -118,25 +118,25 @@ def run(
         sys.exit("no C compiler here")
     version = subprocess.run([cc, "--version"], capture_output=True, text=True, check=True)
     print(f"seed {seed}; {version.stdout.splitlines()[0]} {optimise}")
-    model = ViewModel.load(model)
-    matcher, options = Matcher(model), MatchOptions()
-    target = Target.load(target)
-    mesh = load_mesh(target.mesh_path, target.unit)
+    view_model = ViewModel.load(model)
+    matcher, options = Matcher(view_model), MatchOptions()
+    craft = Target.load(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
     camera = flight_camera(mesh)
     rng = np.random.default_rng([seed, 9])
-    nodes = np.arange(len(model.forest))
-    rotations = model.views.centred_from_target[: len(nodes)]
-    reach_rad = (options.margin_edges + 2.0) * model.geodesic.mean_edge_rad
+    nodes = np.arange(len(view_model.forest))
+    rotations = view_model.views.centred_from_target[: len(nodes)]
+    reach_rad = (options.margin_edges + 2.0) * view_model.geodesic.mean_edge_rad
     tally: Counter[str] = Counter()
     readings, attitudes, rolls, trusts = [], [], [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        sizes = object_bytes(model, folder)
-        with FlightCode(build(model, folder, [optimise]), model) as code:
+        sizes = object_bytes(view_model, folder)
+        with FlightCode(build(view_model, folder, [optimise]), view_model) as code:
             while len(readings) < signatures:
-                _, pose = random_pose(model, camera, rng)
-                image = frame_of(mesh, model, camera, pose, (0.0, 60.0), rng)
-                signature = compare_frame(code, image, camera, model, tally)
+                _, pose = random_pose(view_model, camera, rng)
+                image = frame_of(mesh, view_model, camera, pose, (0.0, 60.0), rng)
+                signature = compare_frame(code, image, camera, view_model, tally)
                 if signature is None:
                     continue
                 for k in range(min(1 + PERTURBED, signatures - len(readings))):
@@ -149,7 +149,7 @@ def run(
                         @ pose.rotation
                     )
                     roll = twist(attitude, rotations)
-                    trust = matcher.trust_of(model.forest.leaves(view, nodes, roll))
+                    trust = matcher.trust_of(view_model.forest.leaves(view, nodes, roll))
                     c = code.trees(view, roll)
                     tally["all trees identical"] += isinstance(c, np.ndarray) and np.array_equal(
                         c, trust
@@ -176,9 +176,9 @@ def run(
         for _ in range(3):
             for k, (view, roll) in enumerate(zip(readings, rolls, strict=True)):
                 before = time.perf_counter()
-                model.forest.leaves(view, nodes, roll)
+                view_model.forest.leaves(view, nodes, roll)
                 python_us[k] = min(python_us[k], 1e6 * (time.perf_counter() - before))
-        onnx_same = ask_onnx(model, folder, readings, rolls, trusts) if onnx else None
+        onnx_same = ask_onnx(view_model, folder, readings, rolls, trusts) if onnx else None
     total, size = len(readings), sum(sizes.values())
     frames = tally["frames"]
     print(f"frame to signature   identical {tally['frames identical']} of {frames} "

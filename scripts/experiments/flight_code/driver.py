@@ -207,7 +207,7 @@ def runtime_search(
 ) -> OnNodes | None:
     """What `rdv_search` does, of the runtime's parts."""
     nodes = matcher.model.geodesic.within(-attitude[2], reach_rad)
-    on, trust = matcher.nodes_on(readings, attitude, nodes)
+    on, trust = matcher.active_among(nodes, readings, attitude)
     if len(on) == 0:
         return None
     direction, weights = matcher.consensus(on, trust)

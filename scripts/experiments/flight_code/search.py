@@ -49,20 +49,20 @@ def run(
     not carry. A direction more than 8° off is wrong; a frame without a direction is not right
     either.
     """
-    model = ViewModel.load(model)
-    target = Target.load(target)
-    mesh = load_mesh(target.mesh_path, target.unit)
-    camera, matcher = flight_camera(mesh), Matcher(model)
-    near_rad = (MatchOptions().margin_edges + 2.0) * model.geodesic.mean_edge_rad
+    view_model = ViewModel.load(model)
+    craft = Target.load(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
+    camera, matcher = flight_camera(mesh), Matcher(view_model)
+    near_rad = (MatchOptions().margin_edges + 2.0) * view_model.geodesic.mean_edge_rad
     rng = np.random.default_rng([seed, 10])
     errors: dict[tuple[float, str], list[float]] = {}
     with (
         tempfile.TemporaryDirectory() as folder,
-        FlightCode(build(model, Path(folder), ["-O2"]), model) as code,
+        FlightCode(build(view_model, Path(folder), ["-O2"]), view_model) as code,
     ):
         for _ in range(frames):
-            _, pose = random_pose(model, camera, rng)
-            image = frame_of(mesh, model, camera, pose, (0.0, 30.0), rng)
+            _, pose = random_pose(view_model, camera, rng)
+            image = frame_of(mesh, view_model, camera, pose, (0.0, 30.0), rng)
             seen = code.frame(image, camera)
             signature = seen[1] if isinstance(seen, tuple) else seen
             for prior_deg in ERRORS_DEG:
@@ -75,7 +75,7 @@ def run(
                 true = signature.centred_from_camera @ pose.rotation
                 prior = Rotation.from_rotvec(turn).as_matrix() @ true
                 prior_rad = np.deg2rad(prior_deg)
-                reach_rad = max(near_rad, prior_rad + 1.2 * model.geodesic.mean_edge_rad)
+                reach_rad = max(near_rad, prior_rad + 1.2 * view_model.geodesic.mean_edge_rad)
                 answers = (
                     code.search(signature.readings, prior, reach_rad),
                     code.search_around(signature.readings, prior, prior_rad),
@@ -84,7 +84,7 @@ def run(
                 for way, found in zip(WAYS, answers, strict=True):
                     off = error_deg(found, -true[2])
                     errors.setdefault((prior_deg, way), []).append(off)
-    table = Table(title=f"{frames} frames of {model.name}, seed {seed}: "
+    table = Table(title=f"{frames} frames of {view_model.name}, seed {seed}: "
                         f"median, within {WRONG_DEG:.0f}°")  # fmt: skip
     table.add_column("prior off by", justify="right")
     for way in WAYS:

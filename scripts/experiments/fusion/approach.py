@@ -95,12 +95,12 @@ def run(
     commands do; RUNS keeps their logs, so that a second call only joins them. The filter is the
     one of `rendezview fuse`.
     """
-    model = ViewModel.load(model) if model else None
+    views = ViewModel.load(model) if model else None
     flights = []
-    seeds = range(first_seed, first_seed + seeds)
-    for seed in seeds:
+    numbers = range(first_seed, first_seed + seeds)
+    for seed in numbers:
         folder = runs / str(seed)
-        make_run(folder, seed, model, keep_frames=keep_frames)
+        make_run(folder, seed, views, keep_frames=keep_frames)
         flight = fly(load_run(folder), OPTIONS)
         flights.append(flight)
         unheard = sum(np.isnan(s.fused[0]) for s in flight.samples)
@@ -113,8 +113,8 @@ def run(
     tables(flights)
     lost = sum(np.isnan(s.fused[0]) for f in flights for s in f.samples)
     print(
-        f"\n{len(flights)} approaches, seeds {seeds.start} to {seeds.stop - 1}: frames without a "
-        f"state {lost}; begun anew {sum(f.starts > 1 for f in flights)}; largest step at a "
+        f"\n{len(flights)} approaches, seeds {numbers.start} to {numbers.stop - 1}: frames without "
+        f"a state {lost}; begun anew {sum(f.starts > 1 for f in flights)}; largest step at a "
         f"hand-over {max(f.jumps['hand-over'] for f in flights):.2f} σ, of any update "
         f"{max(f.jumps['any'] for f in flights):.2f} σ"
     )
@@ -123,6 +123,6 @@ def run(
             {"seed": seed, "time_s": s.time_s, "range_m": s.range_m, "nees": s.nees,
              "fused": s.fused.tolist(), "sigma_m": s.sigma_m,
              "single": {n: v.tolist() for n, v in s.single.items()}}
-            for seed, f in zip(seeds, flights, strict=True) for s in f.samples
+            for seed, f in zip(numbers, flights, strict=True) for s in f.samples
         ]  # fmt: skip
         json.write_text(dumps(rows))

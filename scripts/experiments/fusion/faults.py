@@ -123,10 +123,10 @@ def run(
     lasts to the end and
     no other sensor sees the ring, the filter coasts: its error grows, and so must its covariance.
     """
-    seeds = range(first_seed, first_seed + seeds)
-    runs = {seed: load_run(runs / str(seed)) for seed in seeds}
+    numbers = range(first_seed, first_seed + seeds)
+    kept = {seed: load_run(runs / str(seed)) for seed in numbers}
     print(
-        f"seeds {seeds.start} to {seeds.stop - 1}, lies × {size:g}; error of the ring's "
+        f"seeds {numbers.start} to {numbers.stop - 1}, lies × {size:g}; error of the ring's "
         f"centre in % of range, median and worst of the seeds: while it lasts, from "
         f"{SETTLED_S:g} s after it on"
     )
@@ -138,7 +138,7 @@ def run(
         for fault in FAULTS if sensors else ("–",):
             for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
                 outcomes = []
-                for seed, run in runs.items():
+                for seed, run in kept.items():
                     flight = fly(with_fault(run, sensors, fault, third, size), OPTIONS)
                     found = outcome(flight, sensors, third)
                     outcomes.append(found)

@@ -66,7 +66,7 @@ def lay_out(folder: Path, sequence: Sequence, points_m: Array, target: Target, d
 def run(
     scene: Path, poses: Path, target: str, *, unit: str | None = None, toolkit: Path,
     python: Path = Path(sys.executable),
-) -> None:  # fmt: skip
+) -> int:  # fmt: skip
     """Our results and measures beside those of the public BOP toolkit, in one run.
 
     FOLDER is a checkout of the toolkit, PYTHON an interpreter with the packages that it needs.
@@ -77,15 +77,15 @@ def run(
     each error from ours, and both recalls. VSD is left out: it needs depth pictures. Exit 1 where
     they differ.
     """
-    sequence, target = open_sequence(scene), find_target(target)
-    mesh = load_mesh(target.mesh_path, unit or target.unit)
+    sequence, craft = open_sequence(scene), find_target(target)
+    mesh = load_mesh(craft.mesh_path, unit or craft.unit)
     points_m = mesh.vertices_m[np.unique(mesh.faces)]
-    surface = Surface.of(points_m, alike_of(target.symmetries))
+    surface = Surface.of(points_m, alike_of(craft.symmetries))
     ours = evaluate(sequence, read_results(poses), (), None, surface=surface)
     with tempfile.TemporaryDirectory() as name:
         folder, results = Path(name) / "data", Path(name) / "results"
         results.mkdir()
-        lay_out(folder, sequence, points_m, target, surface.diameter_m)
+        lay_out(folder, sequence, points_m, craft, surface.diameter_m)
         file = f"rendezview_{DATA_SET}-test.csv"
         shutil.copy(poses, results / file)
         environment = os.environ | {

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
+import cv2  # in the other interpreter with linemod and ximgproc
 import numpy as np
 
 ROUNDS = 15  # of a match
@@ -54,7 +54,7 @@ def ellipse_ms(python: Path | None, frames: list[np.ndarray], runs: int) -> dict
 
 def match_ms(frames: list[np.ndarray], templates: int) -> float:
     """A template of the bright pixels of each frame, then the first frame is searched."""
-    detector = cv2.linemod.getDefaultLINE()
+    detector = cv2.linemod.getDefaultLINE()  # type: ignore[attr-defined]
     for frame in frames[:templates]:
         detector.addTemplate([frame], "target", np.where(frame[..., 0] > 40, 255, 0).astype("u1"))
     return least_ms(lambda: detector.match([frames[0]], 80.0), ROUNDS)
@@ -62,7 +62,7 @@ def match_ms(frames: list[np.ndarray], templates: int) -> float:
 
 def edge_drawing(image: np.ndarray) -> list[list[float]]:
     """The ellipses of EdgeDrawing."""
-    drawer = cv2.ximgproc.createEdgeDrawing()
+    drawer = cv2.ximgproc.createEdgeDrawing()  # type: ignore[attr-defined]
     drawer.detectEdges(image)
     found = drawer.detectEllipses()
     return [
@@ -73,7 +73,7 @@ def edge_drawing(image: np.ndarray) -> list[list[float]]:
 
 def find_ellipses(image: np.ndarray) -> list[list[float]]:
     """The ellipses of findEllipses."""
-    found = cv2.ximgproc.findEllipses(image, scoreThreshold=0.5, reliabilityThreshold=0.4)
+    found = cv2.ximgproc.findEllipses(image, scoreThreshold=0.5, reliabilityThreshold=0.4)  # type: ignore[attr-defined]
     return [
         ordered(x, y, a, b, angle)
         for x, y, a, b, _, angle in np.asarray([] if found is None else found).reshape(-1, 6)

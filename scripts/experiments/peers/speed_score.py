@@ -15,7 +15,7 @@ from rendezview.geometry.pose import Pose
 ERRORS = (1e-3, 3e-3, 1e-2, 0.3, 2.0)  # rad and m
 
 
-def run(metrics: Path, *, pairs: int = 2000, seed: int = 3) -> None:
+def run(metrics: Path, *, pairs: int = 2000, seed: int = 3) -> int:
     """Our SPEED and SPEED+ scores beside the published code of the data set's authors.
 
     METRICS.py is ``core/utils/metrics.py`` of a checkout of SPNv2, with its ``speed_score``.

@@ -206,7 +206,7 @@ def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) 
 
 
 def learn(seed: int, pattern: ReflectorPattern):
-    """Calibration of the closed form on 300 other pairs, 1 to 12 m."""
+    """ClosedFormCalibration of the closed form on 300 other pairs, 1 to 12 m."""
     rng = np.random.default_rng(seed)
     acquirer = Acquirer(CAMERA, [pattern])
     readings = []

@@ -30,7 +30,7 @@ from rendezview.sensors.reflectors.spots import (
     SHAPE,
     SIZE,
     TOP,
-    Spots,
+    SpotTable,
 )
 from rendezview.simulation.reflector_frames import render_pair
 
@@ -47,7 +47,7 @@ def floor(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:
     return centres
 
 
-def many_spots(rng: np.random.Generator, count: int, alike: bool) -> Spots:
+def many_spots(rng: np.random.Generator, count: int, alike: bool) -> SpotTable:
     """False spots all over the picture; ``alike``: all of one size and brightness."""
     table = np.zeros((count, COLUMNS))
     table[:, 0], table[:, 1] = rng.uniform(10, 500, count), rng.uniform(10, 370, count)
@@ -57,7 +57,7 @@ def many_spots(rng: np.random.Generator, count: int, alike: bool) -> Spots:
     table[:, LEFT], table[:, RIGHT] = table[:, 0] - 3, table[:, 0] + 3
     table[:, TOP], table[:, BOTTOM] = table[:, 1] - 3, table[:, 1] + 3
     table[:, 7] = 0.02
-    return Spots(table)
+    return SpotTable(table)
 
 
 def pairs_at(rng: np.random.Generator, pattern: ReflectorPattern, range_m: float) -> list[LitDark]:

@@ -80,7 +80,7 @@ def first_use_ms(browser: Browser, url: str) -> float:
 
 def run(
     model: Path, scene: Path, *, loads: int = 7, seconds: int = 30, screenshot: Path | None = None,
-    browser: str = shutil.which("chromium"),
+    browser: str | None = shutil.which("chromium"),
 ) -> None:  # fmt: skip
     """When the page is first of use, and how many updates a second it draws.
 
@@ -100,17 +100,17 @@ def run(
         flags.append("--no-sandbox")
     try:
         with sync_playwright() as play:
-            browser = play.chromium.launch(executable_path=browser, args=flags)
+            chromium = play.chromium.launch(executable_path=browser, args=flags)
             with Client(served.url) as client:
                 while not any(one["frames"] for one in client.sessions()):
                     time.sleep(0.1)
-            loads = sorted(first_use_ms(browser, served.url) for _ in range(loads))
+            first_ms = sorted(first_use_ms(chromium, served.url) for _ in range(loads))
             print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores")
             print(
-                f"first useful paint: median {statistics.median(loads):.0f} ms, "
-                f"least {loads[0]:.0f}, most {loads[-1]:.0f} of {len(loads)}"
+                f"first useful paint: median {statistics.median(first_ms):.0f} ms, "
+                f"least {first_ms[0]:.0f}, most {first_ms[-1]:.0f} of {len(first_ms)}"
             )
-            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            page = chromium.new_page(viewport={"width": 1280, "height": 800})
             page.goto(served.url)
             value(page, "rendezview.spaces > 1 ? true : null")
             peer = Peer(served.url)
@@ -138,7 +138,7 @@ def run(
             print(f"view in space, drawn by software: {total[1]:.1f} a second")
             if screenshot:
                 page.screenshot(path=screenshot)
-            browser.close()
+            chromium.close()
     finally:
         done.set()
         feeder.join(5.0)

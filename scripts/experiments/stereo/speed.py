@@ -27,15 +27,15 @@ def run(*, target: str = "models_cad/scole", seed: int = 21) -> None:
     time of this process where the machine is shared. The peer is the paper's solver written
     plainly in numpy (one iteration a reading), in the same run.
     """
-    target = Target.load(target)
-    leds = np.array([led.position_m for led in target.leds])
+    craft = Target.load(target)
+    leds = np.array([led.position_m for led in craft.leds])
     rig, currents = laboratory_run(leds, seed)
     log = np.concatenate([currents] * LOG_TIMES)
     table = Table("what", "wall µs, best / median", "CPU µs", "a second (wall)", "(CPU)")
     for name, motion in (("tracker", None), ("tracker with filter", MotionOptions())):
-        follow = following(rig, target, currents, TrackerOptions(motion=motion))
+        follow = following(rig, craft, currents, TrackerOptions(motion=motion))
         _row(table, name, follow, len(currents))
-    tracker = StereoTracker.of_target(rig, target)
+    tracker = StereoTracker.of_target(rig, craft)
     _row(table, "log at once", lambda: reprocess(tracker, log), len(log))
     few = currents[:410]
     _row(table, "plain numpy, one iteration", lambda: plain(rig, leds, few), len(few))

@@ -169,12 +169,12 @@ def run(
     90 % and largest over the seeds.
     """
     between = None if model is None else Interpolator(ViewModel.load(model))
-    seeds = range(*seeds)
+    chosen = range(*seeds)
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")
     kept: dict[tuple[str, int], dict[str, Array]] = {}
     for kind in KINDS:
-        for seed in seeds:
+        for seed in chosen:
             path = folder / f"{target}-{kind}-{seed}.npz"
             if not path.exists():
                 continue
@@ -182,7 +182,7 @@ def run(
                 kept[kind, seed] = {name: file[name] for name in file.files}
     frame_errors: list[float] = []
     for kind, shape in SHAPES.items():
-        there = [seed for seed in seeds if (kind, seed) in kept]
+        there = [seed for seed in chosen if (kind, seed) in kept]
         found = {seed: clouds(kept[kind, seed], between) for seed in there}
         for source in found[there[0]] if there else ():
             values = []
@@ -204,7 +204,7 @@ def run(
     print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
     print("|---|---|---|---|---|---|")
     for kind in ("spin", "tumble", "circular", "spiral"):
-        there = [seed for seed in seeds if (kind, seed) in kept]
+        there = [seed for seed in chosen if (kind, seed) in kept]
         turns = {seed: spins(kept[kind, seed], kind, between) for seed in there}
         for source in turns[there[0]] if there else ():
             values = []

@@ -56,11 +56,11 @@ def run(
     Printed: frames with a pose within 5°, frames without a pose, wrong ones, and the attitude's
     error in the median of all frames and of those nearer than 1.6 radii.
     """
-    model = ViewModel.load(model)
-    target = find_target(target)
-    mesh = load_mesh(target.mesh_path, target.unit)
+    views = ViewModel.load(model)
+    craft = find_target(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
     for seed in range(*seeds):
-        radii, off_deg = fly(model, mesh, seed, frames)
+        radii, off_deg = fly(views, mesh, seed, frames)
         print(
             f"seed {seed}: {np.count_nonzero(off_deg < WRONG_DEG)} of {frames} held, "
             f"{np.count_nonzero(np.isnan(off_deg))} without a pose, "

@@ -109,13 +109,13 @@ def run(
     with three hops. A star tracker tells the chaser's own attitude to 0.02°. The same errors are
     flown without corrections. Printed: root mean square distance to the plan, and the ratio.
     """
-    model = ViewModel.load(model)
+    views = ViewModel.load(model)
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, found.unit)
     for kind in kinds:
         ratios = []
         for seed in range(*seeds):
-            corrected, alone = flights(model, mesh, kind, seed, not nodes, not by_target)
+            corrected, alone = flights(views, mesh, kind, seed, not nodes, not by_target)
             ratios.append(alone.rms_m / corrected.rms_m)
             print(
                 f"{kind} seed {seed}: {corrected.rms_m:.3f} m corrected, {alone.rms_m:.2f} m not, "

@@ -163,13 +163,13 @@ def run(
     turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    model = ViewModel.load(model)
+    views = ViewModel.load(model)
     for seed in range(*seeds):
         for kind in kinds:
-            path = folder / f"{model.name}-{kind}-{seed}.npz"
+            path = folder / f"{views.name}-{kind}-{seed}.npz"
             if path.exists():
                 continue
-            arrays = observations(model, target, kind, seed, math.radians(sun_phase))
+            arrays = observations(views, target, kind, seed, math.radians(sun_phase))
             np.savez_compressed(path, **arrays)
             print(
                 f"{path.name}: {len(arrays['pose_frame'])} poses, "

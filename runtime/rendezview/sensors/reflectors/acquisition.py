@@ -26,7 +26,7 @@ from rendezview.sensors.reflectors.spots import (
     SHAPE,
     SIZE,
     TOP,
-    Spots,
+    SpotTable,
 )
 from rendezview.sensors.reflectors.triplets import hourglass_of, search
 
@@ -130,7 +130,7 @@ class Acquirer:
         self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # scratch
         self._lock = threading.Lock()  # of the scratch
 
-    def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
+    def acquire(self, spots: SpotTable, prior: Pose | None = None) -> Acquisition:
         """Find the target.
 
         Args:
@@ -195,7 +195,7 @@ class Acquirer:
             first += len(pattern)
         return ready
 
-    def _usable(self, spots: Spots) -> npt.NDArray[np.int64]:
+    def _usable(self, spots: SpotTable) -> npt.NDArray[np.int64]:
         """Spots that are round and do not touch the border."""
         table = spots.table
         whole = (
@@ -208,7 +208,7 @@ class Acquirer:
         return np.flatnonzero(whole & round_ & (table[:, AMPLITUDE] > 0.0))
 
     def _candidates(
-        self, spots: Spots, usable: npt.NDArray[np.int64], prior: Pose | None
+        self, spots: SpotTable, usable: npt.NDArray[np.int64], prior: Pose | None
     ) -> tuple[npt.NDArray[np.int64], Array, Array, bool]:
         """(K, 4) triangle, left, centre, right; (K,) χ²; (K, 12) poses; whether there are too many.
 
@@ -268,7 +268,7 @@ class Acquirer:
 
     def _choose(
         self,
-        spots: Spots,
+        spots: SpotTable,
         usable: npt.NDArray[np.int64],
         rows: npt.NDArray[np.int64],
         scores: Array,
@@ -343,7 +343,7 @@ class Acquirer:
 
     def _matches(
         self,
-        spots: Spots,
+        spots: SpotTable,
         usable: npt.NDArray[np.int64],
         triangle: _Triangle,
         three: npt.NDArray[np.int64],

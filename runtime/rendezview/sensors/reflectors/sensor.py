@@ -25,10 +25,10 @@ from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
-from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, Spots, find_spots
+from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, SpotTable, find_spots
 from rendezview.sensors.reflectors.track import Track, TrackingOptions
 from rendezview.sensors.reflectors.windows import (
-    SEEN,
+    VISIBLE,
     carry,
     place_windows,
     read_windows,
@@ -189,7 +189,7 @@ class ReflectorSensor:
         near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
         return bool(near and np.trace(pose.rotation @ first.rotation.T) > 1.0 + 2.0 * np.cos(0.5))
 
-    def _table_of(self, found: Acquisition, spots: Spots) -> Array:
+    def _table_of(self, found: Acquisition, spots: SpotTable) -> Array:
         """(N, 19) the spot of every reflector, NaN where it has none."""
         table = np.full((len(self.constellation), COLUMNS), np.nan)
         table[found.reflectors] = spots.table[found.spot_indices]
@@ -210,22 +210,22 @@ class ReflectorSensor:
             (options.size_limit, options.least_shape), self._table, self._outcome,
         )  # fmt: skip
         middle = time.perf_counter()
-        seen = np.flatnonzero(self._outcome == SEEN)
+        seen = np.flatnonzero(self._outcome == VISIBLE)
         refined = self._solve(track, seen) if len(seen) >= 3 else None
         if refined is not None and len(seen) > 3:
             refined, seen = self._without_strangers(track, refined, seen)
         ended = time.perf_counter()
         stage_ms = {"windows": 1e3 * (middle - begin), "pose": 1e3 * (ended - middle)}
         names = tuple(self.constellation.names[k] for k in seen)
-        spots = Spots(self._table[seen])
+        spots = SpotTable(self._table[seen])
         self._outcome[:] = 0
-        self._outcome[seen] = SEEN
+        self._outcome[seen] = VISIBLE
         if refined is None and not np.isfinite(track.before).any():
             return self._acquire(time_s, frames)  # the motion is not known: windows say little
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
         table = self._table
-        table[self._outcome != SEEN] = np.nan
+        table[self._outcome != VISIBLE] = np.nan
         table = table.copy()
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
         self._remember(time_s, table, refined, noise, ambiguous)
@@ -302,7 +302,7 @@ class ReflectorSensor:
         time_s: float,
         track: Track,
         seen: npt.NDArray[np.int64],
-        spots: Spots,
+        spots: SpotTable,
         names: tuple[str, ...],
         stage_ms: dict[str, float],
     ) -> ReflectorObservation:
@@ -385,7 +385,7 @@ class ReflectorSensor:
         self,
         time_s: float,
         refined: Refined,
-        spots: Spots,
+        spots: SpotTable,
         names: tuple[str | None, ...],
         group: str | None,
         stage_ms: dict[str, float],
