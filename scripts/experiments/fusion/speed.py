@@ -57,7 +57,7 @@ def measurements(seed: int) -> dict[str, list[Measurement]]:
     return found
 
 
-WHITE = SensorOptions(lasting=0.1)  # as these are made
+WHITE = SensorOptions(bias_share=0.1)  # as these are made
 OPTIONS = FusionOptions(pose=WHITE, ring=WHITE, range=WHITE)
 
 

@@ -186,13 +186,13 @@ OPTIONS = FusionOptions(
     # The wander of ApproachOptions; along has the braking, which the filter does not know.
     motion=MotionOptions(angular=1.7e-4, linear=6e-4, along=5e-3, pointing=6e-5),
     pose=SensorOptions(
-        inflation=1.2, floor_range=2e-4, lasting=0.9, lasting_s=60.0, lasting_range=0.25
+        inflation=1.2, floor_range=2e-4, bias_share=0.9, bias_s=60.0, bias_range=0.25
     ),
     ring=SensorOptions(
-        inflation=4.0, floor_rad=math.radians(0.25), floor_range=5e-4, lasting=0.8,
-        lasting_s=60.0, lasting_range=0.35, gate=1e-3,
+        inflation=4.0, floor_rad=math.radians(0.25), floor_range=5e-4, bias_share=0.8,
+        bias_s=60.0, bias_range=0.35, gate=1e-3,
     ),
-    range=SensorOptions(lasting_s=10.0, lasting_range=0.5),
+    range=SensorOptions(bias_s=10.0, bias_range=0.5),
     ring_radius_sigma=1e-3,  # the ring's edge as drawn has 72 corners
 )  # fmt: skip
 
