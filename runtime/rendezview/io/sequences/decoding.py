@@ -1,4 +1,4 @@
-"""Packed pictures to grey levels, whoever sent them."""
+"""Encoded pictures (PNG, JPEG …) to grey levels."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from rendezview.io.sequences.frame import GreyImage
 
-PNG = b"\x89PNG\r\n\x1a\n"  # a file begins so
+PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a file
 
-# Turned by its EXIF tag, a picture would no longer be the one the camera was calibrated for.
+# A picture rotated by its EXIF tag does not fit its calibration.
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 _ANIMATED = (b"acTL", b"fcTL", b"fdAT")
 
@@ -24,7 +24,7 @@ Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
 
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV's own complaints off the screen: our error says what is wrong."""
+    """Silence OpenCV's own messages: our error says what is wrong."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -34,10 +34,10 @@ def quiet_opencv() -> Iterator[None]:
 
 
 def decode_grey(content: Bytes) -> GreyImage | None:
-    """A PNG, JPEG … as grey uint8 (height, width), as stored: not turned by its EXIF tag.
+    """A PNG, JPEG … as grey uint8 (height, width), as stored: not rotated by its EXIF tag.
 
-    None: damaged, cut short, animated, or no picture. Of a PNG the checksums are looked at first,
-    for OpenCV's decoder can hang over one that is damaged.
+    None if it is damaged, cut short, animated, or not a picture. The checksums of a PNG are checked
+    first, because OpenCV's decoder can hang over a damaged one.
     """
     if len(content) == 0:
         return None
@@ -53,7 +53,7 @@ def decode_grey(content: Bytes) -> GreyImage | None:
 
 
 def _png_is_whole(view: memoryview) -> bool:
-    """Every chunk with its right checksum up to the last, and a single picture."""
+    """Whether all chunks have the right checksum, and there is a single picture."""
     place = len(PNG)
     while place + 12 <= len(view):
         length, kind = struct.unpack(">I4s", view[place : place + 8])
