@@ -1,4 +1,4 @@
-"""Accuracy of segments, predictions and spin, docs/trajectory.md."""
+"""Errors of segments, predictions and spin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR
 
 
 def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, PointCloud]:
-    """On nodes alone; refined poses, with the target's attitude as reference and with one's own."""
+    """Of active nodes; of refined poses, by the target's attitude and by the chaser's own."""
     centre, times = data["centre_m"], data["times_s"]
     nodes = PointCloud.of_nodes(
         times[data["node_frame"]], data["node_m"] - centre, data["node_weight"]
@@ -64,7 +64,7 @@ def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, Po
 
 
 def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
-    """Times, points about the centre and weights, from stored signatures and on nodes alone."""
+    """Times, points about the centre and weights, from stored signatures and active nodes alone."""
     times, points, weights = [], [], []
     for k, frame in enumerate(data["outline_frame"]):
         on = data["node_frame"] == frame
@@ -88,7 +88,7 @@ def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array,
 def spins(
     data: dict[str, Array], kind: str, between: Interpolator | None
 ) -> dict[str, Spin | Nothing]:
-    """From directions of on nodes, from attitudes with the chaser's own known."""
+    """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
     attitudes = back @ data["rotation"]
@@ -157,16 +157,15 @@ def run(
     folder: Path, *, target: str = "client", seeds: tuple[int, int] = (0, 20),
     model: Annotated[Path | None, "also between its nodes (has far readings)"] = None,
 ) -> None:  # fmt: skip
-    """Accuracy of segments, predictions and spin, docs/trajectory.md.
+    """Errors of segments, predictions and spin.
 
-    One segment of 100 frames each; seeds of which no file is there are left out. Position errors
-    are medians over the segment, and over the next one predicted, as parts of the range. "nodes":
-    the trees alone. "between nodes": the signatures stored around them (``--model``). "refined":
-    refined poses. "own attitude": the chaser knows its own in the path's axes (a star tracker),
-    and the target's takes no part in the place. For circular and spiral the spin is that of the
-    target in the frame of the line of sight; pointing jitter is taken as known to the chaser (its
-    own attitude). NEES is of the place in the middle, three for perfect statistics. Rows: median,
-    90 % and largest over the seeds.
+    FOLDER is that of trajectory-frames; seeds without a file are left out. Position errors are
+    medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
+    trees only. "between nodes": the signatures stored around the nodes (--model). "refined":
+    refined poses. "own attitude": the chaser knows its own attitude (a star tracker), and the
+    target's attitude is not used for the place. For circular and spiral, the spin is that of the
+    target in the frame of the line of sight; the chaser knows its pointing jitter. NEES is of the
+    place in the middle: three for perfect statistics. Rows: median, 90 % and largest over seeds.
     """
     between = None if model is None else Interpolator(ViewModel.load(model))
     chosen = range(*seeds)
