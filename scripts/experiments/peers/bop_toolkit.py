@@ -16,7 +16,7 @@ import numpy as np
 
 from rendezview.evaluation import evaluate
 from rendezview.evaluation.scores import MSPD_640_PX, MSSD_FRACTIONS, scores
-from rendezview.evaluation.surface import Surface, alike_of
+from rendezview.evaluation.surface import ModelPoints, alike_of
 from rendezview.geometry.pose import Array
 from rendezview.io.results import read_results
 from rendezview.io.sequences import Sequence, open_sequence
@@ -78,7 +78,7 @@ def run(
     sequence, craft = open_sequence(scene), find_target(target)
     mesh = load_mesh(craft.mesh_path, unit or craft.unit)
     points_m = mesh.vertices_m[np.unique(mesh.faces)]
-    surface = Surface.of(points_m, alike_of(craft.symmetries))
+    surface = ModelPoints.of(points_m, alike_of(craft.symmetries))
     ours = evaluate(sequence, read_results(poses), (), None, surface=surface)
     with tempfile.TemporaryDirectory() as name:
         folder, results = Path(name) / "data", Path(name) / "results"
