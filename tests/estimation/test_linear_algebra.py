@@ -19,6 +19,8 @@ def test_solvers_equal_numpy(n):
     assert linear_algebra.solve(matrix, right, lower, out)
     np.testing.assert_allclose(out, expected, rtol=1e-8)
     np.testing.assert_allclose(np.tril(lower), np.linalg.cholesky(matrix), atol=1e-12)
+    linear_algebra.substitute(lower, right, out)
+    np.testing.assert_allclose(out, expected, rtol=1e-8)
     assert linear_algebra.solve_scaled(matrix, right, lower, out)
     np.testing.assert_allclose(out, expected, rtol=1e-8)
     inverse = np.empty((n, n))
