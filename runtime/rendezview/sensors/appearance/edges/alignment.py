@@ -17,7 +17,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     WEIGHT,
     measure_edges,
 )
-from rendezview.sensors.appearance.edges.lighting import light
+from rendezview.sensors.appearance.edges.lighting import fit_light
 
 
 class Stage(NamedTuple):
@@ -235,7 +235,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             last measurements afterwards.
 
     Returns:
-        How well one light explains the frame, see ``light``, 0 where that was not asked;
+        How well one light explains the frame, see ``fit_light``, 0 where that was not asked;
         ``DIVERGED`` where too few edges are found or the pose runs away.
     """
     matrix, right = np.empty((6, 6)), np.empty(6)
@@ -250,7 +250,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
         nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
         edges[len(nearest) * points :, STATE] = OUTSIDE
         if fit:
-            explained = light(
+            explained = fit_light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
                 views.start[shell, view], views.palette, rotation, centre,
                 lens[0][0] * radius_m / centre[2], frame, sun, shade,

@@ -29,12 +29,10 @@ from rendezview.sensors.appearance.edges.alignment import (
     strain_covariance,
 )
 from rendezview.sensors.appearance.edges.contours import Contours
-from rendezview.sensors.appearance.edges.edge_search import (
-    COLUMNS,
-    ViewTables,
-)
+from rendezview.sensors.appearance.edges.edge_search import COLUMNS
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
+from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.sky import sky_level
 
