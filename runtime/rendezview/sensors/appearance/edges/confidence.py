@@ -9,8 +9,9 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
-from rendezview.sensors.appearance.edges.refinement import Picture, Refined, Refiner, Sky
+from rendezview.sensors.appearance.edges.refinement import Refined, Refiner, Sky
 from rendezview.sensors.appearance.edges.retrieval import Outlines, Retrieval
 
 # Weights of the merit, beside an inlier ratio of weight 1.

@@ -14,9 +14,9 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.confidence import Candidates, Found
 from rendezview.sensors.appearance.edges.refinement import (
-    Picture,
     Refined,
     RefineOptions,
     Refiner,
