@@ -1,7 +1,4 @@
-"""Track a target through a video or a folder of pictures, and draw its axes into a new video.
-
-python examples/track_video.py model.rvm approach.mp4 camera.yaml drawn.mp4
-"""
+"""Draw the axes: python examples/track_video.py model.rvm approach.mp4 camera.yaml drawn.mp4"""
 
 import sys
 
@@ -9,27 +6,19 @@ import cv2
 
 from rendezview.api import Recognizer, Tracker, ViewModel, load_camera, open_sequence
 
-
-def main(model_file: str, video: str, camera_file: str, output: str) -> int:
-    model, camera, poses = ViewModel.load(model_file), load_camera(camera_file), 0
-    size = (camera.width, camera.height)
-    drawn = cv2.VideoWriter(output, cv2.VideoWriter.fourcc(*"mp4v"), 10.0, size)
-    tracker = Tracker(Recognizer(model, camera))
-    for number, frame in enumerate(open_sequence(video, camera)):
-        image = frame.read()
-        found = tracker.update(number if frame.time_s is None else frame.time_s, image)
-        picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
-        if found.pose is not None:
-            turn, lens = cv2.Rodrigues(found.pose.rotation)[0], (*camera.distortion, *[0.0] * 4)
-            length = model.target_radius_m
-            cv2.drawFrameAxes(picture, camera.matrix, lens, turn, found.pose.translation_m, length)
-            poses += 1
-        cv2.putText(picture, found.status, (10, 30), cv2.FONT_HERSHEY_SIMPLEX, 1, (255, 255, 255))
-        drawn.write(picture)
-    drawn.release()
-    print(f"{output}: {poses} poses in {number + 1} frames")
-    return poses
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:5])
+model, camera = ViewModel.load(sys.argv[1]), load_camera(sys.argv[3])
+lens = camera.distortion or (0.0,) * 4
+drawn = cv2.VideoWriter(
+    sys.argv[4], cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (camera.width, camera.height)
+)
+tracker = Tracker(Recognizer(model, camera))
+for number, frame in enumerate(open_sequence(sys.argv[2], camera)):
+    image = frame.read()
+    found = tracker.update(float(number), image)
+    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
+    if found.pose is not None:
+        turn, place = cv2.Rodrigues(found.pose.rotation)[0], found.pose.translation_m
+        cv2.drawFrameAxes(picture, camera.matrix, lens, turn, place, model.target_radius_m)
+    drawn.write(picture)
+    print(frame.name, found.status, found.reason or found.pose.translation_m)
+drawn.release()

@@ -69,7 +69,7 @@ def tiny_options() -> TrainingOptions:
         perturbed_views=800,
         held_out_views=150,
         contour_points=0,
-        lit_views=False,
+        shadowed_silhouettes=False,
     )
 
 

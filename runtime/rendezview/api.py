@@ -21,11 +21,17 @@ if TYPE_CHECKING:
     from rendezview.geometry.camera import Camera
     from rendezview.geometry.pose import Pose
     from rendezview.io.camera_files import load_camera, save_camera
-    from rendezview.io.results import JsonLinesWriter, ResultRow, read_results, write_results
+    from rendezview.io.results import (
+        JsonLinesWriter,
+        ResultRow,
+        read_json_lines,
+        read_results,
+        write_results,
+    )
     from rendezview.io.sequences import Frame, Sequence, open_sequence
     from rendezview.io.target import DockingRing, Target
     from rendezview.sensors.appearance import Recognizer, Tracker, TrackerOptions, ViewModel
-    from rendezview.sensors.measurement import RangeMeasurement
+    from rendezview.sensors.measurement import BeamSurface, RangeMeasurement
     from rendezview.sensors.observation import Observation, Status
     from rendezview.sensors.reflectors import LitDark, ReflectorSensor, patterns_of
     from rendezview.sensors.ring import RingPrior, RingSensor
@@ -38,6 +44,7 @@ if TYPE_CHECKING:
     from rendezview.training.target_job import train
 
 __all__ = [
+    "BeamSurface",
     "Camera",
     "Client",
     "DockingRing",
@@ -72,6 +79,7 @@ __all__ = [
     "load_rig",
     "open_sequence",
     "patterns_of",
+    "read_json_lines",
     "read_results",
     "save_camera",
     "simulate",
@@ -86,11 +94,17 @@ _HOME = {
     "geometry.camera": ("Camera",),
     "geometry.pose": ("Pose",),
     "io.camera_files": ("load_camera", "save_camera"),
-    "io.results": ("JsonLinesWriter", "ResultRow", "read_results", "write_results"),
+    "io.results": (
+        "JsonLinesWriter",
+        "ResultRow",
+        "read_json_lines",
+        "read_results",
+        "write_results",
+    ),
     "io.sequences": ("Frame", "Sequence", "open_sequence"),
     "io.target": ("DockingRing", "Target"),
     "sensors.appearance": ("Recognizer", "Tracker", "TrackerOptions", "ViewModel"),
-    "sensors.measurement": ("RangeMeasurement",),
+    "sensors.measurement": ("BeamSurface", "RangeMeasurement"),
     "sensors.observation": ("Observation", "Status"),
     "sensors.reflectors": ("LitDark", "ReflectorSensor", "patterns_of"),
     "sensors.ring": ("RingPrior", "RingSensor"),

@@ -33,7 +33,8 @@ from rendezview.io.results import json_line
 Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
 State = dict[str, Any]
 
-_IDLE_S = 30.0  # then a connection is made anew
+_IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
+_IDLE_S = 30.0
 
 
 class ServiceError(RendezviewError):

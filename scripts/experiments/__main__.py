@@ -12,7 +12,7 @@ EXPERIMENTS = {
         "recognition-speed": ("recognition.speed", "time from a frame to the active nodes"),
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
-        "pose-cut": ("pose.cut", "poses of targets that the image border cuts"),
+        "pose-cut": ("pose.accuracy:cut", "poses of targets that the image border cuts"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "pose-speed": ("pose.speed", "time of a pose beside its floors and peers"),
@@ -68,11 +68,11 @@ EXPERIMENTS = {
         "check-bare-install": ("training.bare_install", "a plain install tracks a scene"),
     },
     "pictures": {
-        "readme-picture": ("pictures.readme", "four frames of a demo"),
-        "fusion-picture": ("fusion.picture", "errors of sensors and filter over the range"),
-        "reflector-picture": ("reflectors.picture", "spots, triplet, windows and pose"),
-        "ring-picture": ("ring.picture", "the ring as the sensor reads it"),
-        "stereo-picture": ("stereo.picture", "figure 8 of Welch et al. (1991)"),
+        "readme-picture": ("pictures:readme", "four frames of a demo"),
+        "fusion-picture": ("pictures:fusion", "errors of sensors and filter over the range"),
+        "reflector-picture": ("pictures:reflectors", "spots, triplet, windows and pose"),
+        "ring-picture": ("pictures:ring", "the ring as the sensor reads it"),
+        "stereo-picture": ("pictures:stereo", "figure 8 of Welch et al. (1991)"),
     },
     "benchmark": {
         "benchmark": ("benchmark.command", "everything beside its peers and floors"),
@@ -96,12 +96,15 @@ def main() -> None:
     if len(sys.argv) < 2 or sys.argv[1] in ("-h", "--help"):
         print(listing())
         return
-    name = sys.argv.pop(1)
-    modules = {n: module for group in EXPERIMENTS.values() for n, (module, _) in group.items()}
-    if name not in modules:
+    name = sys.argv[1]
+    entries = {n: entry for group in EXPERIMENTS.values() for n, (entry, _) in group.items()}
+    if name not in entries:
         sys.exit(f"no experiment {name!r}; python -m experiments lists them")
-    sys.argv[0] = f"python -m experiments {name}"
-    sys.exit(importlib.import_module(f"experiments.{modules[name]}").main())
+    module_name, _, function = entries[name].partition(":")
+    module = importlib.import_module(f"experiments.{module_name}")
+    from experiments.frame import run
+
+    sys.exit(run(name, getattr(module, function or "run"), sys.argv[2:]))  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

@@ -1,10 +1,126 @@
-"""What all experiments share."""
+"""What all experiments share: arguments from a signature, tables, targets, pictures."""
 
 from __future__ import annotations
 
+import argparse
+import inspect
+import json
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from types import UnionType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from rendezview.training.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parents[2]  # the checkout
 MODELS_CAD = ROOT / "models_cad"
 CLIENT = MODELS_CAD / "client"
 PICTURES = ROOT / "docs" / "pictures"
+
+Seeds = Annotated[tuple[int, int], "the first seed, and the one after the last"]
+PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
+Log = Annotated[Path | None, "every answer, JSON lines"]
+Dask = Annotated[str | None, "scheduler of a cluster that has the files too"]
+
+
+def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> object:
+    """Call an experiment with the arguments of a command line.
+
+    Positional parameters are positional arguments, keyword-only ones are options. Their types
+    are those of the signature; ``Annotated[type, "help"]`` adds the help, and a dictionary after
+    it more settings of `argparse`.
+    """
+    parser = argparse.ArgumentParser(
+        prog=f"python -m experiments {name}",
+        description=inspect.getdoc(experiment),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    hints = get_type_hints(experiment, include_extras=True)
+    for parameter in inspect.signature(experiment).parameters.values():
+        settings = _settings(hints[parameter.name])
+        option = parameter.kind is inspect.Parameter.KEYWORD_ONLY
+        label = parameter.name
+        if option:
+            label = "--" + parameter.name.rstrip("_").replace("_", "-")
+            settings["dest"] = parameter.name
+            settings["required"] = parameter.default is inspect.Parameter.empty
+        if parameter.default is not inspect.Parameter.empty:
+            settings["default"] = parameter.default
+            if not option:
+                settings["nargs"] = "*" if settings.get("nargs") == "+" else "?"
+        parser.add_argument(label, **settings)
+    return experiment(**vars(parser.parse_args(words)))
+
+
+def _settings(hint: Any) -> dict[str, Any]:
+    """What `argparse` needs to know of a type."""
+    settings: dict[str, Any] = {}
+    if get_origin(hint) is Annotated:
+        hint, settings["help"], *more = get_args(hint)
+        for extra in more:
+            settings |= extra
+    if isinstance(hint, UnionType):  # X | None
+        hint = next(kind for kind in get_args(hint) if kind is not type(None))
+    if hint is bool:
+        return settings | {"action": "store_true"}
+    if get_origin(hint) is list:
+        (hint,) = get_args(hint)
+        settings["nargs"] = "+"
+    elif get_origin(hint) is tuple:
+        hint, *others = get_args(hint)
+        settings["nargs"] = 1 + len(others)
+    if get_origin(hint) is Literal:
+        return settings | {"choices": get_args(hint)}
+    return settings | {"type": hint}
+
+
+def table_of(title: str, columns: str | Sequence[str], *, left: int = 1) -> Table:
+    """An empty table; all columns but the first ``left`` ones are on the right.
+
+    ``columns`` is a sequence, or one string with " | " between the names.
+    """
+    made = Table(title=title)
+    for k, column in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):
+        made.add_column(column, justify="left" if k < left else "right")
+    return made
+
+
+def show(*tables: Table, width: int | None = None) -> None:
+    """Print tables, in as many columns as they need."""
+    for one in tables:
+        Console(width=width).print(one)
+
+
+def write_log(path: Path | None, records: Iterable[dict[str, Any]]) -> None:
+    """Records as JSON lines, where a path is given."""
+    if path is not None:
+        path.write_text("".join(json.dumps(record) + "\n" for record in records))
+
+
+def two(
+    values: Sequence[float] | np.ndarray, high: float = 95, form: str = "{:.3f} / {:.3f}"
+) -> str:
+    """Median and a high percentile."""
+    return form.format(np.median(values), np.percentile(values, high))
+
+
+def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
+    """Normalised estimation error squared."""
+    return float(
+        np.dot(np.asarray(error), np.linalg.solve(np.asarray(covariance), np.asarray(error)))
+    )
+
+
+def mesh_of(target: str | Path) -> tuple[str, Mesh]:
+    """Name and mesh of a bundled target, a target file or a bare mesh."""
+    from rendezview.training.bundled import find_target
+    from rendezview.training.mesh import load_mesh
+
+    found = find_target(str(target))
+    return found.name, load_mesh(found.mesh_path, found.unit)

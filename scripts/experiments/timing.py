@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ import numpy as np
 class Way:
     """A call, and how many answers it gives; ``own_clock``: it returns seconds an answer."""
 
-    call: Callable[[], object]
+    call: Callable[[], Any]
     answers: int = 1
     own_clock: bool = False
 
@@ -34,7 +35,7 @@ def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, fl
     best = dict.fromkeys(ways, np.inf)
     for k in range(rounds):
         for name in list(ways) if k % 2 else list(reversed(ways)):
-            way, spent = ways[name], []
+            way, spent = ways[name], list[float]()
             until = time.perf_counter() + seconds / (rounds * len(ways))
             while not spent or time.perf_counter() < until:
                 start = now()
@@ -43,3 +44,23 @@ def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, fl
                 spent.append(float(returned) if way.own_clock else took / way.answers)
             best[name] = min(best[name], float(np.median(spent)))
     return best
+
+
+def median_ms(
+    call: Callable[[], object], calls: int = 60, *, seconds: float = 0.0, rounds: int = 1
+) -> float:
+    """Median milliseconds of a call on the wall clock, after a warm-up; the least of ``rounds``.
+
+    A round has at least ``calls`` calls, and lasts at least ``seconds``.
+    """
+    call()
+    medians = []
+    for _ in range(rounds):
+        spent: list[float] = []
+        until = time.perf_counter() + seconds
+        while len(spent) < calls or time.perf_counter() < until:
+            start = time.perf_counter()
+            call()
+            spent.append(time.perf_counter() - start)
+        medians.append(1e3 * float(np.median(spent)))
+    return min(medians)

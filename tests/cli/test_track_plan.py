@@ -12,8 +12,7 @@ from rendezview.errors import RendezviewError
 from rendezview.evaluation.show_command import show
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.results import JsonLinesWriter
-from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.recognizer import AppearanceObservation
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.observation import Status
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import Follower, Shape, load_plan

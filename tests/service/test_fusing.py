@@ -13,61 +13,16 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from scipy.spatial.transform import Rotation
+from tests.service.sensors import RING, Sensors
 from websockets.sync.client import connect
 
 from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, PoseMeasurement
 from rendezview.fusion.logs import LogContext, kind_of, read_record
-from rendezview.io.target import DockingRing
-from rendezview.service.fusing import SessionFilter
-from rendezview.service.fusion_messages import FusionRequest, LoggedMeasurement, Marks, Measured
+from rendezview.service.fusion_messages import LoggedMeasurement, Marks, Measured
 from rendezview.service.messages import State, WatchState
 from rendezview.service.replay import model_of, read_log, repeat
-from rendezview.service.sensor_lines import split_records
-
-RING = DockingRing(np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.6, 0.8]), 0.5)
-SIGMA_M, SIGMA_RAD = 0.01, 0.01
-
-
-class Sensors:
-    """Lines of a ring detector, a ranger and a second pose sensor at a true pose."""
-
-    def __init__(self, seed: int = 0) -> None:
-        self.rng = np.random.default_rng(seed)
-
-    def ring(self, time_s, truth, offset_m=0.0):
-        centre = truth.apply(RING.centre_m) + SIGMA_M * self.rng.normal(size=3)
-        axis = truth.rotation @ RING.axis + SIGMA_RAD * self.rng.normal(size=3)
-        covariance = np.diag([SIGMA_M**2] * 3 + [SIGMA_RAD**2] * 2)
-        pose = {"centre_m": centre + offset_m, "axis": axis / np.linalg.norm(axis)}
-        edge = {"centre_px": [200.0, 180.5], "semi_axes_px": [40.0, 30.0], "angle_rad": 0.5}
-        return _plain(
-            {
-                "time_s": time_s, "status": "ok", "ellipses": [edge], "ellipse": 0,
-                "poses": [pose | {"covariance": covariance}],
-            }
-        )  # fmt: skip
-
-    def range(self, time_s, truth):
-        normal = truth.rotation @ RING.axis
-        distance = normal @ truth.apply(RING.centre_m) / normal[2]
-        return {"time_s": time_s, "range_m": distance + 0.02 * self.rng.normal(), "sigma_m": 0.02}
-
-    def pose(self, time_s, truth, offset_m=0.0):
-        sigma = np.array([0.01] * 3 + [0.02] * 3)
-        seen = truth.perturbed(sigma * self.rng.normal(size=6) + [0, 0, 0, offset_m, 0, 0])
-        spots = [{"x_px": 100.0, "y_px": 120.5, "reflector": "left"}]
-        return _plain(
-            {"time_s": time_s, "pose": seen, "covariance": np.diag(sigma**2), "spots": spots}
-        )
-
-
-def _plain(record):
-    from rendezview.io.results import json_line
-
-    return json.loads(json_line(record))
 
 
 @pytest.fixture
@@ -349,7 +304,7 @@ def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
         assert "process ended" in state["fused"]["reason"]
         assert state["fused"]["status"] in ("waiting", "starting")
         mirrors = session.info()["sensors"][1]
-        assert "begins anew" in mirrors["reason"]
+        assert "a new one starts" in mirrors["reason"]
         told = session.measure("mirrors", sensors.pose(time_s + 100.0, tour[4][1]))
         assert told["verdicts"][0]["time_s"] == time_s + 100.0
     served.stop()
@@ -370,57 +325,3 @@ def test_a_target_gives_its_ring_to_sessions_that_say_none(
             session.measure("ring", sensors.ring(0.0, tour[0][1]))["fused"]["status"] == "waiting"
         )
     served.stop()
-
-
-# The filter of a session, without a service
-
-
-def test_the_filter_begins_anew_where_the_cameras_clock_jumps(tour):
-    truth = tour[0][1]
-    one = SessionFilter(FusionRequest())
-    sensors = Sensors()
-    for k in range(5):
-        text = json.dumps(sensors.pose(float(k), truth)).encode()
-        (line,) = one.check("mirrors", text, float(k))
-        one.take("mirrors", line)
-        state = one.look(float(k), truth, 1e-4 * np.eye(6))
-    assert state["status"] == "tracking"
-    state = one.look(1e6, truth, 1e-4 * np.eye(6))
-    assert state["status"] == "starting"
-    assert "camera's time" in state["reason"]
-    assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m)
-    for k in range(1, 3):
-        state = one.look(1e6 + k, truth, 1e-4 * np.eye(6))
-    assert (state["status"], state["reason"]) == ("tracking", None)
-
-
-def test_a_frame_older_than_what_is_remembered_is_late(tour):
-    truth = tour[0][1]
-    one = SessionFilter(FusionRequest())
-    sensors = Sensors()
-    for k in range(40):
-        (line,) = one.check("m", json.dumps(sensors.pose(float(k), truth)).encode(), 0.0, 1e3)
-        one.take("m", line)
-    state = one.look(2.0, truth, 1e-4 * np.eye(6))
-    assert (state["status"], state["pose"]) == ("late", None)
-    assert "before what is remembered" in state["reason"]
-
-
-def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):
-    from rendezview.geometry.pose import Pose
-
-    truth = tour[0][1]
-    mount = Pose(Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix(), [0.5, 0.1, -0.2])
-    fusion = _plain({"mounts": {"side": mount}})
-    one = SessionFilter(FusionRequest.model_validate(fusion))
-    record = Sensors().pose(0.0, mount @ truth)
-    (line,) = one.check("side", json.dumps(record).encode(), 0.0)
-    assert line.marks is None  # its pixels are not the camera's
-    _, state = one.take("side", line)
-    assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m, abs=0.2)
-
-
-def test_a_message_is_one_object_or_one_a_line():
-    assert split_records(b'{"a": 1}\n\n{"b": 2}\n') == [{"a": 1}, {"b": 2}]
-    assert split_records(b'{\n "a": {\n  "b": 1\n }\n}') == [{"a": {"b": 1}}]
-    assert split_records('{"a": "\u2028"}'.encode()) == [{"a": "\u2028"}]

@@ -19,7 +19,7 @@ from rendezview.client import ServiceError
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import BopSceneWriter
 from rendezview.service.log_file import mend
-from rendezview.service.messages import JobInfo, ModelInfo
+from rendezview.service.model_messages import JobInfo, ModelInfo
 from rendezview.service.replay import read_log
 from rendezview.service.service import Service
 from rendezview.service.settings import Settings

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shutil
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
+from tests.service.page_feed import MOST_S, Feed, browser_path, until, word_is
 
 from rendezview.client import Client, SessionClient
 from rendezview.geometry.camera import Camera
@@ -25,22 +24,12 @@ playwright = pytest.importorskip("playwright.sync_api", reason="the page's tests
 # WebGL without a graphics card; everything else drawn as plainly as can be.
 _FLAGS = ("--disable-gpu", "--enable-unsafe-swiftshader")
 _DESK, _PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
-_MOST_S = 15.0
-
-
-def _browser_path(play: Any) -> str | None:
-    """RENDEZVIEW_TEST_BROWSER, the system's Chromium, or the one that playwright installs."""
-    given = os.environ.get("RENDEZVIEW_TEST_BROWSER")
-    names = ("chromium", "chromium-browser", "google-chrome")
-    own = play.chromium.executable_path
-    found = given or next(filter(None, map(shutil.which, names)), None)
-    return found or (own if Path(own).exists() else None)
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with playwright.sync_playwright() as play:
-        path = _browser_path(play)
+        path = browser_path(play)
         if path is None:
             pytest.skip("no Chromium: `playwright install chromium`, or RENDEZVIEW_TEST_BROWSER")
         flags = [*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
@@ -79,47 +68,6 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
     for context in contexts:
         context.close()
     assert complaints == []
-
-
-def until(page: Any, expression: str) -> Any:
-    """The value of an expression, once it is true: the page's own policy forbids to wait in it."""
-    end_s = time.monotonic() + _MOST_S
-    while not (value := page.evaluate(expression)):
-        if time.monotonic() > end_s:
-            shown = page.inner_text("#banner")
-            pytest.fail(f"never came true: {expression}; the page says {shown!r}")
-        time.sleep(0.02)
-    return value
-
-
-def word_is(page: Any, word: str) -> None:
-    until(page, f"document.getElementById('word').textContent === '{word}'")
-
-
-class Feed:
-    """Frames of a tour to and fro, at some a second, until it is told otherwise."""
-
-    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 20.0):
-        self.images = images
-        self.step_s = 0.1  # of the frames' own time
-        self._done = threading.Event()
-        self._stream = session.stream()
-        self._rate_hz = rate_hz
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self) -> None:
-        with self._stream as stream:
-            k, time_s = 0, 0.0
-            while not self._done.wait(1.0 / self._rate_hz):
-                images = self.images
-                stream.send(images[k % len(images)], time_s)
-                stream.receive()
-                k, time_s = k + 1, time_s + self.step_s
-
-    def stop(self) -> None:
-        self._done.set()
-        self._thread.join(10.0)
 
 
 @pytest.fixture
@@ -226,7 +174,7 @@ def test_who_pauses_looks_back_while_frames_go_on(service, feed, open_page) -> N
     page.keyboard.press("Home")
     until(page, f"{note} === 0")
     until(page, "document.getElementById('when').textContent === 'paused · now FOUND'")
-    end_s = time.monotonic() + _MOST_S
+    end_s = time.monotonic() + MOST_S
     while session.info()["frames"] < count + 5 and time.monotonic() < end_s:
         time.sleep(0.05)
     assert page.evaluate(note) == 0
@@ -434,13 +382,9 @@ def test_the_ellipsoid_is_that_of_drawn_poses(service, open_page) -> None:
     turned = Rotation.from_rotvec(deltas[:, :3]) * rotation
     places = -turned.inv().apply(translation + deltas[:, 3:])
     values, vectors = np.linalg.eigh(np.cov(places.T))
-    state = {
-        "pose": {
-            "quat_wxyz": np.roll(rotation.as_quat(), 1).tolist(),
-            "translation_m": translation.tolist(),
-        },
-        "covariance": covariance.tolist(),
-    }
+    quat = np.roll(rotation.as_quat(), 1).tolist()
+    pose = {"quat_wxyz": quat, "translation_m": translation.tolist()}
+    state = {"pose": pose, "covariance": covariance.tolist()}
     page = open_page(service.url)
     script = """async (state) => {
       const space = await import('/space.js'), pose = await import('/pose.js');

@@ -22,7 +22,7 @@ from rendezview.service.log_file import mend, records, scan
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
 from rendezview.service.replay import model_of, read_log, repeat
-from rendezview.service.tracking import Follower, camera_message
+from rendezview.service.tracking import SessionTracker, camera_message
 from rendezview.service.worker import session_notes
 
 
@@ -38,13 +38,13 @@ def recorded(tmp_path, refining_model, model_path, camera, tour, request_of):
     """A log that is still open, its writer, and the states in it."""
     from pydantic_core import to_json
 
-    follower = Follower("bench", refining_model, request_of)
+    follower = SessionTracker("bench", refining_model, request_of)
     notes = session_notes("bench", request_of, "bumpy", model_path)
     path = tmp_path / "run.mcap"
     writer = LogWriter(path, camera, notes, model_path.read_bytes(), RecordingOptions())
     states = []
     for time_s, _, image in tour:
-        state, _ = follower.look(image, time_s, 1.7e9 + time_s)
+        state, _ = follower.track(image, time_s, 1.7e9 + time_s)
         state["recorded"] = True
         assert writer.write(state, to_json(state), image.tobytes())
         states.append(state)

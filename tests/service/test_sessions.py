@@ -13,7 +13,8 @@ import pytest
 
 from rendezview.client import ServiceError, pose_of_state
 from rendezview.sensors.appearance import Recognizer, Tracker
-from rendezview.service.messages import Geometry, History, SessionInfo, State
+from rendezview.service.messages import History, SessionInfo, State
+from rendezview.service.model_messages import Geometry
 
 
 @pytest.fixture

@@ -13,11 +13,13 @@ import pytest
 from websockets.sync.client import connect
 
 from rendezview.client import ServiceError, pose_of_state
+from rendezview.service.inputs import SessionInput
 from rendezview.service.messages import SessionRequest, WatchState
 from rendezview.service.metrics import Metrics
-from rendezview.service.sessions import Session, Waiting, Watcher
+from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
 from rendezview.service.tracking import camera_message
+from rendezview.service.watching import Watcher
 
 
 @pytest.fixture
@@ -122,17 +124,17 @@ def test_who_comes_while_a_frame_is_looked_at_sees_the_next_one(camera):
     state = b'{"frame": 0}'
     header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0}
     more = {"frame": 0, "contour": {"points_px": [], "kinds": []}, "silhouette_px": None}
-    waiting = Waiting((b"",), 0.0, 0.0, time.monotonic(), lambda answer: None)
+    waiting = SessionInput((b"",), 0.0, 0.0, time.monotonic(), lambda answer: None)
     session.watchers.add(before)
     assert session.header_of(waiting)["extras"]["contour"]
     session.watchers.add(after)
-    session.saw(waiting, header, state)
-    session.saw_more(more, b"jpeg")
+    session.tracked(waiting, header, state)
+    session.add_extras(more, b"jpeg")
     assert before.message is not None
     assert after.message is None
     before.due_s = 0.0
     session.header_of(waiting)
-    session.saw_more(more, b"jpeg")
+    session.add_extras(more, b"jpeg")
     assert json.loads(after.message[0])["contour"] is not None
 
 

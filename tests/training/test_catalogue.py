@@ -68,7 +68,7 @@ def test_a_catalogue_is_targets_times_shells_times_lighting(folder):
         "flat-far-soft",
     ]
     assert entries[0].options.contour_radii == (0.8, 1.0)
-    assert not entries[0].options.lit_views
+    assert not entries[0].options.shadowed_silhouettes  # `lit_views` is its old name in files
     assert [e.options.seed for e in entries] == [0, 0, 3, 3]
 
 

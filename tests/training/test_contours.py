@@ -1,4 +1,4 @@
-"""Contour points and lit silhouettes of views, and the symmetries of meshes."""
+"""Contour points and shadowed silhouettes of views, and the symmetries of meshes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rendezview.training.contours import contour_points
 from rendezview.training.crossings import faces_beside
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, view_geometry
-from rendezview.training.shadowed_silhouettes import lit_views, sun_maps
+from rendezview.training.shadowed_silhouettes import shadowed_silhouettes, sun_maps
 from rendezview.training.surface_palette import packed_surfaces, surface_palette
 from rendezview.training.symmetries import find_symmetries
 from rendezview.training.views import look_from
@@ -91,7 +91,7 @@ def test_a_thin_bar_has_short_runs_and_few_points():
     assert np.median(runs_m[~thin]) > 0.1
 
 
-def test_strips_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body():
+def test_profiles_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body():
     body = trimesh.util.concatenate(
         [trimesh.creation.box((1.6, 1.0, 0.3)), trimesh.creation.box((2.6, 0.04, 0.3))]
     )
@@ -104,11 +104,11 @@ def test_strips_have_the_surface_inside_the_edge_and_the_sky_beyond_a_thin_body(
     assert surfaces[plain, 0, 2] == pytest.approx(255.0, abs=2.0)  # faces the camera
     spike = outline & (np.abs(points[:, 0]) > 0.9) & (np.abs(points[:, 0]) < 1.25)
     assert spike.sum() > 2
-    assert np.all(surfaces[spike, -1, 3] == 0.0)  # the strip has left the thin body
+    assert np.all(surfaces[spike, -1, 3] == 0.0)  # the profile has left the thin body
 
 
 def test_a_rim_ends_where_what_stands_before_it_hides_it():
-    """A plate before a wider flange: of the flange a strip thinner than a pixel is seen."""
+    """A plate before a wider flange: of the flange a band thinner than a pixel is visible."""
     eye_m, depth_m, wide = 5.0, 0.5, 5e-4  # wide: of what is seen of the flange, a tangent
     half = np.array([1.0, 0.6]) / eye_m + wide
     plate = trimesh.creation.box((2.0, 1.2, 0.1))
@@ -129,7 +129,7 @@ def test_a_rim_ends_where_what_stands_before_it_hides_it():
     assert np.median(deep) == pytest.approx(-depth_m, abs=0.02)
 
 
-def test_a_strip_tells_where_paint_changes_along_the_normal():
+def test_a_profile_tells_where_paint_changes_along_the_normal():
     """From the left edge of a plate: 25 mm of dark paint, 35 mm of white, then grey."""
     borders, paints = [-1.0, -0.975, -0.94, 1.0], [0.1, 0.8, 0.4]
     bodies, colours = [], []
@@ -184,7 +184,7 @@ def test_a_face_in_shadow_or_turned_away_is_not_lit(bumpy_mesh):
     geometry = view_geometry(bumpy_mesh, OPTIONS, None)
     maps = sun_maps(bumpy_mesh, geometry)
     direction = np.array([0.2, 0.3, 0.93]) / np.linalg.norm([0.2, 0.3, 0.93])
-    lit = lit_views(bumpy_mesh, maps, geometry, 7, direction)
+    lit = shadowed_silhouettes(bumpy_mesh, maps, geometry, 7, direction)
     assert len(lit["sun"]) > 5
     assert set(lit["view"]) == {7}
     phases = np.arccos(maps.suns[lit["sun"]] @ direction)

@@ -151,7 +151,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "views",
         "held-out",
         "contours",
-        "lit",
+        "shadows",
         "surface",
         "trees",
         "calibration",

@@ -2,63 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
-import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
+from tests.training.mesh_samples import (
+    EXTENT_M,
+    FORMATS,
+    TETRAHEDRON,
+    TRIANGLE,
+    box,
+    checker,
+    export,
+    note_with,
+    obj,
+    three_mf,
+    triangles,
+    write,
+)
 
 from rendezview.errors import RendezviewError
 from rendezview.training import mesh as mesh_module
 from rendezview.training.bounding_sphere import smallest_enclosing_sphere
 from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.mesh_colours import GREY, linear_from_srgb
-from rendezview.training.polygon import triangulate
-
-EXTENT_M = np.array([2.0, 1.0, 0.5])
-FORMATS = ["stl", "obj", "ply", "glb", "gltf", "3mf", "dae"]
-TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
-TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
-
-
-def box(scale: float = 1.0) -> trimesh.Trimesh:
-    made = trimesh.creation.box(EXTENT_M * scale)
-    made.apply_translation(np.array([3.0, -1.0, 0.25]) * scale)
-    return made
-
-
-def write(path: Path, content: str | bytes) -> Path:
-    path.write_bytes(content.encode() if isinstance(content, str) else content)
-    return path
-
-
-def export(folder: Path, suffix: str, scene: object, **options: object) -> Path:
-    made = scene.export(file_type=suffix, **options)  # type: ignore[attr-defined]
-    if isinstance(made, dict):  # glTF: several files
-        for name, content in made.items():
-            write(folder / name, content)
-        return next(folder.glob("*.gltf"))
-    return write(folder / f"mesh.{suffix}", made)
-
-
-def triangles(mesh: Mesh) -> np.ndarray:
-    """Triangles in an order that does not depend on the file's."""
-    corner = mesh.vertices_m[mesh.faces].round(6) + 0.0
-    rolled = [np.roll(t, -int(np.lexsort(t.T[::-1])[0]), axis=0).ravel() for t in corner]
-    return np.array(sorted(map(tuple, rolled)))
-
-
-def note_with(mesh: Mesh, words: str) -> str:
-    found = [note for note in mesh.notes if words in note]
-    assert len(found) == 1, mesh.notes
-    return found[0]
-
 
 # --- every format ---------------------------------------------------------------------
 
@@ -157,33 +125,6 @@ def test_unknown_unit_is_an_error_with_the_list(tmp_path: Path) -> None:
         load_mesh(tmp_path / "any.stl", "furlong")
 
 
-def three_mf(path: Path, unit: str | None, scale: float) -> Path:
-    """A tetrahedron with two base-material faces, one colour-group face and a plain one."""
-    said = f' unit="{unit}"' if unit else ""
-    corners = "".join(
-        f'<vertex x="{x * scale}" y="{y * scale}" z="{z * scale}"/>'
-        for x, y, z in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
-    )
-    model = (
-        f'<?xml version="1.0"?><model{said} '
-        'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02" '
-        'xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02"><resources>'
-        '<basematerials id="5"><base name="gold" displaycolor="#FF8000"/>'
-        '<base name="black" displaycolor="#000000FF"/></basematerials>'
-        '<m:colorgroup id="6"><m:color color="#0000FF"/></m:colorgroup>'
-        '<object id="1" type="model" pid="5" pindex="0"><mesh>'
-        f"<vertices>{corners}</vertices><triangles>"
-        '<triangle v1="0" v2="2" v3="1"/><triangle v1="0" v2="1" v3="3" pid="5" p1="1"/>'
-        '<triangle v1="1" v2="2" v3="3" pid="6" p1="0"/>'
-        '<triangle v1="0" v2="3" v3="2" pid="99" p1="0"/>'
-        '</triangles></mesh></object></resources><build><item objectid="1" '
-        f'transform="1 0 0 0 1 0 0 0 1 {5 * scale} 0 0"/></build></model>'
-    )
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("3D/3dmodel.model", model)
-    return path
-
-
 @pytest.mark.parametrize(
     ("unit", "scale", "said"),
     [
@@ -222,299 +163,6 @@ def test_dae_unit_is_applied_once(tmp_path: Path) -> None:
 def test_dae_without_a_unit_is_assumed_metres_aloud(tmp_path: Path) -> None:
     made = export(tmp_path, "dae", box())
     note_with(load_mesh(made), "No unit in the file")
-
-
-# --- colours --------------------------------------------------------------------------
-
-
-def test_srgb_is_made_linear_by_the_standard_curve() -> None:
-    # IEC 61966-2-1: 0.5 -> 0.2140, the linear toe is 1/12.92
-    np.testing.assert_allclose(
-        linear_from_srgb([0.0, 0.04, 0.5, 1.0]), [0, 0.04 / 12.92, 0.21404, 1], atol=1e-5
-    )
-
-
-@pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
-def test_faces_are_grey_where_the_file_gives_no_colour(tmp_path: Path, suffix: str) -> None:
-    mesh = load_mesh(export(tmp_path, suffix, trimesh.Trimesh(box().vertices, box().faces)))
-    np.testing.assert_allclose(mesh.face_rgb, GREY)
-    note_with(mesh, "No usable colours")
-
-
-def test_ply_face_colours_become_linear(tmp_path: Path) -> None:
-    made = box()
-    made.visual.face_colors = [[255, 128, 0, 255]] * 6 + [[0, 0, 64, 255]] * 6
-    mesh = load_mesh(export(tmp_path, "ply", made))
-    np.testing.assert_allclose(mesh.face_rgb[0], linear_from_srgb([1, 128 / 255, 0]), atol=1e-6)
-    np.testing.assert_allclose(mesh.face_rgb[11], linear_from_srgb([0, 0, 64 / 255]), atol=1e-6)
-
-
-def test_ply_vertex_colours_are_averaged_after_linearising(tmp_path: Path) -> None:
-    made = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
-    made.visual.vertex_colors = [[255, 0, 0, 255], [128, 0, 0, 255], [0, 0, 0, 255]]
-    mesh = load_mesh(export(tmp_path, "ply", made))
-    mean = linear_from_srgb([1.0, 128 / 255, 0.0]).mean()
-    np.testing.assert_allclose(mesh.face_rgb, [[mean, 0, 0]], atol=1e-6)
-
-
-def test_glb_base_colour_is_linear_already(tmp_path: Path) -> None:
-    made = box()
-    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[0.2, 0.4, 0.8, 1.0])
-    made.visual = trimesh.visual.TextureVisuals(material=material)
-    mesh = load_mesh(export(tmp_path, "glb", made))
-    np.testing.assert_allclose(mesh.face_rgb, np.tile([0.2, 0.4, 0.8], (12, 1)), atol=1e-6)
-
-
-def test_dae_diffuse_is_srgb(tmp_path: Path) -> None:
-    made = box()
-    material = trimesh.visual.material.PBRMaterial(baseColorFactor=[0.2, 0.4, 0.8, 1.0])
-    made.visual = trimesh.visual.TextureVisuals(material=material)
-    mesh = load_mesh(export(tmp_path, "dae", made))
-    np.testing.assert_allclose(mesh.face_rgb[3], linear_from_srgb([0.2, 0.4, 0.8]), atol=1e-6)
-
-
-def test_3mf_colours_of_object_triangle_and_colour_group(tmp_path: Path) -> None:
-    mesh = load_mesh(three_mf(tmp_path / "t.3mf", "meter", 1.0))
-    orange = linear_from_srgb([1, 128 / 255, 0])
-    np.testing.assert_allclose(mesh.face_rgb, [orange, [0] * 3, [0, 0, 1], [GREY] * 3], atol=1e-6)
-
-
-def stl_with_words(path: Path, words: list[int], header: bytes = b"") -> Path:
-    content = bytearray(trimesh.exchange.stl.export_stl(box()))
-    content[: len(header)] = header
-    for k, word in enumerate(words):
-        content[84 + 50 * k + 48 : 84 + 50 * k + 50] = word.to_bytes(2, "little")
-    return write(path, bytes(content))
-
-
-def test_viscam_stl_words_are_blue_low_and_flagged(tmp_path: Path) -> None:
-    mesh = load_mesh(stl_with_words(tmp_path / "a.stl", [0x8000 | 31, 0x8000 | 31 << 10, 31]))
-    expected = [[0, 0, 1], [1, 0, 0], [GREY] * 3]
-    np.testing.assert_allclose(mesh.face_rgb[:3], expected, atol=1e-6)
-    note_with(mesh, "2 faces with an STL colour")
-
-
-def test_magics_stl_words_are_red_low_and_unflagged(tmp_path: Path) -> None:
-    path = stl_with_words(tmp_path / "a.stl", [31, 0x8000], b"COLOR=\x00\xff\x00\xff")
-    np.testing.assert_allclose(load_mesh(path).face_rgb[:2], [[1, 0, 0], [0, 1, 0]], atol=1e-6)
-
-
-def checker(path: Path) -> Image.Image:
-    """Left half red, right half blue."""
-    pixels = np.zeros((8, 8, 3), np.uint8)
-    pixels[:, :4, 0] = 255
-    pixels[:, 4:, 2] = 255
-    image = Image.fromarray(pixels)
-    image.save(path)
-    return image
-
-
-TEXTURED_OBJ = (
-    "mtllib t.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 2 0 0\nv 3 0 0\nv 2 1 0\n"
-    "vt 0.1 0.1\nvt 0.4 0.1\nvt 0.1 0.4\nvt 0.6 0.1\nvt 0.9 0.1\nvt 0.6 0.4\n"
-    "usemtl skin\nf 1/1 2/2 3/3\nf 4/4 5/5 6/6\n"
-)
-
-
-def test_obj_texture_gives_the_colour_of_each_face(tmp_path: Path) -> None:
-    checker(tmp_path / "skin.png")
-    write(tmp_path / "t.mtl", "newmtl skin\nKd 1 1 1\nmap_Kd -s 1 1 1 C:\\old\\skin.png\n")
-    mesh = load_mesh(write(tmp_path / "t.obj", TEXTURED_OBJ))
-    np.testing.assert_allclose(mesh.face_rgb, [[1, 0, 0], [0, 0, 1]], atol=1e-6)
-
-
-def textured_glb(folder: Path) -> Path:
-    image = checker(folder / "skin.png")
-    made = trimesh.Trimesh(
-        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [3, 0, 0], [2, 1, 0]],
-        [[0, 1, 2], [3, 4, 5]],
-        process=False,
-    )
-    uv = [[0.1, 0.1], [0.4, 0.1], [0.1, 0.4], [0.6, 0.1], [0.9, 0.1], [0.6, 0.4]]
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=image, baseColorFactor=[1.0, 1.0, 1.0, 1.0]
-    )
-    made.visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
-    return export(folder, "glb", made)
-
-
-def test_glb_texture_gives_the_colour_of_each_face(tmp_path: Path) -> None:
-    mesh = load_mesh(textured_glb(tmp_path))
-    np.testing.assert_allclose(mesh.face_rgb, [[1, 0, 0], [0, 0, 1]], atol=1e-6)
-
-
-def test_missing_texture_of_an_obj_is_noted(tmp_path: Path) -> None:
-    write(tmp_path / "t.mtl", "newmtl skin\nKd 1 1 1\nmap_Kd gone.png\n")
-    mesh = load_mesh(write(tmp_path / "t.obj", TEXTURED_OBJ))
-    note_with(mesh, "Texture gone.png not found")
-    np.testing.assert_allclose(mesh.face_rgb, GREY)
-
-
-def test_damaged_texture_of_an_obj_is_noted(tmp_path: Path) -> None:
-    write(tmp_path / "gone.png", b"not a picture")
-    write(tmp_path / "t.mtl", "newmtl skin\nmap_Kd gone.png\nKd 0.5 0.5 0.5\n")
-    mesh = load_mesh(write(tmp_path / "t.obj", TEXTURED_OBJ))
-    note_with(mesh, "Texture gone.png not readable")
-    np.testing.assert_allclose(mesh.face_rgb, linear_from_srgb([[0.5] * 3] * 2), atol=1e-6)
-
-
-def test_missing_texture_of_a_gltf_is_noted(tmp_path: Path) -> None:
-    made = export(tmp_path, "gltf", box())
-    tree = json.loads(made.read_text())
-    tree["images"] = [{"uri": "gone.png"}]
-    tree["textures"] = [{"source": 0}]
-    tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
-    tree["meshes"][0]["primitives"][0]["material"] = 0
-    mesh = load_mesh(write(made, json.dumps(tree)))
-    note_with(mesh, "Textures not found or not readable")
-    np.testing.assert_allclose(mesh.face_rgb, GREY)
-
-
-@pytest.mark.parametrize("suffix", ["glb", "obj"])
-def test_textured_mesh_loads_with_a_note_without_pillow(tmp_path: Path, suffix: str) -> None:
-    path = textured_glb(tmp_path)
-    if suffix == "obj":
-        write(tmp_path / "t.mtl", "newmtl skin\nKd 1 1 1\nmap_Kd skin.png\n")
-        path = write(tmp_path / "t.obj", TEXTURED_OBJ)
-    program = (
-        "import sys\n"
-        "class Blocker:\n"
-        "    def find_spec(self, name, path=None, target=None):\n"
-        "        if name.split('.')[0] == 'PIL':\n"
-        "            raise ImportError('blocked: ' + name)\n"
-        "sys.meta_path.insert(0, Blocker())\n"
-        "from pathlib import Path\n"
-        "from rendezview.training.mesh import load_mesh\n"
-        "mesh = load_mesh(Path(sys.argv[1]))\n"
-        "print(len(mesh.faces), float(mesh.face_rgb.min()), *mesh.notes, sep='\\n')\n"
-    )
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, str(path)],
-        capture_output=True, text=True, env=environment, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    lines = done.stdout.splitlines()
-    assert lines[0] == "2"
-    assert float(lines[1]) == pytest.approx(GREY)
-    assert sum("install Pillow" in line for line in lines) == 1
-
-
-# --- OBJ ------------------------------------------------------------------------------
-
-
-def obj(folder: Path, text: str) -> Mesh:
-    return load_mesh(write(folder / "a.obj", text))
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        TETRAHEDRON.rstrip(),
-        TETRAHEDRON.replace("\n", "\r\n"),
-        TETRAHEDRON.replace("\n", "\r"),
-        TETRAHEDRON.replace(" ", "\t"),
-        TETRAHEDRON.replace("v ", "   v ").replace("\n", " # said\n"),
-        TETRAHEDRON.replace("f 1 3 2", "f 1 3 \\\n2"),
-        "vn 0 0 1\n" + TETRAHEDRON.replace("f 1 3 2", "f 1//1 3//1 2//1"),
-        "vt 0 0\n" + TETRAHEDRON.replace("f 1 3 2", "f 1/1 3/1 2/1"),
-        "vt 0 0\nvn 0 0 1\n" + TETRAHEDRON.replace("f 1 3 2", "f 1/1/1 3/1/1 2/1/1"),
-        TETRAHEDRON.replace("f 1 4 3", "f -4 -1 -2"),
-        "mtllib gone.mtl\no part\ng group\ns off\nusemtl gold\n" + TETRAHEDRON,
-    ],
-    ids=["no newline at the end", "Windows", "old Mac", "tabs", "indented, comments",
-         "continued line", "v//vn", "v/vt", "v/vt/vn", "negative", "statements"],
-)  # fmt: skip
-def test_obj_dialects_give_the_same_tetrahedron(tmp_path: Path, text: str) -> None:
-    expected = triangles(obj(tmp_path, TETRAHEDRON))
-    np.testing.assert_array_equal(triangles(obj(tmp_path, text)), expected)
-    assert len(expected) == 4
-
-
-def test_negative_obj_indices_count_back_from_their_own_line(tmp_path: Path) -> None:
-    text = TRIANGLE + "f -3 -2 -1\n" + TRIANGLE.replace(" 0\n", " 5\n") + "f -3 -2 -1\n"
-    mesh = obj(tmp_path, text)
-    assert sorted(mesh.vertices_m[mesh.faces][:, :, 2].mean(axis=1)) == [0.0, 5.0]
-
-
-def test_obj_polygons_are_cut_without_leaving_their_outline(tmp_path: Path) -> None:
-    arrow = "v 0 0 0\nv 2 1 0\nv 0 2 0\nv 1 1 0\nf 1 2 3 4\n"  # concave at the last corner
-    mesh = obj(tmp_path, arrow)
-    corner = mesh.vertices_m[mesh.faces]
-    twice = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    assert (twice[:, 2] > 0).all()  # winding kept, none flipped
-    assert twice[:, 2].sum() == pytest.approx(2.0)  # twice the arrow's area of 1
-    note_with(mesh, "1 polygon with more than three corners cut into triangles, 1 of them concave")
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_star_polygons_are_cut_into_exactly_their_area(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(4, 30))
-    angle = np.sort(rng.uniform(0, 2 * np.pi, count))
-    angle = np.linspace(0, 2 * np.pi, count, endpoint=False) + 0.1 * np.diff(angle, append=7).clip(
-        0, 0.1
-    )
-    radius = rng.uniform(0.2, 1.0, count)
-    flat = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(count)], axis=1)
-    turn = trimesh.transformations.random_rotation_matrix(rng.uniform(size=3))[:3, :3]
-    corners = flat @ turn.T + 100.0
-    cut, _ = triangulate(corners)
-    after = np.roll(flat, -1, axis=0)
-    area = 0.5 * (flat[:, 0] * after[:, 1] - flat[:, 1] * after[:, 0]).sum()
-    parts = corners[np.array(cut)]
-    normals = np.cross(parts[:, 1] - parts[:, 0], parts[:, 2] - parts[:, 0]) @ turn[:, 2]
-    assert len(cut) == count - 2
-    assert normals.min() > -1e-9
-    assert 0.5 * normals.sum() == pytest.approx(area, rel=1e-6)
-
-
-def test_obj_lines_and_short_faces_are_ignored_and_counted(tmp_path: Path) -> None:
-    mesh = obj(tmp_path, TETRAHEDRON + "l 1 2 3\np 1\nf 1 2\n")
-    assert len(mesh.faces) == 4
-    note_with(mesh, "2 line or point elements ignored")
-    note_with(mesh, "1 face with fewer than three corners ignored")
-
-
-def test_missing_obj_material_library_is_noted_once(tmp_path: Path) -> None:
-    mesh = obj(tmp_path, "mtllib gone.mtl\nmtllib gone.mtl\nusemtl a\n" + TETRAHEDRON)
-    note_with(mesh, "gone.mtl not found beside the mesh: faces are grey")
-    assert not any("No usable" in note for note in mesh.notes)
-
-
-def test_obj_materials_colour_their_faces(tmp_path: Path) -> None:
-    write(tmp_path / "two words.mtl", "newmtl red\r\n\tKd 0.5 0 0\r\nnewmtl dark\r\nKd 0.25\r\n")
-    head, _, tail = TETRAHEDRON.partition("f 1 3 2\n")
-    text = "mtllib two words.mtl\n" + head + "f 1 3 2\nusemtl red\nf 1 2 4\nusemtl dark\n"
-    mesh = obj(tmp_path, text + tail.replace("f 1 2 4\n", "") + "usemtl none\nf 1 2 3\n")
-    expected = [[GREY] * 3, linear_from_srgb([0.5, 0, 0]), *[linear_from_srgb([0.25] * 3)] * 2]
-    np.testing.assert_allclose(mesh.face_rgb[:4], expected, atol=1e-6)
-    note_with(mesh, "1 material not defined (none)")
-
-
-@pytest.mark.parametrize("full", [1, 255])
-def test_obj_vertex_colours_of_either_range(tmp_path: Path, full: int) -> None:
-    text = TRIANGLE.replace(" 0\n", f" 0 {full} 0 0\n") + "f 1 2 3\n"
-    np.testing.assert_allclose(obj(tmp_path, text).face_rgb, [[1, 0, 0]], atol=1e-6)
-
-
-def test_huge_obj_vertex_colours_are_ignored_with_a_note(tmp_path: Path) -> None:
-    mesh = obj(tmp_path, TRIANGLE.replace(" 0\n", " 0 65535 1e9 0\n") + "f 1 2 3\n")
-    np.testing.assert_allclose(mesh.face_rgb, GREY)
-    note_with(mesh, "Vertex colours ignored")
-
-
-@pytest.mark.parametrize("face", ["f 1 2 9", "f 0 1 2", "f -9 1 2"])
-def test_obj_face_with_a_missing_vertex_names_the_line(tmp_path: Path, face: str) -> None:
-    with pytest.raises(RendezviewError, match=r"a\.obj, line 4: .*vertex that is not there"):
-        obj(tmp_path, TRIANGLE + face + "\n")
-
-
-@pytest.mark.parametrize("line", ["v 1 2", "v 1 2 x", "f a b c", "f 1.5 2 3"])
-def test_unreadable_obj_line_is_named(tmp_path: Path, line: str) -> None:
-    with pytest.raises(RendezviewError, match="line 4"):
-        obj(tmp_path, TRIANGLE + line + "\n")
 
 
 # --- cleaning -------------------------------------------------------------------------

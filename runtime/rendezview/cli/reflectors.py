@@ -18,7 +18,7 @@ from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
-from rendezview.sensors.reflectors.closed_form import Calibration
+from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration
 from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions, registered
 from rendezview.sensors.reflectors.overlay import draw_reading
 from rendezview.sensors.reflectors.pattern import patterns_of
@@ -91,7 +91,7 @@ def reflectors(
         raise RendezviewError("reflectors calibrate: name the run: the pictures with their truth")
     check_place(output, "the readings")
     patterns = patterns_of(Target.load(target), tuple(group) if group else None)
-    loaded = Calibration.load(calibration) if calibration else None
+    loaded = ClosedFormCalibration.load(calibration) if calibration else None
     options = ThresholdOptions(lower_grey=threshold, upper_grey=upper, opening=opening)
     acquisition = AcquisitionOptions(blur_px=blur)
     affine = _affine(lit_from_dark)

@@ -65,7 +65,7 @@ def serve(
     Example: rendezview serve hubble.rvm --camera camera.yaml --record run.mcap
     """
     try:
-        from rendezview.service.logs import set_up_logging
+        from rendezview.service.json_logging import set_up_logging
         from rendezview.service.server import run
         from rendezview.service.service import Service
         from rendezview.service.settings import load_settings

@@ -13,7 +13,8 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 
-_PIVOT = 1e-14  # of a diagonal element: a smaller pivot is rounding, the matrix is singular
+# Of a diagonal element: a smaller pivot is rounding, the matrix is singular.
+_PIVOT = 1e-14  # Source: about 50 times the rounding of float64
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -13,7 +13,7 @@ from rendezview.flight_code.tables import MOST_16_BIT, PackedForest, pack_forest
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.io.files import atomic_write_text, make_folder
 from rendezview.sensors.appearance import MatchOptions, ViewModel
-from rendezview.sensors.appearance.outline.tracing import spokes_of
+from rendezview.sensors.appearance.outline.signature import spokes_of
 
 SOURCES = (
     "rendezview_flight.h",
@@ -26,13 +26,13 @@ SOURCES = (
     "README.md",
 )
 MODEL = ("rendezview_model.h", "rendezview_model.c")
-_MOST_CHARACTERS = 99
+_MOST_CHARACTERS = 99  # per line of a table. Source: chosen
 
 # Floating-point operations, counted in the C code; integer work is of the same order.
-_PER_BRANCH = 8
-_PER_TREE = 8
-_PER_NODE = 30  # nearness and roll, without atan2
-_PER_PAIR = 9  # of on nodes, without exp
+_PER_BRANCH = 8  # Source: by construction
+_PER_TREE = 8  # Source: by construction
+_PER_NODE = 30  # nearness and roll, without atan2. Source: by construction
+_PER_PAIR = 9  # operations per pair of active nodes, without exp. Source: by construction
 
 
 def write_c(model: ViewModel, folder: Path) -> list[Path]:

@@ -19,7 +19,7 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.outline.votes import Matcher
 
 _OPSET, _ML_OPSET = 17, 3  # read by every runtime of the last years
-_IR_VERSION = 8
+_IR_VERSION = 8  # of the ONNX format that goes with the opset. Source: ONNX's table of versions
 
 
 def write_onnx(model: ViewModel, path: Path) -> None:

@@ -19,7 +19,7 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.outline.trees import Forest
 from rendezview.sensors.appearance.outline.votes import Matcher
 
-MOST_16_BIT = 65535
+MOST_16_BIT = 65535  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)

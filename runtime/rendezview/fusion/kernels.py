@@ -5,163 +5,51 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.linear_algebra import square_root
+from rendezview.estimation.motion import predict_covariance
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def turned(vector: Array, rotation: Array) -> Array:
-    """exp([vector]×) rotation, by Rodrigues' formula."""
-    x, y, z = vector[0], vector[1], vector[2]
-    square = x * x + y * y + z * z
-    if square < 1e-16:
-        sine, cosine = 1.0 - square / 6.0, 0.5 - square / 24.0
-    else:
-        angle = np.sqrt(square)
-        sine = np.sin(angle) / angle
-        half = np.sin(0.5 * angle)
-        cosine = 2.0 * half * half / square
-    turn = np.empty((3, 3))
-    turn[0, 0] = 1.0 - cosine * (y * y + z * z)
-    turn[1, 1] = 1.0 - cosine * (x * x + z * z)
-    turn[2, 2] = 1.0 - cosine * (x * x + y * y)
-    turn[0, 1], turn[1, 0] = cosine * x * y - sine * z, cosine * x * y + sine * z
-    turn[0, 2], turn[2, 0] = cosine * x * z + sine * y, cosine * x * z - sine * y
-    turn[1, 2], turn[2, 1] = cosine * y * z - sine * x, cosine * y * z + sine * x
+    """exp([vector]×) rotation, orthonormalised, so that rounding does not add up."""
     out = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = (
-                turn[i, 0] * rotation[0, j] + turn[i, 1] * rotation[1, j]
-                + turn[i, 2] * rotation[2, j]
-            )  # fmt: skip
-    # One step of Newton towards the nearest rotation, so that rounding does not add up.
-    square_root = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            dot = 0.0
-            for k in range(3):
-                dot += out[k, i] * out[k, j]
-            square_root[i, j] = -0.5 * dot + (1.5 if i == j else 0.0)
-    fixed = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            fixed[i, j] = (
-                out[i, 0] * square_root[0, j] + out[i, 1] * square_root[1, j]
-                + out[i, 2] * square_root[2, j]
-            )  # fmt: skip
-    return fixed
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def rotation_vector(rotation: Array, other: Array) -> Array:
-    """Rotation vector of ``rotation otherᵀ``, (3,), of length up to π."""
-    turn = np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            turn[i, j] = (
-                rotation[i, 0] * other[j, 0] + rotation[i, 1] * other[j, 1]
-                + rotation[i, 2] * other[j, 2]
-            )  # fmt: skip
-    # By the quaternion's largest part, which is exact near 0 and near π.
-    trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
-    quat = np.empty(4)  # w x y z
-    largest = 0
-    best = trace
-    for i in range(3):
-        if turn[i, i] > best:
-            best, largest = turn[i, i], i + 1
-    if largest == 0:
-        quat[0] = 1.0 + trace
-        quat[1] = turn[2, 1] - turn[1, 2]
-        quat[2] = turn[0, 2] - turn[2, 0]
-        quat[3] = turn[1, 0] - turn[0, 1]
-    else:
-        i = largest - 1
-        j, k = (i + 1) % 3, (i + 2) % 3
-        quat[0] = turn[k, j] - turn[j, k]
-        quat[1 + i] = 1.0 + turn[i, i] - turn[j, j] - turn[k, k]
-        quat[1 + j] = turn[j, i] + turn[i, j]
-        quat[1 + k] = turn[k, i] + turn[i, k]
-    norm = np.sqrt(quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
-    out = np.empty(3)
-    if norm < 1e-300:
-        out[:] = 0.0
-        return out
-    sign = 1.0 if quat[0] >= 0.0 else -1.0
-    scale = sign * 2.0 * np.arctan2(norm, sign * quat[0]) / norm
-    for i in range(3):
-        out[i] = scale * quat[1 + i]
+    so3.perturb_into(vector, rotation, out)
+    so3.orthonormalise(out)
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def predict_covariance(
-    covariance: Array,
-    turn: Array,
-    arm: Array,
-    dt: float,
-    angular: float,
-    linear: float,
-    along: float,
-    pointing: float,
-    fade: Array,
+def craft_accelerations(
+    arm: Array, angular: float, linear: float, along: float, pointing: float
 ) -> Array:
-    """P at a later time, (n, n): 12 of motion, then states that only fade.
+    """(6, 6) spectral density of the accelerations of two craft.
+
+    The target rotates, one craft translates against the other, and the camera rotates: by w,
+    which rotates the target by w and moves it by w × arm.
 
     Args:
-        turn: (3, 3) rotation of the step: the old attitude error turns with the body.
-        arm: (3,) translation, round which the camera's own turning swings the target.
-        angular, linear, along, pointing: squared densities of the accelerations.
-        fade: (n - 12,) factors towards a variance of 1; 1 for a constant.
+        arm: (3,) translation from the camera to the target, m.
+        angular, linear, along, pointing: squared `MotionOptions`.
     """
-    n = len(covariance)
-    out = covariance.copy()
-    row = np.empty(3)
-    for j in range(n):  # rows: F P
-        for i in range(3):
-            row[i] = turn[i, 0] * out[0, j] + turn[i, 1] * out[1, j] + turn[i, 2] * out[2, j]
-        for i in range(3):
-            out[i, j] = row[i] + dt * out[6 + i, j]
-            out[3 + i, j] += dt * out[9 + i, j]
-        for i in range(12, n):
-            out[i, j] *= fade[i - 12]
-    for i in range(n):  # columns: (F P) Fᵀ
-        for j in range(3):
-            row[j] = turn[j, 0] * out[i, 0] + turn[j, 1] * out[i, 1] + turn[j, 2] * out[i, 2]
-        for j in range(3):
-            out[i, j] = row[j] + dt * out[i, 6 + j]
-            out[i, 3 + j] += dt * out[i, 9 + j]
-        for j in range(12, n):
-            out[i, j] *= fade[j - 12]
-    for i in range(12, n):
-        out[i, i] += 1.0 - fade[i - 12] ** 2
-    # White accelerations: of the target, of the place, and of the camera, which turns the
-    # target by w and moves it by w × arm.
-    noise = np.zeros((6, 6))
+    density = np.zeros((6, 6))
     swing = np.zeros((3, 3))  # w ↦ w × arm
     swing[0, 1], swing[0, 2] = arm[2], -arm[1]
     swing[1, 0], swing[1, 2] = -arm[2], arm[0]
     swing[2, 0], swing[2, 1] = arm[1], -arm[0]
-    for i in range(3):
-        noise[i, i] = angular + pointing
-        noise[3 + i, 3 + i] = linear
-        for j in range(3):
-            noise[3 + i, j] = noise[j, 3 + i] = pointing * swing[i, j]
     square = arm[0] ** 2 + arm[1] ** 2 + arm[2] ** 2
     for i in range(3):
+        density[i, i] = angular + pointing
+        density[3 + i, 3 + i] = linear
+    for i in range(3):
         for j in range(3):
+            density[3 + i, j] = density[j, 3 + i] = pointing * swing[i, j]
             if square > 0.0:
-                noise[3 + i, 3 + j] += along * arm[i] * arm[j] / square
+                density[3 + i, 3 + j] += along * arm[i] * arm[j] / square
             for k in range(3):
-                noise[3 + i, 3 + j] += pointing * swing[i, k] * swing[j, k]
-    for i in range(6):
-        for j in range(6):
-            q = noise[i, j]
-            out[i, j] += q * dt * dt * dt / 3.0
-            out[i, 6 + j] += q * dt * dt / 2.0
-            out[6 + i, j] += q * dt * dt / 2.0
-            out[6 + i, 6 + j] += q * dt
-    return out
+                density[3 + i, 3 + j] += pointing * swing[i, k] * swing[j, k]
+    return density
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -191,11 +79,19 @@ def predicted(
     fade = np.empty(len(extras))
     for i in range(len(extras)):
         fade[i] = np.exp(-dt * (fading[i, 0] + speed * fading[i, 1]))
-    turn = turned(dt * rates[:3], np.eye(3))
-    out = predict_covariance(
-        covariance, turn, translation, dt, angular, linear, along, pointing, fade
-    )
-    return turned(dt * rates[:3], rotation), translation + dt * rates[3:], fade * extras, out
+    turn = so3.exp(dt * rates[:3])
+    density = craft_accelerations(translation, angular, linear, along, pointing)
+    out = predict_covariance(covariance, turn, dt, density, fade)
+    later = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            later[i, j] = (
+                turn[i, 0] * rotation[0, j]
+                + turn[i, 1] * rotation[1, j]
+                + turn[i, 2] * rotation[2, j]
+            )
+    so3.orthonormalise(later)
+    return later, translation + dt * rates[3:], fade * extras, out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -340,23 +236,3 @@ def distance(
     design, residual = with_lasting(extras, slope, root, start, measured)
     fits, nis, logarithm, _, _, _ = whitened(covariance, design, white, residual)
     return fits, nis, logarithm
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def square_root(covariance: Array) -> Array:
-    """Lower Cholesky factor; zeros where a pivot is none, so that semi-definite is allowed."""
-    n = len(covariance)
-    lower = np.zeros((n, n))
-    for j in range(n):
-        s = covariance[j, j]
-        for k in range(j):
-            s -= lower[j, k] * lower[j, k]
-        if s <= 1e-14 * covariance[j, j]:
-            continue
-        lower[j, j] = np.sqrt(s)
-        for i in range(j + 1, n):
-            s = covariance[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            lower[i, j] = s / lower[j, j]
-    return lower

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.fusion.kernels import distance, rotation_vector, square_root
+from rendezview.estimation.linear_algebra import square_root
+from rendezview.fusion.kernels import distance
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
 _DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
@@ -28,7 +30,7 @@ def pose_model(
 ) -> tuple[Array, Array, Array]:
     """(6,) residual, (6, 6) white covariance and (6, 6) root of the lasting one, of a pose."""
     residual = np.empty(6)
-    residual[:3] = rotation_vector(measured_rotation, rotation)
+    residual[:3] = so3.between(measured_rotation, rotation)
     for i in range(3):
         residual[3 + i] = measured_translation[i] - translation[i]
     whole = pose_covariance(measured_translation, covariance, inflation, floor_rad, floor_range)

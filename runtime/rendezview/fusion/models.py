@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import chdtri
 
-from rendezview.fusion.kernels import square_root
+from rendezview.estimation.linear_algebra import square_root
 from rendezview.fusion.model_kernels import pose_model, ring_expected
 from rendezview.fusion.options import SensorOptions
 from rendezview.geometry.pose import Array

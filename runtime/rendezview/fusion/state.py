@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.kernels import corrected, predicted, rotation_vector
+from rendezview.fusion.kernels import corrected, predicted
 from rendezview.fusion.model_kernels import pose_covariance
 from rendezview.fusion.models import expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
@@ -231,7 +232,7 @@ def update(state: State, measurement: Measurement, options: FusionOptions) -> St
 
 def difference(one: State, other: State) -> Array:
     """(6,) perturbation of the pose that leads from the other state to this one."""
-    turn = rotation_vector(one.rotation, other.rotation)
+    turn = so3.between(one.rotation, other.rotation)
     return np.concatenate([turn, one.translation_m - other.translation_m])
 
 

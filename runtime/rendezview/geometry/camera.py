@@ -15,11 +15,13 @@ from numba import njit
 
 Array = npt.NDArray[np.float64]
 
-DISTORTION_LENGTHS = (0, 4, 5, 8)
-_BORDER_SAMPLES = 65  # points along each border; odd, so that the middle is one of them
-_UNDISTORT_ITERATIONS = 200
-_UNDISTORT_STEP = 1e-13  # normalised units; the iteration has converged
-_UNDISTORT_ERROR_PX = 1e-3  # a ray that projects further from its pixel is no answer
+DISTORTION_LENGTHS = (0, 4, 5, 8)  # coefficients. Source: OpenCV, calib3d
+# Points along each border; odd, so that the middle is one of them.
+_BORDER_SAMPLES = 65  # Source: by construction
+_UNDISTORT_ITERATIONS = 200  # a bound for strong lenses. Source: by construction
+_UNDISTORT_STEP = 1e-13  # normalised; converged. Source: float64 rounding
+# px; a ray that projects further from its pixel is no answer.
+_UNDISTORT_ERROR_PX = 1e-3  # Source: a tenth of the best centroid (docs/reflectors.md)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
 
-MAX_ORDER = 6  # 40,962 nodes
+MAX_ORDER = 6  # 40,962 nodes, 1.1° apart. Source: by construction
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 
-_SERIES = 1e-8  # rad²: below it the series of order four is exact to rounding
+# rad²; below it the next term of the series, angle⁴/120, is below the rounding of float64.
+_SERIES = 1e-8  # Source: by construction
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

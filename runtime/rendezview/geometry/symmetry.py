@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 
-_SAME_RAD = 5e-3  # turns closer than this are one: angles in files are rounded
-_MOST_TURNS = 180  # more than any real target has; a wrong angle never comes round
+# rad; turns closer than this are the same, because angles in files are rounded to 0.1°.
+_SAME_RAD = 5e-3  # Source: by construction
+# Turns; a target with steps of 2° has so many, an angle that divides no full turn has more.
+_MOST_TURNS = 180  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,12 +30,13 @@ from rendezview.geometry.pose import Pose
 from rendezview.interchange.runs import Moment, pose_of
 from rendezview.io.files import check_place, write_error
 from rendezview.sensors.appearance import ViewModel
-from rendezview.service.geometry import geometry
+from rendezview.service.model_geometry import geometry
 from rendezview.service.tracking import contour_at
 
 _ORANGE, _BLUE, _GREEN = (255, 140, 0), (90, 160, 255), (80, 220, 120)
-_UNIX_S = 1e8  # later times are since 1970, earlier ones of the run
-_JPEG_QUALITY = 90
+# s; later times count from 1970, earlier ones from the start of the run. Source: chosen.
+_UNIX_S = 1e8
+_JPEG_QUALITY = 90  # 0 … 100. Source: chosen
 _NO_NUMBERS = {"im_id", "time_s", "frame", "received_unix_s"}
 _PICTURE = "camera/image"
 

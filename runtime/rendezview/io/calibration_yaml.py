@@ -16,7 +16,7 @@ from typing import Any
 
 import yaml
 
-_MOST_DEPTH = 50  # nested collections; calibration files have about four
+_MOST_DEPTH = 50  # nested collections; calibration files have about four. Source: a chosen limit
 _DIRECTIVE = re.compile(r"^%YAML:.*$", re.MULTILINE)  # with its colon it is not YAML
 _CONSTANTS = {
     "true": True, "false": False, "null": None, "~": None, "": None,

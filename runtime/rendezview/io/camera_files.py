@@ -41,7 +41,7 @@ _DISTORTION_KEYS = (
 _WIDTH_KEYS = ("image_width", "image_Width", "imageWidth", "width", "Nu")
 _HEIGHT_KEYS = ("image_height", "image_Height", "imageHeight", "height", "Nv")
 _LENS_MODELS = ("plumb_bob", "rational_polynomial")
-_LIMIT_BYTES = 4_000_000  # a camera file is small; a video given by mistake is not read whole
+_LIMIT_BYTES = 4_000_000  # a video given by mistake is not read whole. Source: a chosen limit
 
 
 class Intrinsics(NamedTuple):

@@ -236,25 +236,25 @@ def json_line(record: Mapping[str, Any]) -> str:
     Raises:
         TypeError: a value has no JSON form.
     """
-    return json.dumps(_plain(record), allow_nan=False)
+    return json.dumps(json_value(record), allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
-    """The value as what `json` can write."""
+def json_value(value: Any) -> Any:
+    """The value in the types that JSON has; NaN and infinity become None."""
     if isinstance(value, Pose):
         return value.as_dict()
     if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
+        return json_value(value.tolist())
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     if value is None or isinstance(value, bool | int | str):
         return value
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): json_value(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [json_value(item) for item in value]
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {f.name: json_value(getattr(value, f.name)) for f in dataclasses.fields(value)}
     raise TypeError(f"{type(value).__name__} has no JSON form: {value!r}")

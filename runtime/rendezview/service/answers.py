@@ -1,4 +1,4 @@
-"""Small things that all routes need: faults, rights, bodies of limited length."""
+"""What all routes share: errors as messages, rights, bodies of limited length."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
-from rendezview.service.fusing import CAMERA
-from rendezview.service.message_parts import MOST_TIME_S, NAME_PATTERN
+from rendezview.service.inputs import Answer, Full, SessionInput
+from rendezview.service.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN
 from rendezview.service.messages import Fault
 from rendezview.service.security import Right
 from rendezview.service.service import Service
-from rendezview.service.sessions import Answer, Full, Session, Waiting
-from rendezview.service.workers import NotReady
+from rendezview.service.sessions import Session
+from rendezview.service.worker_pool import NotReady
 
 FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
@@ -30,20 +30,20 @@ JSON = "application/json"
 
 
 def service_of(connection: HTTPConnection) -> Service:
-    """The service that answers."""
+    """The service behind the application."""
     service: Service = connection.app.state.service
     return service
 
 
 def needs(connection: HTTPConnection, right: Right) -> None:
-    """Refuse a caller whose token does not allow it.
+    """Refuse a caller whose token does not give this right.
 
     Raises:
         HTTPException: 403.
     """
     has = connection.scope.get("state", {}).get("right", Right.NONE)
     if has < right:
-        raise HTTPException(403, f"this token does not allow it: one of scope {right.name.lower()}")
+        raise HTTPException(403, f"this token is not enough: use one of scope {right.name.lower()}")
 
 
 def session_of(connection: HTTPConnection, name: str) -> Session:
@@ -54,24 +54,28 @@ def session_of(connection: HTTPConnection, name: str) -> Session:
     """
     session = service_of(connection).sessions.get(name)
     if session is None:
-        raise HTTPException(404, f"session {name[:80]!r}: there is none: see /v1/sessions")
+        raise HTTPException(
+            404, f"session {name[:80]!r}: there is none with this id: see /v1/sessions"
+        )
     return session
 
 
 async def body_of(request: Request, most: int) -> bytes:
-    """The body of a request, refused as soon as it is too long. Errors as `pieces_of`."""
+    """The body of a request. Errors as in `pieces_of`."""
     return b"".join(await pieces_of(request, most))
 
 
 async def pieces_of(request: Request, most: int) -> list[bytes]:
-    """The same as it comes, not joined: a frame is copied once, to the worker.
+    """The body in the pieces that arrive, refused as soon as it is too long.
+
+    The pieces are not joined, so that a frame is copied only once, to the worker.
 
     Raises:
         HTTPException: 413.
     """
-    said = request.headers.get("content-length", "0")
-    refusal = HTTPException(413, f"too long: at most {most} bytes are taken here")
-    if not said.isdecimal() or int(said) > most:
+    length_header = request.headers.get("content-length", "0")
+    refusal = HTTPException(413, f"the body is too long: send at most {most} bytes")
+    if not length_header.isdecimal() or int(length_header) > most:
         raise refusal
     parts, length = [], 0
     async for part in request.stream():
@@ -82,11 +86,10 @@ async def pieces_of(request: Request, most: int) -> list[bytes]:
     return parts
 
 
-async def look(session: Session, pieces: list[bytes], time_s: float | None) -> Answer:
-    """A frame through the session's tracker.
+async def track(session: Session, pieces: list[bytes], time_s: float | None) -> Answer:
+    """The answer of the session's tracker to a frame.
 
     Raises:
-        HTTPException: 422 for a time that is none.
         Full: too many frames wait.
     """
     now_s = time.time()
@@ -97,12 +100,12 @@ async def look(session: Session, pieces: list[bytes], time_s: float | None) -> A
             future.set_result(result)
 
     at_s = now_s if time_s is None else time_s
-    session.queue(Waiting(pieces, at_s, now_s, time.monotonic(), answer))
+    session.queue(SessionInput(pieces, at_s, now_s, time.monotonic(), answer))
     return await future
 
 
 async def measure(session: Session, sensor: str, content: bytes) -> Answer:
-    """Lines of another sensor into the session's filter.
+    """The answer of the session's filter to lines of another sensor.
 
     Raises:
         Full: too many wait.
@@ -114,28 +117,30 @@ async def measure(session: Session, sensor: str, content: bytes) -> Answer:
             future.set_result(result)
 
     now_s = time.time()
-    session.measure(Waiting((content,), now_s, now_s, time.monotonic(), answer, sensor))
+    session.measure(SessionInput((content,), now_s, now_s, time.monotonic(), answer, sensor))
     return await future
 
 
 def sensor_name(name: object) -> str:
-    """The name of a sensor that is not the session's own camera.
+    """A sensor's name, checked; ``camera`` is reserved.
 
     Raises:
         HTTPException: 422.
     """
     if not isinstance(name, str) or not re.fullmatch(NAME_PATTERN, name):
-        raise HTTPException(422, f"sensor: letters, digits, - and _, at most 64, not {name!r:.80}")
+        raise HTTPException(
+            422, f"sensor: use at most 64 letters, digits, - and _, not {name!r:.80}"
+        )
     if name == CAMERA:
-        raise HTTPException(422, "sensor: camera is the session's own: choose another name")
+        raise HTTPException(422, "sensor: camera is the session's own camera: choose another name")
     return name
 
 
 def frame_time(time_s: float | None) -> float | None:
-    """A frame's time as it was said.
+    """A frame's time, checked.
 
     Raises:
-        HTTPException: 422 for NaN, infinity, or what no clock shows.
+        HTTPException: 422 for NaN, infinity or beyond ±1e10 s.
     """
     if time_s is not None and not (math.isfinite(time_s) and abs(time_s) <= MOST_TIME_S):
         raise HTTPException(422, f"time_s: must be finite and within ±1e10, not {time_s}")
@@ -143,7 +148,7 @@ def frame_time(time_s: float | None) -> float | None:
 
 
 def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Response:
-    """An answer that says what is wrong."""
+    """The answer with an error."""
     extra = dict(headers or {})
     if status in (429, 503):
         extra.setdefault("Retry-After", "1")
@@ -152,7 +157,7 @@ def fault(status: int, error: str, headers: dict[str, str] | None = None) -> Res
 
 
 def fault_of(error: Exception) -> Response | None:
-    """An error as a `Fault`; None for one that is the service's own."""
+    """An error as a `Fault`; None for an error inside the service."""
     match error:
         case HTTPException():
             return fault(error.status_code, str(error.detail), dict(error.headers or {}))
@@ -163,18 +168,20 @@ def fault_of(error: Exception) -> Response | None:
         case RendezviewError():
             return fault(422, str(error))
         case Full():
-            return fault(429, "too many wait, or too many sessions there are: come back later")
+            return fault(
+                429, "too many requests wait, or too many sessions are open: try again later"
+            )
         case NotReady():
             return fault(503, str(error))
         case ClientDisconnect():
-            return fault(400, "the request broke off")
+            return fault(400, "the request was cut off")
     return None
 
 
-def say_faults(app: FastAPI) -> None:
-    """Every error as a `Fault`."""
+def answer_errors(app: FastAPI) -> None:
+    """Have the application answer every error with a `Fault`."""
 
-    async def said(_: Request, error: Exception) -> Response:
+    async def handler(_: Request, error: Exception) -> Response:
         answer = fault_of(error)
         assert answer is not None
         return answer
@@ -182,4 +189,4 @@ def say_faults(app: FastAPI) -> None:
     for kind in (
         HTTPException, RequestValidationError, RendezviewError, Full, NotReady, ClientDisconnect
     ):  # fmt: skip
-        app.add_exception_handler(kind, said)
+        app.add_exception_handler(kind, handler)

@@ -1,4 +1,4 @@
-"""The application: routes, page, health, and what stands in front of them."""
+"""The application: routes, page, health checks and the guard in front of them."""
 
 from __future__ import annotations
 
@@ -13,21 +13,20 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
 
 from rendezview.service import model_routes, session_routes, streams
-from rendezview.service.answers import JSON, needs, say_faults, service_of
-from rendezview.service.frame_lane import FrameLane
+from rendezview.service.answers import JSON, answer_errors, needs, service_of
 from rendezview.service.messages import Health
 from rendezview.service.security import Guard, Right, Token
 from rendezview.service.service import Service
 
 PAGE = Path(__file__).parent / "page"
 
-# What a bare system may not know.
+# A minimal system may not know these types.
 for _suffix, _type in {".js": "text/javascript", ".mjs": "text/javascript"}.items():
     mimetypes.add_type(_type, _suffix)
 
 
 class _Page(StaticFiles):
-    """The page's files, asked for anew each time but not sent again where unchanged."""
+    """The page's files; a browser asks each time and receives only what has changed."""
 
     async def get_response(self, path: str, scope: Scope) -> Response:
         response = await super().get_response(path, scope)
@@ -50,12 +49,13 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
         title="rendezview",
         summary="Where a spacecraft is relative to another one: frames in, poses out.",
         version=service.version,
-        docs_url=None,  # its scripts come from elsewhere
+        docs_url=None,  # its scripts come from another server
         redoc_url=None,
         lifespan=life,
     )
     app.state.service = service
-    say_faults(app)
+    answer_errors(app)
+    app.router.routes.append(session_routes.FRAMES)  # before the routers, whose routes come later
     app.include_router(session_routes.router)
     app.include_router(model_routes.router)
     app.include_router(streams.router)
@@ -67,20 +67,20 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
 
     @app.get("/readyz", tags=["operations"], responses={503: {"model": Health}})
     async def readyz(request: Request, response: Response) -> Health:
-        """The service can look at frames."""
+        """The service can track frames."""
         health = service_of(request).health()
         response.status_code = 200 if health.status == "ok" else 503
         return health
 
     @app.get("/metrics", tags=["operations"], response_class=Response)
     async def metrics(request: Request) -> Response:
-        """For Prometheus."""
+        """Metrics for Prometheus."""
         needs(request, Right.READ)
         return Response(service_of(request).metrics.text(), 200, None, "text/plain; version=0.0.4")
 
     if PAGE.is_dir():
         app.mount("/", _Page(directory=PAGE, html=True), name="page")
-    return Guard(FrameLane(app), service.settings, tokens, service.metrics)
+    return Guard(app, service.settings, tokens, service.metrics)
 
 
 __all__ = ["JSON", "PAGE", "make_app"]

@@ -1,4 +1,4 @@
-"""Messages of several sensors in one session: what is known of them, words in, one state out."""
+"""Messages of a session with several sensors: data on them, their lines, the fused state."""
 
 from __future__ import annotations
 
@@ -18,68 +18,69 @@ from rendezview.service.message_parts import (
     Two,
 )
 
-MOST_REMEMBERED = 400  # measurements of a filter: what a late one costs
-MOST_MARKS = 256  # ellipses or spots of one line that are drawn
-_MOST_HISTORY_S = 60.0
-_MOST_NUMBER = 1e12
+# measurements in a filter's history; bounds the cost of a late one. Source: a chosen limit.
+MOST_REMEMBERED = 400
+MOST_MARKS = 256  # ellipses or spots of one line that are drawn. Source: a chosen limit
+_MOST_HISTORY_S = 60.0  # s. Source: a chosen limit
+_MOST_NUMBER = 1e12  # of any option. Source: a chosen limit
 
 
-# What a session knows of its sensors
+# Data on the sensors of a session
 
 
 class RingMessage(Message):
     """The target's docking ring, target frame."""
 
     centre_m: Three
-    axis: Three = Field(description="outward normal of its plane; any length but zero")
+    axis: Three = Field(description="outward normal of its plane, of any length but zero")
     radius_m: FiniteFloat = Field(gt=0.0, le=1e4)
 
     @field_validator("axis")
     @classmethod
-    def _is_a_direction(cls, axis: list[float]) -> list[float]:
+    def _check_direction(cls, axis: list[float]) -> list[float]:
         return _direction(axis)
 
 
 class SurfaceMessage(Message):
-    """What a ranger's beam may meet: a plane, target frame."""
+    """A plane of the target that a ranger's beam may hit, target frame."""
 
     point_m: Three
     normal: Three
     relief_m: FiniteFloat = Field(default=0.0, ge=0.0, le=1e4, description="σ about the plane")
-    inner_m: FiniteFloat = Field(default=0.0, ge=0.0, description="where it begins, from the point")
-    outer_m: FiniteFloat | None = Field(default=None, description="where it ends; null: nowhere")
+    inner_m: FiniteFloat = Field(default=0.0, ge=0.0, description="inner radius about the point")
+    outer_m: FiniteFloat | None = Field(default=None, description="outer radius; null: unlimited")
 
     @field_validator("normal")
     @classmethod
-    def _is_a_direction(cls, normal: list[float]) -> list[float]:
+    def _check_direction(cls, normal: list[float]) -> list[float]:
         return _direction(normal)
 
     @model_validator(mode="after")
-    def _ends_beyond_its_beginning(self) -> Self:
+    def _check_radii(self) -> Self:
         if self.outer_m is not None and not self.outer_m > self.inner_m:
-            raise ValueError("outer_m must be beyond inner_m")
+            raise ValueError("outer_m must be larger than inner_m")
         return self
 
 
 class FusionRequest(Message):
-    """What the filter needs to know of a session's other sensors; all of it may be left out."""
+    """Data on a session's other sensors; every key is optional."""
 
     ring: RingMessage | None = Field(
-        default=None, description="of ring logs, and what ranges meet where surfaces are not given"
+        default=None, description="for ring logs, and for ranges without surfaces"
     )
     surfaces: Annotated[list[SurfaceMessage], Field(max_length=32)] = Field(
-        default=[], description="what a ranger's beam may meet, in order"
+        default=[], description="that a ranger's beam may hit, in order"
     )
     mounts: Annotated[dict[Name, PoseMessage], Field(max_length=32)] = Field(
-        default={}, description="sensor_from_camera by the sensor's name; others are the camera's"
+        default={}, description="sensor_from_camera by sensor; default: at the camera"
     )
     options: FusionOptions | None = Field(
-        default=None, description="as `rendezview fuse --options` takes them"
+        default=None, description="as for `rendezview fuse --options`"
     )
 
     @field_validator("mounts")
     @classmethod
-    def _are_poses(cls, mounts: dict[str, PoseMessage]) -> dict[str, PoseMessage]:
+    def _check_mounts(cls, mounts: dict[str, PoseMessage]) -> dict[str, PoseMessage]:
         for name, mount in mounts.items():
             if not any(mount.quat_wxyz):
                 raise ValueError(f"{name}: quat_wxyz must not be zero")
@@ -87,7 +88,7 @@ class FusionRequest(Message):
 
     @field_validator("options")
     @classmethod
-    def _are_bounded(cls, options: FusionOptions | None) -> FusionOptions | None:
+    def _check_options(cls, options: FusionOptions | None) -> FusionOptions | None:
         if options is None:
             return None
         _check_numbers(asdict(options), "options")
@@ -105,7 +106,7 @@ def _direction(vector: list[float]) -> list[float]:
 
 
 def _check_numbers(content: Any, where: str) -> None:
-    """A filter with numbers beyond all measure says nothing of use."""
+    """Refuse numbers that overflow in the filter."""
     if isinstance(content, dict):
         for name, part in content.items():
             _check_numbers(part, f"{where}.{str(name)[:40]}")
@@ -113,11 +114,11 @@ def _check_numbers(content: Any, where: str) -> None:
         raise ValueError(f"{where} must be a number within ±{_MOST_NUMBER:g}")
 
 
-# What comes out
+# The answers
 
 
 class FusedRates(Message):
-    """How the target moves in the camera frame, by all sensors."""
+    """Motion of the target in the camera frame, by all sensors."""
 
     angular_rad_s: Three
     linear_m_s: Three = Field(description="of the target frame's origin")
@@ -128,7 +129,7 @@ class Fused(Message):
 
     time_s: float
     status: Literal["waiting", "starting", "tracking", "coasting", "lost", "late"] = Field(
-        description="as docs/fusion.md has them; late: the frame is older than what is remembered"
+        description="as docs/fusion.md has them; late: the frame is older than the filter's history"
     )
     reason: str | None
     pose: PoseMessage | None = Field(description="camera_from_target")
@@ -137,51 +138,51 @@ class Fused(Message):
         description="rotation vector (rad), translation (m), angular rate (rad/s), velocity (m/s); "
         "camera frame, perturbation left"
     )
-    ring_radius: float | None = Field(description="true over told, where it is estimated")
-    ring_depth_m: float | None = Field(description="along its axis, where it is estimated")
-    starts: int = Field(description="how often the filter began")
+    ring_radius: float | None = Field(description="true radius over the given one, if estimated")
+    ring_depth_m: float | None = Field(description="offset along its axis, if estimated")
+    starts: int = Field(description="how often the filter has started")
 
 
 class Verdict(Message):
-    """What became of a measurement."""
+    """What the filter did with a measurement."""
 
     time_s: float
     accepted: bool
     reason: str | None
-    nis: float | None = Field(description="squared distance in σ; null: not compared")
+    nis: float | None = Field(description="normalised innovation squared; null: not compared")
     degrees_of_freedom: int
-    began: bool = Field(description="the filter began here, or began anew")
+    began: bool = Field(description="the filter started or restarted here")
 
 
 class Measured(Message):
-    """The answer to words of a sensor."""
+    """The answer to lines of a sensor."""
 
     type: Literal["measured"] = "measured"
     session: str
     sensor: str
-    verdicts: list[Verdict | None] = Field(description="one a line; null: it held no measurement")
-    fused: Fused | None = Field(description="null while no other sensor has measured anything")
+    verdicts: list[Verdict | None] = Field(description="one per line; null: no measurement")
+    fused: Fused | None = Field(description="null before the first measurement of another sensor")
     recorded: bool = Field(description="all lines are in the log")
 
 
 class LoggedMeasurement(Message):
-    """A line of a sensor as a log keeps it."""
+    """A line of a sensor as the log keeps it."""
 
     session: str
-    order: int = Field(description="of arrival, counted from 0 over the session's lines")
-    frame: int = Field(description="frames looked at before it")
+    order: int = Field(description="order of arrival, from 0 over the session's lines")
+    frame: int = Field(description="number of frames tracked before it")
     sensor: str
     received_unix_s: float
-    record: dict[str, Any] = Field(description="as it came")
+    record: dict[str, Any] = Field(description="as it arrived")
     verdict: Verdict | None
     fused: Fused | None
 
 
-# What is drawn over the frame
+# Drawn over the frame
 
 
 class EllipseMark(Message):
-    """An ellipse in the picture."""
+    """An ellipse in the image."""
 
     centre_px: Two
     semi_axes_px: Two
@@ -189,10 +190,10 @@ class EllipseMark(Message):
 
 
 class Marks(Message):
-    """What a sensor saw in the picture, by its newest line; pixels of the full frame."""
+    """Ellipses and spots of a sensor's newest line; pixels of the full frame."""
 
     sensor: str
     time_s: float
     ellipses: list[EllipseMark]
-    chosen: int | None = Field(description="number of the ellipse that the poses are of")
+    chosen: int | None = Field(description="index of the ellipse that the poses belong to")
     spots_px: list[Two]

@@ -1,4 +1,4 @@
-"""The last minutes of a session, for looking back: states as they were sent, and pictures."""
+"""The last minutes of a session: states as they were sent, and pictures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-_MOST_MARKS_BYTES = 32_768  # more would outweigh their picture
+_MOST_MARKS_BYTES = 32_768  # bytes; more would be larger than their picture. Source: a chosen limit
 Kept = TypeVar("Kept")
 
 
@@ -23,25 +23,25 @@ class Past:
     _image_at_s: float = -1e300
 
     def add(self, now_s: float, frame: int, state: bytes) -> None:
-        """A new state; left out where there are more than ``rate_hz`` a second."""
+        """Keep a state, unless more than ``rate_hz`` come per second."""
         if self._states and now_s - self._states[-1][0] < 0.9 / self.rate_hz:
             return
         self._states.append((now_s, frame, state))
         _trim(self._states, now_s - self.keep_s)
 
     def wants_image(self, now_s: float) -> bool:
-        """Whether a picture of now is to be kept."""
+        """Whether the next picture is kept."""
         return self.image_hz > 0.0 and now_s - self._image_at_s >= 0.9 / self.image_hz
 
     def add_image(self, now_s: float, frame: int, jpeg: bytes, marks: bytes = b"[]") -> None:
-        """A picture, and what other sensors see in it: a JSON list of `Marks`."""
+        """Keep a picture with the `Marks` of other sensors, a JSON list."""
         self._image_at_s = now_s
         kept = marks if len(marks) <= _MOST_MARKS_BYTES else b"[]"
         self._images.append((now_s, frame, (jpeg, kept)))
         _trim(self._images, now_s - self.keep_s)
 
     def states(self, after_s: float, since_frame: int, most: int) -> list[tuple[int, bytes]]:
-        """The states of a span, thinned evenly to at most so many; the newest is among them."""
+        """States since a time and a frame, evenly thinned to at most ``most``, newest included."""
         chosen = [(f, s) for at, f, s in self._states if at >= after_s and f >= since_frame]
         if len(chosen) <= most:
             return chosen
@@ -49,17 +49,17 @@ class Past:
         return chosen[::-1][::step][::-1]
 
     def state(self, frame: int) -> bytes | None:
-        """The state of a frame, or of the last one kept before it."""
+        """The state of a frame, or of the last one before it that is kept."""
         place = bisect_right(self._states, frame, key=lambda entry: entry[1])
         return self._states[place - 1][2] if place else None
 
     def image(self, frame: int) -> tuple[int, bytes] | None:
-        """The picture of a frame, or of the last one kept before it."""
+        """The picture of a frame, or of the last one before it that is kept."""
         kept = self._image_entry(frame)
         return None if kept is None else (kept[1], kept[2][0])
 
     def marks(self, frame: int) -> bytes | None:
-        """What other sensors saw in that picture."""
+        """The marks of the picture that `image` returns."""
         kept = self._image_entry(frame)
         return None if kept is None else kept[2][1]
 

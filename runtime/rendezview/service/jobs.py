@@ -1,4 +1,4 @@
-"""Training jobs, each a process of its own: the service never imports the ground side."""
+"""Training jobs, each in its own process: the service never imports the ground side."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview.service.messages import JobInfo, JobState
+from rendezview.service.model_messages import JobInfo, JobState
 from rendezview.service.model_store import ModelStore
 
 log = logging.getLogger("rendezview.service")
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".3mf", ".dae")
 UNITS = ("m", "cm", "mm", "in", "ft")
-_KEPT = 100  # jobs that are over
-_QUEUED = 16
+_KEPT = 100  # finished jobs in the list. Source: a chosen limit
+_QUEUED = 16  # jobs that may wait. Source: a chosen limit
 
 
 @dataclass(slots=True, eq=False)
 class Job:
-    """One training."""
+    """One training job."""
 
     id: str
     model: str
@@ -48,7 +48,7 @@ class Job:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more will come of it."""
+        """Whether it has finished, failed or been cancelled."""
         return self.state in (JobState.DONE, JobState.FAILED, JobState.CANCELLED)
 
     def info(self) -> JobInfo:
@@ -69,7 +69,7 @@ class Job:
 
 
 class Jobs:
-    """Trainings that run, wait, and are over."""
+    """All training jobs: waiting, running and finished."""
 
     def __init__(self, store: ModelStore, at_once: int) -> None:
         self._store = store
@@ -87,24 +87,24 @@ class Jobs:
         return self._jobs.get(job_id)
 
     def add(self, model: str, file_name: str, mesh: bytes, options: dict[str, str]) -> Job:
-        """Queue a training of a mesh that was sent.
+        """Queue a training of an uploaded mesh.
 
         Args:
-            file_name: only its ending counts.
+            file_name: only its suffix is used.
             options: of ``rendezview train``: unit, order, views, held-out, seed.
 
         Raises:
-            RendezviewError: a name is none or taken, or there is no room.
+            RendezviewError: a name is invalid or taken, or too many jobs wait.
         """
         if self._at_once == 0:
-            raise RendezviewError("trainings are switched off: see the setting `jobs`")
+            raise RendezviewError("training is switched off: see the setting `jobs`")
         suffix = Path(file_name).suffix.lower()
         if suffix not in MESH_SUFFIXES:
             raise RendezviewError(
-                f"file {file_name[:80]!r}: no mesh; its name must end in {' '.join(MESH_SUFFIXES)}"
+                f"file {file_name[:80]!r}: no mesh: its name must end in {' '.join(MESH_SUFFIXES)}"
             )
         if len(self._waiting) >= _QUEUED:
-            raise RendezviewError(f"{_QUEUED} trainings wait already: come back later")
+            raise RendezviewError(f"{_QUEUED} training jobs wait already: try again later")
         path = self._store.path_for(model)
         if any(job.model == model and not job.is_over for job in self._jobs.values()):
             raise RendezviewError(f"model {model}: is being trained: choose another name")
@@ -121,7 +121,7 @@ class Jobs:
         return job
 
     async def cancel(self, job: Job) -> None:
-        """End a job; nothing if it is over."""
+        """Cancel a job; a finished one does not change."""
         if job in self._waiting:
             self._waiting.remove(job)
             self._over(job, JobState.CANCELLED)
@@ -133,7 +133,7 @@ class Jobs:
                 await task
 
     async def stop(self) -> None:
-        """End all jobs."""
+        """Cancel all jobs."""
         for job in list(self._jobs.values()):
             await self.cancel(job)
 
@@ -146,7 +146,7 @@ class Jobs:
         job.state, job.started_s = JobState.RUNNING, time.monotonic()
         last = ""
         try:
-            # A group of its own: its own jobs end with it.
+            # Its own process group: the processes that it starts end with it.
             job.process = await asyncio.create_subprocess_exec(
                 sys.executable,
                 "-c",
@@ -195,11 +195,11 @@ class Jobs:
 
 
 def _progress(job: Job, line: str) -> str:
-    """Take a line of progress; another line is given back, it may be the reason of a fault."""
+    """Take a line of progress. Any other line is returned: it may be the reason of a failure."""
     try:
-        told = json.loads(line)
-        job.stage = str(told["stage"])
-        job.progress = float(told["done"]) / max(float(told["total"]), 1.0)
+        progress = json.loads(line)
+        job.stage = str(progress["stage"])
+        job.progress = float(progress["done"]) / max(float(progress["total"]), 1.0)
     except (ValueError, KeyError, TypeError):
         return line.removeprefix("rendezview: ").replace(str(job.folder) + os.sep, "")
     return ""
@@ -212,4 +212,4 @@ def _kill(job: Job) -> None:
 
 
 def _nice() -> None:
-    os.nice(10)  # what tracks comes first
+    os.nice(10)  # tracking has priority

@@ -1,8 +1,8 @@
-"""MCAP files that may end anywhere: finding what is whole, and giving them their ending.
+"""MCAP logs that were cut off: find the complete part and append the index.
 
-A log is written a chunk a frame, so that what was acknowledged is in the file. Killed, the file
-lacks its index and its last bytes may be half a record. `scan` finds the last whole chunk,
-`mend` cuts what follows and appends the index that readers expect.
+A log has one chunk per frame, written before the frame is acknowledged. After a kill the file has
+no index, and its last record may be incomplete. `scan` finds the last complete chunk; `mend`
+removes what follows and appends the index that readers expect.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ _PARSED: dict[int, Any] = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
-_MOST_RECORD = 4_000_000_000  # longer ones are no records but damage
+_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 
 
 @dataclass(slots=True, eq=False)
 class ChunkIndexes:
-    """As they will stand in the file: a long log has one for every frame, 130 bytes each."""
+    """Chunk indexes in their written form: one per frame, about 130 bytes each."""
 
     written: bytearray = field(default_factory=bytearray)
     count: int = 0
@@ -65,7 +65,7 @@ class ChunkIndexes:
     end_ns: int = 0
 
     def add(self, index: ChunkIndex) -> None:
-        """Another chunk."""
+        """Add the index of a chunk."""
         self.written += _written([index])
         first = self.count == 0
         self.start_ns = (
@@ -77,16 +77,16 @@ class ChunkIndexes:
 
 @dataclass(slots=True, eq=False)
 class Scan:
-    """What is whole in a log."""
+    """The complete part of a log."""
 
-    end: int = len(MAGIC)  # offset behind the last whole record of data
-    finished: bool = False  # it has its index and its ending
+    end: int = len(MAGIC)  # offset after the last complete record of data
+    finished: bool = False  # it has its index and its end
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: ChunkIndexes = field(default_factory=ChunkIndexes)
     attachments: list[AttachmentIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
-    counts: Counter[int] = field(default_factory=Counter)  # messages of each channel
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
 
     def add(self, record: McapRecord, offset: int, length: int) -> None:
         """Count a record of the data section, other than chunks and their indexes."""
@@ -111,13 +111,13 @@ class Scan:
 
 
 def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:
-    """Whole records of data with offset and length; ends at damage or at the index.
+    """Complete records of data with offset and length, up to damage or the index.
 
     Args:
-        most: bytes of the file that count; None: all.
+        most: number of bytes to read; None: all.
 
     Raises:
-        RendezviewError: the file cannot be read, or is no MCAP file.
+        RendezviewError: the file cannot be read, or is not an MCAP file.
     """
     try:
         with open(path, "rb") as file:
@@ -146,7 +146,7 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
 
 
 def _parsed(opcode: int, body: bytes) -> McapRecord | None:
-    """A record of data; None for damage. Records of no interest are bare."""
+    """A record of data; None for damage. Records that are not needed stay empty."""
     if opcode == Opcode.DATA_END:
         return DataEnd(0)
     kind = _PARSED.get(opcode)
@@ -173,10 +173,10 @@ def messages(chunk: Chunk) -> list[Message] | None:
 
 
 def scan(path: StrPath, most: int | None = None) -> Scan:
-    """What is whole in a log: up to the last chunk that has all of its indexes.
+    """The complete part of a log: up to the last chunk with all its indexes.
 
     Raises:
-        RendezviewError: the file cannot be read, or is no MCAP file.
+        RendezviewError: the file cannot be read, or is not an MCAP file.
     """
     found = Scan()
     chunk: ChunkIndex | None = None
@@ -193,7 +193,7 @@ def scan(path: StrPath, most: int | None = None) -> Scan:
                 found.end, chunk = offset + length, None
             continue
         if chunk is not None:
-            break  # it never got its indexes
+            break  # its indexes are missing
         if isinstance(record, Chunk):
             parts = messages(record)
             if parts is None:
@@ -210,7 +210,7 @@ def scan(path: StrPath, most: int | None = None) -> Scan:
 
 
 def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
-    """The index of a chunk, without its messages'."""
+    """The index of a chunk, without the indexes of its messages."""
     return ChunkIndex(
         message_start_time=chunk.message_start_time,
         message_end_time=chunk.message_end_time,
@@ -225,7 +225,7 @@ def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
 
 
 def ending(found: Scan) -> bytes:
-    """What stands behind the data of a finished log, written at ``found.end``."""
+    """The end of a finished log (summary and index), to be written at ``found.end``."""
     head = _written([DataEnd(0)])
     start = found.end + len(head)
     groups: list[tuple[Opcode, bytes | bytearray]] = [
@@ -249,7 +249,7 @@ def ending(found: Scan) -> bytes:
 
 
 def mend(path: StrPath) -> int | None:
-    """Give a log that was cut off its ending, in place; bytes cut, or None if it is whole.
+    """Repair a log that was cut off, in place; the bytes removed, or None if it is complete.
 
     Raises:
         RendezviewError: not an MCAP file, or it cannot be written.
@@ -271,7 +271,7 @@ def mend(path: StrPath) -> int | None:
 
 
 def taken(builder: RecordBuilder) -> bytes:
-    """What a builder has built; it is empty afterwards."""
+    """The bytes of a builder, which is empty afterwards."""
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 

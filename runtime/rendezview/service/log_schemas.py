@@ -1,4 +1,4 @@
-"""What a log's messages look like: Foxglove's types, and our own state as plain JSON."""
+"""Messages of a log: Foxglove's types, and the service's own states as JSON."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.service.frames import Bytes, FrameKind
 from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.messages import State
-
-CAMERA_FRAME, TARGET_FRAME = "camera", "target"
+from rendezview.service.ros import CAMERA_FRAME, TARGET_FRAME
 
 # Channels
 STATE, POSE, TRANSFORM, CALIBRATION, RAW, COMPRESSED, MEASUREMENT, FUSED = range(1, 9)
@@ -52,7 +51,7 @@ def descriptors(message: Any) -> bytes:
 
 
 def json_schema(channel: int) -> dict[str, Any]:
-    """JSON schema of our own messages without references and alternatives, as viewers want it."""
+    """JSON schema of the service's messages without references and alternatives, for viewers."""
     schema = (State if channel == STATE else LoggedMeasurement).model_json_schema()
     return _plain(schema, schema.get("$defs", {}))
 
@@ -74,7 +73,7 @@ def _plain(schema: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any
 
 
 def stamp(time_s: float) -> Timestamp:
-    """Seconds as protobuf says them."""
+    """Seconds as a protobuf timestamp."""
     whole = math.floor(time_s)
     return Timestamp(seconds=whole, nanos=min(int((time_s - whole) * 1e9), 999_999_999))
 
@@ -119,7 +118,7 @@ def calibration_bytes(time_s: float, camera: Camera) -> bytes:
 def image_bytes(
     time_s: float, content: Bytes, kind: FrameKind, camera: Camera
 ) -> tuple[int, bytes]:
-    """Channel and message of a frame, its bytes as they came."""
+    """Channel and message of a frame, with its bytes as they arrived."""
     if kind is FrameKind.RAW:
         raw = RawImage(
             timestamp=stamp(time_s),

@@ -1,4 +1,4 @@
-"""What messages are made of: their base, numbers of fixed count, names, poses."""
+"""Parts of all messages: their base, lists of fixed length, names, poses."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
-MOST_TIME_S = 1e10  # either side of zero: what the stamps of a log can say
+CAMERA = "camera"  # name of the session's own camera among its sensors
+# s, either side of zero; the stamps of a log hold no more. Source: a chosen limit.
+MOST_TIME_S = 1e10
 Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 Four = Annotated[list[FiniteFloat], Field(min_length=4, max_length=4)]

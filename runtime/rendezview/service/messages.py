@@ -1,7 +1,7 @@
-"""Every message of the service, checked: requests, answers, and what streams carry.
+"""Messages of sessions: requests, states, and what watchers receive. All are validated.
 
-Field names carry units; frames and covariances are those of ``docs/conventions.md``. What
-cannot be measured is ``null`` with a status and a reason beside it.
+Field names carry units; frames and covariances follow ``docs/conventions.md``. A value that cannot
+be measured is ``null``, with a status and a reason beside it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat
 from rendezview.service.fusion_messages import Fused, FusionRequest, Marks
 from rendezview.service.message_parts import Matrix6, Message, Name, PoseMessage, Three
 
-# What a session is made of
+# Opening a session
 
 
 class CameraMessage(Message):
@@ -32,31 +32,31 @@ class CameraMessage(Message):
 
 
 class SessionRequest(Message):
-    """A camera and a target to follow."""
+    """A camera and a target to track."""
 
     id: Name | None = Field(default=None, description="chosen by the service where absent")
-    model: Name | None = Field(default=None, description="may be left out where there is one")
+    model: Name | None = Field(default=None, description="optional if the service has one model")
     camera: CameraMessage | None = Field(
-        default=None, description="may be left out where the service was given one"
+        default=None, description="optional if the service was started with one"
     )
     prior: PoseMessage | None = Field(
-        default=None, description="of the first frame, attitude right to about 20°"
+        default=None, description="pose at the first frame, attitude within about 20°"
     )
     sun_camera: Three | None = Field(default=None, description="towards the Sun, camera frame")
-    trees: bool = Field(default=True, description="ask for on nodes on every frame")
-    record: bool | None = Field(default=None, description="default: as the service is set")
+    trees: bool = Field(default=True, description="find active nodes on every frame")
+    record: bool | None = Field(default=None, description="default: the service's setting")
     fusion: FusionRequest | None = Field(
-        default=None, description="what is known of other sensors; needed by ring and range alone"
+        default=None, description="data on other sensors; required only for rings and ranges"
     )
 
 
 class Phase(StrEnum):
-    """Where a session stands; what the operator sees first."""
+    """Phase of the tracking; the operator sees it first."""
 
     WAITING = "waiting"  # no frame yet
     TRACKING = "tracking"  # the last frame gave a pose
-    COASTING = "coasting"  # not the last one, but one of the last few
-    SEARCHING = "searching"  # no pose, and none of late: all attitudes are searched
+    COASTING = "coasting"  # the last frame gave none, but a recent one did
+    SEARCHING = "searching"  # no recent pose: all attitudes are searched
 
 
 class SensorHealth(Message):
@@ -64,37 +64,37 @@ class SensorHealth(Message):
 
     name: str
     kind: Literal["camera", "pose", "ring", "range"] = Field(
-        description="the session's own camera, or what another sensor's lines hold"
+        description="the session's own camera, or the kind of another sensor's lines"
     )
     healthy: bool
-    reason: str | None = Field(description="why it is not healthy")
-    frames: int = Field(description="looked at; of other sensors: lines")
-    drops: int = Field(description="frames that a newer one replaced before they were looked at")
-    rate_hz: float | None = Field(description="of the last seconds")
-    last_unix_s: float | None = Field(description="when the last frame, or line, came")
+    reason: str | None = Field(description="if not healthy")
+    frames: int = Field(description="tracked; for other sensors: lines")
+    drops: int = Field(description="frames replaced by a newer one before they were tracked")
+    rate_hz: float | None = Field(description="over the last seconds")
+    last_unix_s: float | None = Field(description="arrival of the last frame or line")
     trust: SensorTrust | None = Field(
-        default=None, description="of the filter; null: there is none"
+        default=None, description="the filter's opinion; null: no filter runs"
     )
 
 
 class SensorTrust(Message):
-    """What the filter thinks of a sensor."""
+    """How the filter judges a sensor."""
 
     heard: int = Field(description="measurements")
     accepted: int
-    silent: int = Field(description="lines, or poses, without a measurement")
+    silent: int = Field(description="lines or frames without a measurement")
     locked_out: bool
     lockouts: int
-    mean_nis: float | None = Field(description="over degrees of freedom; 1 is as it should be")
-    reason: str | None = Field(description="why the last one was not accepted")
+    mean_nis: float | None = Field(description="per degree of freedom; 1 is expected")
+    reason: str | None = Field(description="if the last measurement was rejected")
 
 
 class RecordingState(StrEnum):
-    """Whether what is told is also kept."""
+    """Whether states are recorded."""
 
     OFF = "off"
     ON = "on"
-    FAILED = "failed"  # the disk is full, say: tracking goes on
+    FAILED = "failed"  # for example, the disk is full; tracking continues
 
 
 class Recording(Message):
@@ -105,29 +105,31 @@ class Recording(Message):
     name: str | None = Field(default=None, description="of the file")
     messages: int = 0
     size_bytes: int = 0
-    lost: int = Field(default=0, description="states and lines that could not be written")
+    lost: int = Field(default=0, description="states and lines that were not written")
 
 
 class SessionInfo(Message):
-    """A session as it stands."""
+    """The present state of a session."""
 
     id: str
     model: str
     camera: CameraMessage
-    source: str | None = Field(description="what the service itself reads; null: frames are sent")
+    source: str | None = Field(
+        description="the source that the service reads; null: clients send frames"
+    )
     phase: Phase
     created_unix_s: float
     frames: int
     drops: int
-    found_fraction: float | None = Field(description="share of the frames that gave a pose")
+    found_fraction: float | None = Field(description="fraction of the frames with a pose")
     watchers: int
     last_frame: int | None
     last_time_s: float | None
     since_pose_s: float | None = Field(description="frame time since the last pose")
     sensors: list[SensorHealth]
     recording: Recording
-    finished: bool = Field(description="a source that has come to its end, or has failed")
-    reason: str | None = Field(default=None, description="why a source ended, if by an error")
+    finished: bool = Field(description="the source has ended or failed")
+    reason: str | None = Field(default=None, description="if the source failed")
 
 
 class SessionList(Message):
@@ -136,18 +138,18 @@ class SessionList(Message):
     sessions: list[SessionInfo]
 
 
-# What a frame gives
+# Results of a frame
 
 
 class Rates(Message):
-    """How the target moves in the camera frame, from the last two poses."""
+    """Motion of the target in the camera frame, from the last two poses."""
 
     angular_rad_s: Three
     linear_m_s: Three = Field(description="of the view centre")
 
 
-class OnNode(Message):
-    """A node of the sphere of views that recognised the frame."""
+class ActiveNode(Message):
+    """A node of the view sphere that recognised the frame."""
 
     index: int
     weight: float
@@ -155,37 +157,44 @@ class OnNode(Message):
 
 
 class Fit(Message):
-    """How the best refined pose stands on the frame, given or not."""
+    """Agreement of the best refined pose with the frame, reported or not."""
 
-    outline: float = Field(description="share of the outline's edges where the pose puts them")
-    inner: float = Field(description="the same of creases and steps")
-    seen: float = Field(description="share of the outline in the picture")
+    outline: float = Field(
+        description="fraction of the outline's edges where the pose predicts them"
+    )
+    inner: float = Field(description="the same for creases and steps")
+    seen: float = Field(description="fraction of the outline inside the image")
     residual_px: float
-    margin: float = Field(description="merit above the best other pose")
+    margin: float = Field(description="score above that of the next best pose")
 
 
-class State(Message):
-    """What one frame gave. Without a pose there are a status and a reason."""
+class ObservationMessage(Message):
+    """What every sensor says of a frame: the keys of `Observation.record`."""
 
-    session: str
-    frame: int = Field(description="of the session, counted from 0 over looked-at frames")
     time_s: float = Field(description="of the frame, as its sender says")
-    received_unix_s: float
-    phase: Phase
     status: str = Field(description="ok, empty, full, border, small, rivals, … as in `track`")
     reason: str | None
     pose: PoseMessage | None = Field(description="camera_from_target")
     covariance: Matrix6 | None = Field(
         description="rotation vector (rad), translation (m); camera frame, perturbation left"
     )
+    stage_ms: dict[str, float]
+
+
+class State(ObservationMessage):
+    """The result of one frame. Without a pose it has a status and a reason."""
+
+    session: str
+    frame: int = Field(description="number in the session, counted from 0 over tracked frames")
+    received_unix_s: float
+    phase: Phase
     confidence: float | None
     score: float
     range_m: float | None = Field(description="of the view centre")
     rates: Rates | None
-    candidates: list[PoseMessage] = Field(description="poses that fit but are not given")
+    candidates: list[PoseMessage] = Field(description="poses that fit but are not reported")
     fit: Fit | None
-    active_nodes: list[OnNode]
-    stage_ms: dict[str, float]
+    on_nodes: list[ActiveNode]
     track_ms: float = Field(description="of the tracker, all stages")
     latency_ms: float = Field(description="from the frame's arrival to this answer")
     drops: int = Field(description="frames of the session that newer ones replaced, so far")
@@ -196,187 +205,42 @@ class State(Message):
 
 
 class Contour(Message):
-    """Contour points of the view model at the pose of a frame, pixels; for drawing."""
+    """Contour points of the model at the pose of a frame, in pixels, for drawing."""
 
     points_px: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
     kinds: list[int] = Field(description="0 outline, 1 step, 2 crease; one for each point")
 
 
 class WatchState(Message):
-    """What a watcher gets, as a text message, for each state it is shown."""
+    """Text message to a watcher for each state that it is shown."""
 
     type: Literal["state"] = "state"
     state: State
-    contour: Contour | None = Field(description="null without a pose, or if not asked for")
+    contour: Contour | None = Field(description="null without a pose or if not requested")
     silhouette_px: list[list[list[float]]] | None = Field(
-        description="outlines that the threshold found, pixels; null if not asked for or none"
+        description="outlines found by the threshold, px; null if none or not requested"
     )
     image_follows: bool = Field(description="the next binary message is this frame's JPEG")
     sensors: list[SensorHealth]
     recording: Recording
-    marks: list[Marks] = Field(description="of other sensors' newest lines, if of the last seconds")
+    marks: list[Marks] = Field(description="from other sensors' newest lines of the last seconds")
 
 
 class WatchEnd(Message):
-    """The last text message a watcher gets."""
+    """The last text message to a watcher."""
 
     type: Literal["end"] = "end"
     reason: str
 
 
 class History(Message):
-    """States of the last minutes, oldest first; at most ``history_rate_hz`` a second are kept."""
+    """States of the last minutes, oldest first, at most ``history_rate_hz`` per second."""
 
     session: str
     oldest_frame: int | None
     newest_frame: int | None
     states: list[State]
-    images: list[int] = Field(description="frames whose JPEG is kept, rising")
-
-
-# What the page draws in space
-
-
-class Geometry(Message):
-    """A target as the model knows it: no mesh, but contour points and the sphere of views."""
-
-    model: str
-    target_radius_m: float
-    sphere_radius_m: float
-    centre_m: Three = Field(description="view centre, target frame")
-    nodes: list[Three] = Field(description="unit directions of the nodes, target frame")
-    edges: list[Annotated[list[int], Field(min_length=2, max_length=2)]] = Field(
-        description="pairs of neighbouring nodes"
-    )
-    points_m: list[Three] = Field(description="contour points, target frame, thinned")
-    tangents: list[Three] = Field(description="unit, along the edge at each point")
-    kinds: list[int] = Field(description="0 outline, 1 step, 2 crease; one for each point")
-    spacing_m: float = Field(description="of the points: a dash of that length draws the edge")
-
-
-class ModelInfo(Message):
-    """A view model that the service has."""
-
-    name: str
-    target: str
-    sha256: str
-    size_bytes: int
-    order: int
-    nodes: int
-    target_radius_m: float
-    sphere_radius_m: float
-    refines: bool
-    loaded: bool = Field(description="in memory, because a session has used it")
-
-
-class ModelList(Message):
-    """All models."""
-
-    models: list[ModelInfo]
-
-
-# Training
-
-
-class JobState(StrEnum):
-    """Of a training job."""
-
-    QUEUED = "queued"
-    RUNNING = "running"
-    DONE = "done"
-    FAILED = "failed"
-    CANCELLED = "cancelled"
-
-
-class JobInfo(Message):
-    """A training job, which runs in a process of its own."""
-
-    id: str
-    model: str = Field(description="name that the model will have")
-    state: JobState
-    stage: str | None = Field(description="what is being done")
-    progress: float | None = Field(description="of the stage, 0 … 1")
-    reason: str | None = Field(description="of a failure")
-    created_unix_s: float
-    elapsed_s: float | None
-
-
-class JobList(Message):
-    """All jobs, newest first."""
-
-    jobs: list[JobInfo]
-
-
-# The field's own types: ROS geometry_msgs, field for field
-
-
-class Stamp(Message):
-    """builtin_interfaces/Time."""
-
-    sec: int
-    nanosec: int
-
-
-class Header(Message):
-    """std_msgs/Header."""
-
-    stamp: Stamp
-    frame_id: str
-
-
-class Xyz(Message):
-    """geometry_msgs/Point and Vector3."""
-
-    x: float
-    y: float
-    z: float
-
-
-class Quaternion(Message):
-    """geometry_msgs/Quaternion."""
-
-    x: float
-    y: float
-    z: float
-    w: float
-
-
-class RosPose(Message):
-    """geometry_msgs/Pose."""
-
-    position: Xyz
-    orientation: Quaternion
-
-
-class RosPoseWithCovariance(Message):
-    """geometry_msgs/PoseWithCovariance."""
-
-    pose: RosPose
-    covariance: list[float] = Field(
-        min_length=36, max_length=36, description="row-wise; x, y, z, then rotation about x, y, z"
-    )
-
-
-class PoseWithCovarianceStamped(Message):
-    """geometry_msgs/PoseWithCovarianceStamped: the target in the camera frame."""
-
-    header: Header
-    pose: RosPoseWithCovariance
-
-
-class Transform(Message):
-    """geometry_msgs/Transform."""
-
-    translation: Xyz
-    rotation: Quaternion
-
-
-class TransformStamped(Message):
-    """geometry_msgs/TransformStamped: camera to target."""
-
-    header: Header
-    child_frame_id: str
-    transform: Transform
+    images: list[int] = Field(description="frames whose JPEG is kept, in ascending order")
 
 
 # Operations

@@ -6,40 +6,47 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 
 from rendezview.service.messages import Recording, RecordingState
 
+# s. Source: chosen.
 _BUCKETS_S = (0.001, 0.002, 0.003, 0.005, 0.0075, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 
 
 class Metrics:
-    """All metrics, in a registry of their own."""
+    """All metrics, in their own registry."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
         one = ["session"]
         self.frames = Counter(
-            "rendezview_frames", "Frames looked at.", ["session", "status"], registry=self.registry
+            "rendezview_frames", "Frames tracked.", ["session", "status"], registry=self.registry
         )
         self.drops = Counter(
-            "rendezview_frames_dropped", "Frames replaced by newer.", one, registry=self.registry
+            "rendezview_frames_dropped",
+            "Frames replaced by newer ones.",
+            one,
+            registry=self.registry,
         )
         self.refused = Counter(
-            "rendezview_frames_refused", "Frames that were none.", one, registry=self.registry
+            "rendezview_frames_refused",
+            "Frames that could not be read.",
+            one,
+            registry=self.registry,
         )
         self.latency = Histogram(
             "rendezview_latency_seconds",
-            "From a frame's arrival to its state.",
+            "Time from a frame's arrival to its state.",
             one,
             buckets=_BUCKETS_S,
             registry=self.registry,
         )
         self.track = Histogram(
             "rendezview_track_seconds",
-            "Of the tracker alone.",
+            "Time of the tracker alone.",
             one,
             buckets=_BUCKETS_S,
             registry=self.registry,
         )
         self.log_bytes = Gauge(
-            "rendezview_log_bytes", "Of a session's log.", one, registry=self.registry
+            "rendezview_log_bytes", "Size of a session's log.", one, registry=self.registry
         )
         self.log_failed = Gauge(
             "rendezview_log_failed", "1 while a log cannot be written.", one, registry=self.registry
@@ -56,23 +63,23 @@ class Metrics:
         self.sessions = Gauge("rendezview_sessions", "Sessions.", registry=self.registry)
         self.watchers = Gauge("rendezview_watchers", "Watchers.", registry=self.registry)
         self.restarts = Counter(
-            "rendezview_worker_restarts", "Workers started anew.", registry=self.registry
+            "rendezview_worker_restarts", "Workers restarted.", registry=self.registry
         )
         self.requests = Counter(
-            "rendezview_requests", "Requests by answer.", ["status"], registry=self.registry
+            "rendezview_requests", "Requests by status.", ["status"], registry=self.registry
         )
 
     def of_session(self, name: str) -> SessionMetrics:
-        """Those of one session."""
+        """The metrics of one session."""
         return SessionMetrics(self, name)
 
     def text(self) -> bytes:
-        """As Prometheus reads them."""
+        """Prometheus text format."""
         return generate_latest(self.registry)
 
 
 class SessionMetrics:
-    """Metrics of one session; gone with it."""
+    """Metrics of one session, removed with it."""
 
     def __init__(self, all_of_them: Metrics, name: str) -> None:
         self._all, self._name = all_of_them, name
@@ -83,8 +90,8 @@ class SessionMetrics:
         self._frames: dict[str, Counter] = {}
         self._sensors: set[tuple[str, str]] = set()
 
-    def saw(self, status: str, track_ms: float, latency_s: float) -> None:
-        """A frame was looked at."""
+    def tracked(self, status: str, track_ms: float, latency_s: float) -> None:
+        """A frame was tracked."""
         if status not in self._frames:
             self._frames[status] = self._all.frames.labels(self._name, status)
         self._frames[status].inc()
@@ -98,7 +105,7 @@ class SessionMetrics:
             self._sensors.add((sensor, outcome))
 
     def recording(self, now: Recording) -> None:
-        """The log stands so."""
+        """The state of the log."""
         self._all.log_bytes.labels(self._name).set(now.size_bytes)
         self._all.log_failed.labels(self._name).set(now.state is RecordingState.FAILED)
         self._all.log_lost.labels(self._name).set(now.lost)
@@ -114,4 +121,4 @@ class SessionMetrics:
             self._all.log_bytes, self._all.log_failed, self._all.log_lost,
         )  # fmt: skip
         for metric in every:
-            metric.remove(self._name)  # quiet where there is none
+            metric.remove(self._name)  # no error if there is none

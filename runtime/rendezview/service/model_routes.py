@@ -11,7 +11,7 @@ from starlette.responses import Response
 
 from rendezview.service.answers import FAULTS, JSON, body_of, needs, service_of
 from rendezview.service.message_parts import Name
-from rendezview.service.messages import Geometry, JobInfo, JobList, ModelInfo, ModelList
+from rendezview.service.model_messages import Geometry, JobInfo, JobList, ModelInfo, ModelList
 from rendezview.service.model_store import StoredModel
 from rendezview.service.security import Right
 
@@ -43,7 +43,7 @@ async def get_model(request: Request, name: str) -> ModelInfo:
 
 @router.get("/models/{name}/geometry", responses={200: {"model": Geometry}})
 async def get_geometry(request: Request, name: str) -> Response:
-    """What a 3-D view draws: contour points and the sphere of views."""
+    """Data for a 3-D view: contour points and the view sphere."""
     needs(request, Right.READ)
     stored = _stored(request, name)
     text = await run_in_threadpool(lambda: stored.geometry_json)
@@ -52,7 +52,7 @@ async def get_geometry(request: Request, name: str) -> Response:
 
 @router.put("/models/{name}", status_code=201, openapi_extra=_BODY)
 async def put_model(request: Request, name: Name) -> ModelInfo:
-    """Send a model file (*.rvm): it is read and checked, never executed."""
+    """Upload a model file (*.rvm). It is read and checked; nothing in it is executed."""
     needs(request, Right.ADMIN)
     service = service_of(request)
     if service.models.get(name) is not None:
@@ -64,18 +64,18 @@ async def put_model(request: Request, name: Name) -> ModelInfo:
 
 @router.delete("/models/{name}", status_code=204)
 async def delete_model(request: Request, name: str) -> None:
-    """Delete a model that was sent or trained."""
+    """Delete a model that was uploaded or trained."""
     needs(request, Right.ADMIN)
     stored = _stored(request, name)
     service = service_of(request)
     if service.uses(stored.name):
-        raise HTTPException(409, f"model {stored.name}: a session uses it: close that first")
+        raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
     service.models.remove(stored.name)
 
 
 @router.get("/jobs")
 async def list_jobs(request: Request) -> JobList:
-    """All trainings, newest first."""
+    """All training jobs, newest first."""
     needs(request, Right.READ)
     return JobList(jobs=[job.info() for job in service_of(request).jobs.list()])
 
@@ -84,19 +84,21 @@ async def list_jobs(request: Request) -> JobList:
 async def add_job(
     request: Request,
     model: Annotated[Name, Query(description="name of the model to make")],
-    file: Annotated[str, Query(max_length=200, description="of the mesh; its ending counts")],
+    file: Annotated[
+        str, Query(max_length=200, description="name of the mesh file; its suffix gives the format")
+    ],
     unit: Annotated[Literal["m", "cm", "mm", "in", "ft"], Query()] = "m",
     order: Annotated[int | None, Query(ge=0, le=4)] = None,
     views: Annotated[int | None, Query(ge=100, le=1_000_000)] = None,
     held_out: Annotated[int | None, Query(ge=10, le=100_000)] = None,
     seed: Annotated[int | None, Query(ge=0, le=2**31)] = None,
 ) -> JobInfo:
-    """Send a mesh and have a model trained of it, in a process of its own."""
+    """Upload a mesh and train a model of it, in a separate process."""
     needs(request, Right.ADMIN)
     service = service_of(request)
     mesh = await body_of(request, service.settings.mesh_bytes)
     if not mesh:
-        raise HTTPException(422, "the mesh is empty: send its file as the body")
+        raise HTTPException(422, "the mesh is empty: send the file as the body")
     numbers = {"order": order, "views": views, "held-out": held_out, "seed": seed}
     options = {"unit": str(unit)} | {k: str(v) for k, v in numbers.items() if v is not None}
     return service.jobs.add(model, file, mesh, options).info()
@@ -104,22 +106,26 @@ async def add_job(
 
 @router.get("/jobs/{job_id}")
 async def get_job(request: Request, job_id: str) -> JobInfo:
-    """A training and its progress."""
+    """A training job and its progress."""
     needs(request, Right.READ)
     job = service_of(request).jobs.get(job_id)
     if job is None:
-        raise HTTPException(404, f"training {job_id[:80]!r}: there is none: see /v1/jobs")
+        raise HTTPException(
+            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
+        )
     return job.info()
 
 
 @router.delete("/jobs/{job_id}")
 async def cancel_job(request: Request, job_id: str) -> JobInfo:
-    """Cancel a training; one that is over stays as it is."""
+    """Cancel a training job; a finished one does not change."""
     needs(request, Right.ADMIN)
     jobs = service_of(request).jobs
     job = jobs.get(job_id)
     if job is None:
-        raise HTTPException(404, f"training {job_id[:80]!r}: there is none: see /v1/jobs")
+        raise HTTPException(
+            404, f"training {job_id[:80]!r}: there is none with this id: see /v1/jobs"
+        )
     await jobs.cancel(job)
     return job.info()
 
@@ -127,7 +133,9 @@ async def cancel_job(request: Request, job_id: str) -> JobInfo:
 def _stored(request: Request, name: str) -> StoredModel:
     stored = service_of(request).models.get(name)
     if stored is None:
-        raise HTTPException(404, f"model {name[:80]!r}: there is none: see /v1/models")
+        raise HTTPException(
+            404, f"model {name[:80]!r}: there is none with this name: see /v1/models"
+        )
     return stored
 
 

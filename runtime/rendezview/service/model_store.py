@@ -1,4 +1,4 @@
-"""The models that the service has: files in one folder, and one given on the command line."""
+"""The models of the service: files in one folder, and one from the command line."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 from rendezview.errors import RendezviewError
 from rendezview.io.files import make_folder, write_error
 from rendezview.sensors.appearance import ViewModel
-from rendezview.service.geometry import geometry
-from rendezview.service.messages import ModelInfo
+from rendezview.service.model_geometry import geometry
+from rendezview.service.model_messages import ModelInfo
 
 log = logging.getLogger("rendezview.service")
 
@@ -23,19 +23,19 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 class StoredModel:
-    """One model file; read when it is first asked for."""
+    """One model file, read on first use."""
 
     def __init__(self, name: str, path: Path, own: bool) -> None:
         self.name = name
         self.path = path
-        self.own = own  # of the store's folder: may be deleted
+        self.own = own  # in the store's folder: may be deleted
 
     @cached_property
     def model(self) -> ViewModel:
         """The model.
 
         Raises:
-            RendezviewError: the file does not hold a model (any more).
+            RendezviewError: the file is not a model, or is gone.
         """
         return ViewModel.load(self.path)
 
@@ -57,7 +57,7 @@ class StoredModel:
 
     @cached_property
     def geometry_json(self) -> bytes:
-        """What a 3-D view draws."""
+        """The `Geometry` message, JSON."""
         return geometry(self.name, self.model).model_dump_json().encode()
 
 
@@ -65,7 +65,7 @@ class ModelStore:
     """Models by name."""
 
     def __init__(self, folder: Path) -> None:
-        """All models of a folder.
+        """The models in a folder.
 
         Raises:
             RendezviewError: the folder cannot be made.
@@ -78,10 +78,10 @@ class ModelStore:
                 self._models[path.stem] = StoredModel(path.stem, path.resolve(), own=True)
 
     def give(self, path: Path) -> StoredModel:
-        """A model file elsewhere, under its file's name, read at once.
+        """Add a model file from elsewhere under its file name; it is read at once.
 
         Raises:
-            RendezviewError: it is no model.
+            RendezviewError: it is not a model.
         """
         name = re.sub(r"[^A-Za-z0-9_-]+", "-", path.stem).strip("-_")[:64] or "model"
         stored = StoredModel(name, path.resolve(), own=False)
@@ -101,11 +101,11 @@ class ModelStore:
         return self._models.get(name)
 
     def only(self) -> StoredModel | None:
-        """The model, if there is but one."""
+        """The model, if there is exactly one."""
         return next(iter(self._models.values())) if len(self._models) == 1 else None
 
     def first_readable(self) -> StoredModel | None:
-        """The first model whose file can be read; of others the log says why not."""
+        """The first model whose file can be read; the log has the errors of the others."""
         for name in self.names():
             try:
                 ViewModel.load(self._models[name].path)
@@ -116,10 +116,10 @@ class ModelStore:
         return None
 
     def path_for(self, name: str) -> Path:
-        """Where a new model of that name goes.
+        """The file of a new model.
 
         Raises:
-            RendezviewError: the name is none, or taken.
+            RendezviewError: the name is invalid or taken.
         """
         if not _NAME.fullmatch(name):
             raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
@@ -128,10 +128,10 @@ class ModelStore:
         return self.folder / f"{name}{SUFFIX}"
 
     def add(self, name: str, content: bytes) -> StoredModel:
-        """A model that was sent: read, checked, and only then kept.
+        """Store an uploaded model after it is read and checked.
 
         Raises:
-            RendezviewError: the name is none or taken, or the content no model.
+            RendezviewError: the name is invalid or taken, or the content is not a model.
         """
         path = self.path_for(name)
         trial = self.folder / f".{secrets.token_hex(8)}.tmp"
@@ -153,21 +153,21 @@ class ModelStore:
         return stored
 
     def found(self, name: str) -> StoredModel:
-        """A file that a training has put into the folder."""
+        """Add a file that a training job has put into the folder."""
         stored = StoredModel(name, (self.folder / f"{name}{SUFFIX}").resolve(), own=True)
         _ = stored.model
         self._models[name] = stored
         return stored
 
     def remove(self, name: str) -> None:
-        """Forget a model and delete its file.
+        """Remove a model and delete its file.
 
         Raises:
             RendezviewError: it was given on the command line.
         """
         stored = self._models[name]
         if not stored.own:
-            raise RendezviewError(f"model {name}: was given on the command line, and stays")
+            raise RendezviewError(f"model {name}: was given on the command line and stays")
         with contextlib.suppress(FileNotFoundError):
             stored.path.unlink()
         del self._models[name]

@@ -1,8 +1,8 @@
-"""The log of a session: every acknowledged state is in the file before it is acknowledged.
+"""The log of a session: a state is in the file before it is acknowledged.
 
-One write a frame holds a chunk and its indexes, so that a kill at any moment loses nothing that
-was acknowledged. A full disk does not stop the tracking: the log is cut to its last whole
-frame, the fault is told, and every few seconds a new file is tried.
+One write per frame holds a chunk and its indexes, so a kill at any moment loses no acknowledged
+state. A full disk does not stop the tracking: the log is cut to its last complete frame, the fault
+is reported, and a new file is tried every few seconds.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from rendezview.service.tracking import StateDict
 
 SESSION_METADATA = "rendezview.session"
 MODEL_ATTACHMENT = "model.rvm"
-_CALIBRATION_EVERY_S = 1.0
-_SYNC_EVERY_S = 1.0
-_RETRY_S = 5.0
+_CALIBRATION_EVERY_S = 1.0  # s, between messages with the camera. Source: chosen
+_SYNC_EVERY_S = 1.0  # s, between fsyncs with `interval`. Source: chosen
+_RETRY_S = 5.0  # s, before a new file is tried after a fault. Source: chosen
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions:
-    """How a log is kept."""
+    """What is recorded and when it is forced to the disk."""
 
     images: bool = True
     sync: Literal["always", "interval", "never"] = "interval"
@@ -52,7 +52,10 @@ class RecordingOptions:
 
 
 class LogWriter:
-    """Writes the log of one session; faults of the disk are told, not raised."""
+    """Writes the log of one session. Disk faults are reported in `status`, not raised.
+
+    One thread uses it: the worker's.
+    """
 
     def __init__(
         self,
@@ -62,11 +65,11 @@ class LogWriter:
         model: bytes | None,
         options: RecordingOptions | None = None,
     ) -> None:
-        """Begin a log; one that exists is mended and kept beside, under a numbered name.
+        """Start a log; if the file exists, under the first free numbered name.
 
         Args:
-            metadata: what replay needs to know of the session.
-            model: the model file, to be kept with the log.
+            metadata: the session's data for replay.
+            model: the model file, attached to the log.
         """
         self.options = options or RecordingOptions()
         self._base = path
@@ -87,7 +90,7 @@ class LogWriter:
 
     @property
     def status(self) -> Recording:
-        """How the log stands."""
+        """State of the log."""
         return Recording(
             state=RecordingState.ON if self._reason is None else RecordingState.FAILED,
             reason=self._reason,
@@ -99,11 +102,11 @@ class LogWriter:
 
     @property
     def path(self) -> Path:
-        """The file that is written now."""
+        """The file that is being written."""
         return self._path
 
     def write(self, state: StateDict, state_json: bytes, content: Bytes) -> bool:
-        """Append one frame; False where that failed (`status` says why)."""
+        """Append one frame; False if that failed (`status` has the reason)."""
         return self._keep(1, lambda: self._append_frame(state, state_json, content))
 
     def write_measurements(self, lines: list[dict[str, Any]]) -> bool:
@@ -177,7 +180,7 @@ class LogWriter:
         self._append(log_ns, parts)
 
     def _append(self, log_ns: int, parts: list[tuple[int, bytes, int, int]]) -> None:
-        """One chunk and its indexes: of each message channel, bytes, time, number."""
+        """Append a chunk and its indexes; a part is (channel, data, time in ns, sequence)."""
         body = RecordBuilder()
         places: dict[int, list[tuple[int, int]]] = {}
         for channel, data, time_ns, sequence in parts:
@@ -209,7 +212,7 @@ class LogWriter:
         self._messages += len(parts)
 
     def _open(self) -> None:
-        """Begin a file, which gets its name with its beginning; a fault is kept in ``_reason``."""
+        """Start a file. It gets its name when it has its beginning; a fault goes to ``_reason``."""
         self._path = _free_name(self._base)
         trial = self._path.with_name(f".{self._path.name}.{secrets.token_hex(4)}.tmp")
         file = None
@@ -293,7 +296,7 @@ class LogWriter:
         return self._file is not None
 
     def _sync(self) -> None:
-        """To the disk, each time, or each second beside the tracking."""
+        """Force the file to the disk: each time, or once a second in another thread."""
         if self.options.sync == "never" or self._file is None:
             return
         if self.options.sync == "always":
@@ -309,7 +312,7 @@ class LogWriter:
 
 
 def mend_folder(folder: Path) -> list[tuple[Path, int]]:
-    """Mend all logs of a folder that were cut off; each with the bytes that were cut."""
+    """Repair all logs of a folder that were cut off; each path with the bytes removed."""
     mended = []
     for path in sorted(folder.glob("*.mcap")):
         with contextlib.suppress(RendezviewError):
@@ -320,7 +323,7 @@ def mend_folder(folder: Path) -> list[tuple[Path, int]]:
 
 
 def finished_copy(path: Path, size: int) -> tuple[int, bytes]:
-    """Bytes of a log that is being written that are whole, and the ending that goes behind."""
+    """Length of the complete part of a log that is being written, and the end to append."""
     found = scan(path, size)
     return found.end, ending(found)
 
@@ -330,7 +333,7 @@ def _ns(time_s: float) -> int:
 
 
 def _free_name(path: Path) -> Path:
-    """The path itself, or with the first free number."""
+    """The path, or with the first free number."""
     number, free = 1, path
     while free.exists():
         number += 1
@@ -347,7 +350,7 @@ def _write_all(file: int, content: bytes, place: int) -> None:
 
 
 def _quiet_sync(file: int) -> None:
-    with contextlib.suppress(OSError):  # the next write says it
+    with contextlib.suppress(OSError):  # the next write reports it
         os.fsync(file)
     os.close(file)
 

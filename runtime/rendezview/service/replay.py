@@ -1,4 +1,4 @@
-"""Logs read again: their frames, and a run repeated bit for bit."""
+"""Reads logs: their frames, and a run repeated bit for bit."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.log_file import messages, records
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import MODEL_ATTACHMENT, SESSION_METADATA
-from rendezview.service.tracking import Follower, StateDict, camera_of
+from rendezview.service.tracking import SessionTracker, StateDict, camera_of
 
-# What a run repeats; times of stages and of the clock are of the day.
+# Keys of a state that a repetition must reproduce; computing and clock times differ.
 REPEATED = (
     "frame", "time_s", "phase", "status", "reason", "pose", "covariance", "confidence", "score",
     "range_m", "rates", "candidates", "fit", "on_nodes", "fused",
@@ -37,33 +37,33 @@ REPEATED = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoggedFrame:
-    """A frame of a log: what went in and what came out."""
+    """A frame of a log and its state."""
 
     time_s: float
     image: bytes | None  # as it was sent
     state: dict[str, Any] | None
 
 
-Word = LoggedFrame | LoggedMeasurement
+LogEntry = LoggedFrame | LoggedMeasurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """A log of ours, cut off or not, or another MCAP file with Foxglove images."""
+    """A log of the service, complete or cut off, or another MCAP file with Foxglove images."""
 
     path: Path
-    notes: dict[str, str]  # of the session
+    notes: dict[str, str]  # metadata of the session; empty in files of other programs
     model: bytes | None
 
     @property
     def request(self) -> SessionRequest | None:
-        """The session as it was asked for; None in files of others."""
+        """The session's request; None in files of other programs."""
         try:
             text = self.notes.get("request")
             return None if text is None else SessionRequest.model_validate_json(text)
         except ValidationError:
             raise RendezviewError(
-                f"{self.path}: what it says of its session cannot be read: another version's log"
+                f"{self.path}: its session's request cannot be read: another version wrote this log"
             ) from None
 
     @property
@@ -73,11 +73,11 @@ class Log:
         return None if request is None or request.camera is None else camera_of(request.camera)
 
     def frames(self) -> Iterator[LoggedFrame]:
-        """In order; up to where the file is whole."""
-        return (word for word in self.words() if isinstance(word, LoggedFrame))
+        """The frames in order, up to the end or the first damage."""
+        return (entry for entry in self.entries() if isinstance(entry, LoggedFrame))
 
-    def words(self) -> Iterator[Word]:
-        """Frames, and the lines of other sensors, in the order in which they were taken."""
+    def entries(self) -> Iterator[LogEntry]:
+        """Frames and lines of other sensors, in the order in which the worker took them."""
         kinds: dict[int, str] = {}
         encodings: dict[int, str] = {}
         schemas: dict[int, str] = {}
@@ -94,10 +94,10 @@ class Log:
 
 
 def read_log(path: Path) -> Log:
-    """The beginning of a log.
+    """Open a log and read its metadata.
 
     Raises:
-        RendezviewError: missing, or no MCAP file.
+        RendezviewError: it is missing or not an MCAP file.
     """
     notes: dict[str, str] = {}
     model = None
@@ -121,12 +121,12 @@ def _lines(
                 yield LoggedMeasurement.model_validate_json(part.data)
             except ValidationError:
                 raise RendezviewError(
-                    f"{path}: a sensor's line cannot be read: another version's log"
+                    f"{path}: a sensor's line cannot be read: another version wrote this log"
                 ) from None
 
 
 def _frames(path: Path, parts: list[McapMessage], kinds: dict[int, str]) -> Iterator[LoggedFrame]:
-    """The frames in the messages of one chunk; those of one time belong together."""
+    """The frames in the messages of one chunk; messages of one time belong to one frame."""
     waiting: dict[tuple[int, int], dict[str, Any]] = {}
     for part in parts:
         kind = kinds.get(part.channel_id, "")
@@ -151,29 +151,29 @@ def _frames(path: Path, parts: list[McapMessage], kinds: dict[int, str]) -> Iter
 
 
 @dataclass(slots=True)
-class Repeated:
-    """How a repetition went."""
+class Comparison:
+    """How a repetition compares with its log."""
 
     frames: int = 0
     poses: int = 0
     lines: int = 0  # of other sensors
     first_difference: str | None = None
     differing: int = 0
-    largest: float = 0.0  # difference of two numbers that should be one
+    largest: float = 0.0  # difference of two numbers that should be equal
     gap: str | None = None  # why the comparison ended early
 
 
 def model_of(log: Log, model: Path | None) -> ViewModel:
-    """The model a log was made with: given, or the log's own.
+    """The model of a log: the given one, else the one in the log.
 
     Raises:
-        RendezviewError: neither.
+        RendezviewError: there is neither.
     """
     if model is not None:
         return ViewModel.load(model)
     if log.model is None:
         raise RendezviewError(
-            f"{log.path}: holds no model (target {log.notes.get('target', '?')}, file "
+            f"{log.path}: has no model (target {log.notes.get('target', '?')}, file "
             f"{log.notes.get('model_file', '?')}): give it by --model"
         )
     with tempfile.NamedTemporaryFile(suffix=".rvm") as file:
@@ -182,36 +182,38 @@ def model_of(log: Log, model: Path | None) -> ViewModel:
         return ViewModel.load(file.name)
 
 
-def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
-    """Track the frames of a log again and compare with what it says, number by number.
+def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]:
+    """Track the frames of a log again and compare the states, number by number.
 
     Raises:
-        RendezviewError: the log has no images, or is not one of ours.
+        RendezviewError: the log has no images, or is not one of the service.
     """
     request = log.request
     if request is None:
-        raise RendezviewError(f"{log.path}: says nothing of a session: use it as a --source")
+        raise RendezviewError(f"{log.path}: has no session in it: use the file as a --source")
     forgotten = log.notes.get("forgotten") == "yes"
-    follower = Follower(log.notes.get("session", "replay"), model, request, forgotten=forgotten)
-    so_far = Repeated()
+    tracker = SessionTracker(
+        log.notes.get("session", "replay"), model, request, forgotten=forgotten
+    )
+    so_far = Comparison()
     expected = 0
     lines = 0
-    for word in log.words():
-        if isinstance(word, LoggedMeasurement):
-            if word.order != lines:
+    for entry in log.entries():
+        if isinstance(entry, LoggedMeasurement):
+            if entry.order != lines:
                 so_far.gap = (
-                    f"lines {lines} to {word.order - 1} of other sensors are not in the log: "
+                    f"lines {lines} to {entry.order - 1} of other sensors are not in the log: "
                     "compared up to there"
                 )
                 return
             lines += 1
-            _measure_again(follower, word, so_far)
+            _measure_again(tracker, entry, so_far)
             continue
-        frame = word
+        frame = entry
         if frame.state is None:
             continue
         if frame.image is None:
-            raise RendezviewError(f"{log.path}: was recorded without images: nothing to repeat")
+            raise RendezviewError(f"{log.path}: was recorded without images: it cannot be repeated")
         if frame.state["frame"] != expected:
             so_far.gap = (
                 f"frames {expected} to {frame.state['frame'] - 1} are not in the log (the tracker "
@@ -219,8 +221,8 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
             )
             return
         expected += 1
-        image = read_frame(frame.image, follower.camera)
-        state, _ = follower.look(image, frame.time_s, frame.state["received_unix_s"])
+        image = read_frame(frame.image, tracker.camera)
+        state, _ = tracker.track(image, frame.time_s, frame.state["received_unix_s"])
         again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1
         so_far.poses += state["pose"] is not None
@@ -228,38 +230,38 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Repeated]]:
         yield state, so_far
 
 
-def _measure_again(follower: Follower, word: LoggedMeasurement, so_far: Repeated) -> None:
-    """One line of another sensor through the filter, beside what the log says of it."""
-    text = json.dumps(word.record).encode()
-    (line,) = follower.filter.check(word.sensor, text, follower.last_s, math.inf)
-    verdict, fused = follower.filter.take(word.sensor, line)
+def _measure_again(tracker: SessionTracker, line: LoggedMeasurement, so_far: Comparison) -> None:
+    """Give a line of another sensor to the filter and compare with the log."""
+    text = json.dumps(line.record).encode()
+    (checked,) = tracker.filter.check(line.sensor, text, tracker.last_s, math.inf)
+    verdict, fused = tracker.filter.take(line.sensor, checked)
     so_far.lines += 1
     again = json.loads(to_json({"verdict": verdict, "fused": fused}, inf_nan_mode="null"))
-    said = word.model_dump(mode="json")
-    where = f"line {word.order} of the other sensors"
-    _compare(again, said, ("verdict", "fused"), where, so_far)
+    logged = line.model_dump(mode="json")
+    where = f"line {line.order} of the other sensors"
+    _compare(again, logged, ("verdict", "fused"), where, so_far)
 
 
 def _compare(
-    again: dict[str, Any], said: dict[str, Any], names: tuple[str, ...], where: str,
-    so_far: Repeated,
+    again: dict[str, Any], logged: dict[str, Any], names: tuple[str, ...], where: str,
+    so_far: Comparison,
 ) -> None:  # fmt: skip
-    different = [name for name in names if again.get(name) != said.get(name)]
+    different = [name for name in names if again.get(name) != logged.get(name)]
     if not different:
         return
     so_far.differing += 1
     for name in different:
-        so_far.largest = max(so_far.largest, apart(again.get(name), said.get(name)))
+        so_far.largest = max(so_far.largest, difference(again.get(name), logged.get(name)))
     if so_far.first_difference is None:
         so_far.first_difference = f"{where}: {', '.join(different)}"
 
 
-def apart(a: Any, b: Any) -> float:
-    """The largest difference of numbers in two like JSON values; infinite if they are unlike."""
+def difference(a: Any, b: Any) -> float:
+    """The largest difference of numbers in two JSON values; infinite if they differ in form."""
     if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
-        return max((apart(a[key], b[key]) for key in a), default=0.0)
+        return max((difference(a[key], b[key]) for key in a), default=0.0)
     if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
-        return max((apart(x, y) for x, y in zip(a, b, strict=True)), default=0.0)
+        return max((difference(x, y) for x, y in zip(a, b, strict=True)), default=0.0)
     if isinstance(a, float) and isinstance(b, float):
         return abs(a - b)
     return 0.0 if a == b else math.inf

@@ -1,25 +1,86 @@
-"""States in the field's own types, ROS geometry_msgs, field for field."""
+"""States as ROS messages: geometry_msgs, field for field."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
-from rendezview.service.messages import (
-    Header,
-    PoseWithCovarianceStamped,
-    Quaternion,
-    RosPose,
-    RosPoseWithCovariance,
-    Stamp,
-    Transform,
-    TransformStamped,
-    Xyz,
-)
+from pydantic import Field
+
+from rendezview.service.message_parts import Message
 
 CAMERA_FRAME, TARGET_FRAME = "camera", "target"
 # ROS has the translation first: ours is (rotation, translation), both about fixed axes.
-_ORDER = (3, 4, 5, 0, 1, 2)
+_ORDER = (3, 4, 5, 0, 1, 2)  # Source: by construction
+
+
+class Stamp(Message):
+    """builtin_interfaces/Time."""
+
+    sec: int
+    nanosec: int
+
+
+class Header(Message):
+    """std_msgs/Header."""
+
+    stamp: Stamp
+    frame_id: str
+
+
+class Xyz(Message):
+    """geometry_msgs/Point and Vector3."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(Message):
+    """geometry_msgs/Quaternion."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class RosPose(Message):
+    """geometry_msgs/Pose."""
+
+    position: Xyz
+    orientation: Quaternion
+
+
+class RosPoseWithCovariance(Message):
+    """geometry_msgs/PoseWithCovariance."""
+
+    pose: RosPose
+    covariance: list[float] = Field(
+        min_length=36, max_length=36, description="row-wise; x, y, z, then rotation about x, y, z"
+    )
+
+
+class PoseWithCovarianceStamped(Message):
+    """geometry_msgs/PoseWithCovarianceStamped: the target in the camera frame."""
+
+    header: Header
+    pose: RosPoseWithCovariance
+
+
+class Transform(Message):
+    """geometry_msgs/Transform."""
+
+    translation: Xyz
+    rotation: Quaternion
+
+
+class TransformStamped(Message):
+    """geometry_msgs/TransformStamped: camera to target."""
+
+    header: Header
+    child_frame_id: str
+    transform: Transform
 
 
 def pose_with_covariance_stamped(state: dict[str, Any]) -> PoseWithCovarianceStamped | None:

@@ -1,4 +1,4 @@
-"""Who may do what: tokens with scopes, names the service answers to, rates, and headers."""
+"""The guard in front of the service: tokens with scopes, host names, request rates, headers."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, read_text
 from rendezview.service.messages import Fault
 from rendezview.service.metrics import Metrics
+from rendezview.service.rate_limit import TokenBucket
 from rendezview.service.settings import LOOPBACK, Settings
 
 SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
 _FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
-_CALLERS = 10_000  # remembered for their rates
+_MOST_CALLERS = 10_000  # whose request rates are remembered. Source: a chosen limit
 _PAGE_POLICY = (
     "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
     "connect-src 'self'; worker-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "
@@ -43,12 +44,12 @@ HEADERS = (
 
 
 class Right(IntEnum):
-    """What a token allows; each includes those before."""
+    """What a token allows; each right includes those before it."""
 
     NONE = 0
-    READ = 1  # look
-    TRACK = 2  # sessions and frames
-    ADMIN = 3  # models and trainings
+    READ = 1  # read states, pictures and logs
+    TRACK = 2  # open sessions, send frames
+    ADMIN = 3  # models and training
 
 
 class _TokenEntry(BaseModel):
@@ -64,7 +65,7 @@ _TOKENS = TypeAdapter(dict[str, _TokenEntry])
 
 @dataclass(frozen=True)
 class Token:
-    """A token's name, what it allows, and the hash of it: itself it is not kept."""
+    """A token's name and right, and its hash; the token itself is not kept."""
 
     name: str
     right: Right
@@ -72,25 +73,25 @@ class Token:
 
 
 def read_tokens(path: Path) -> list[Token]:
-    """The tokens of a TOML file: a table for each, ``[operator] scope = "track" token = "…"``.
+    """The tokens of a TOML file, one table each: ``[operator] scope = "track" token = "…"``.
 
-    ``sha256`` may stand in place of ``token``, which has at least 16 characters.
+    A token has at least 16 characters; ``sha256`` may replace ``token``.
 
     Raises:
-        RendezviewError: missing, or wrong.
+        RendezviewError: the file is missing or wrong.
     """
     try:
         content = tomllib.loads(read_text(path, "tokens (TOML)"))
     except tomllib.TOMLDecodeError as error:
-        raise RendezviewError(f"{path}: not valid TOML ({error}): mend the file") from None
+        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from None
     tokens = []
     for name, entry in checked(_TOKENS, content, str(path)).items():
         if (entry.token is None) == (entry.sha256 is None):
             raise RendezviewError(f"{path}: {name}: give either token or sha256")
         if entry.token is not None and not _FITS_SOCKET.fullmatch(entry.token):
             raise RendezviewError(
-                f"{path}: {name}: token: may hold letters, digits and !#$%&'*+-.^_`|~ but no "
-                "spaces: a browser can send no other to a WebSocket; choose another"
+                f"{path}: {name}: token: use only letters, digits and !#$%&'*+-.^_`|~ (a browser "
+                "cannot send other characters to a WebSocket)"
             )
         if entry.token is not None:
             digest = hashlib.sha256(entry.token.encode()).digest()
@@ -98,12 +99,16 @@ def read_tokens(path: Path) -> list[Token]:
             digest = bytes.fromhex(entry.sha256 or "")
         tokens.append(Token(name, Right[entry.scope.upper()], digest))
     if not tokens:
-        raise RendezviewError(f"{path}: holds no token: add one")
+        raise RendezviewError(f"{path}: has no token: add one")
     return tokens
 
 
 class Guard:
-    """In front of everything: wrong hosts and origins, missing tokens and floods are refused."""
+    """Refuses wrong hosts and origins, missing tokens and too many requests; adds headers.
+
+    Starlette's TrustedHostMiddleware is not used: it answers 400 in plain text, and this service
+    answers every error with its status (here 421) and a `Fault`.
+    """
 
     def __init__(
         self, app: ASGIApp, settings: Settings, tokens: Iterable[Token], metrics: Metrics
@@ -114,7 +119,7 @@ class Guard:
         self._rate = settings.requests_per_s
         self._hosts = {settings.host.lower(), *LOOPBACK, *map(str.lower, settings.allowed_hosts)}
         self._any_host = settings.host in ("0.0.0.0", "::") and not settings.allowed_hosts
-        self._callers: OrderedDict[str, tuple[float, float]] = OrderedDict()
+        self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
@@ -141,13 +146,13 @@ class Guard:
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
         if not self._any_host and _host(headers.get("host", "")) not in self._hosts:
-            return 421, "the service does not answer to this host name: see allowed_hosts"
+            return 421, "the service does not have this host name: see the setting allowed_hosts"
         origin = headers.get("origin")
         changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD", "OPTIONS")
         if origin is not None and changes and urlsplit(origin).netloc != headers.get("host"):
             return 403, "pages of other origins may not use the service"
         name, right = self._caller(scope, headers)
-        if not self._in_time(name):
+        if not self._within_rate(name):
             return 429, "too many requests: wait a moment"
         scope.setdefault("state", {})["right"] = right
         if right is Right.NONE and not _is_open(scope):
@@ -167,15 +172,16 @@ class Guard:
                     return token.name, token.right
         return address, Right.NONE
 
-    def _in_time(self, name: str) -> bool:
-        """A bucket of one second's requests for each caller."""
+    def _within_rate(self, name: str) -> bool:
+        """Whether the caller has a request left in its bucket."""
         now_s = time.monotonic()
-        left, at_s = self._callers.pop(name, (self._rate, now_s))
-        left = min(self._rate, left + (now_s - at_s) * self._rate)
-        allowed = left >= 1.0
-        self._callers[name] = (left - 1.0 if allowed else left, now_s)
-        while len(self._callers) > _CALLERS:
+        bucket = self._callers.pop(name, None) or TokenBucket.full(self._rate, now_s)
+        self._callers[name] = bucket
+        while len(self._callers) > _MOST_CALLERS:
             self._callers.popitem(last=False)
+        allowed = bucket.refill(now_s) >= 1.0
+        if allowed:
+            bucket.spend(1.0)
         return allowed
 
 
@@ -190,7 +196,7 @@ def _token(headers: Headers) -> str | None:
 
 
 def _is_open(scope: Scope) -> bool:
-    """The page's files and the questions of health are for all."""
+    """The page's files and the health checks need no token."""
     path = scope["path"]
     if path in ("/healthz", "/readyz"):
         return True

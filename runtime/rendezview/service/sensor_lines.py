@@ -1,4 +1,7 @@
-"""Lines of other sensors as they come in, checked: what the filter of a session can take."""
+"""Lines of other sensors: read and checked, so that the filter of a session can use them.
+
+The lines are those of `rendezview.fusion.logs`; this module adds limits, and what the page draws.
+"""
 
 from __future__ import annotations
 
@@ -19,14 +22,14 @@ from rendezview.io.target import DockingRing
 from rendezview.service.fusion_messages import MOST_MARKS, FusionRequest, Marks, SurfaceMessage
 from rendezview.service.message_parts import PoseMessage
 
-_LEAST, _MOST = 1e-20, 1e12  # variances a filter can work with
-_MOST_M = 1e9
+_LEAST, _MOST = 1e-20, 1e12  # m², rad²; variances that the filter can use in 64-bit floats
+_MOST_M = 1e9  # m; places farther away are refused. Source: a chosen limit
 
 Json = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Line:
+class SensorLine:
     """One line of a sensor, checked."""
 
     kind: str
@@ -36,15 +39,15 @@ class Line:
 
 
 def split_records(text: bytes) -> list[Json]:
-    """The objects of a message: one, or one a line.
+    """The JSON objects of a message: one object, or one per line.
 
     Raises:
-        RendezviewError: bad JSON, no object, or nothing at all.
+        RendezviewError: bad JSON, not an object, or an empty message.
     """
     try:
         whole = text.decode()
     except UnicodeDecodeError as error:
-        raise RendezviewError(f"no UTF-8 ({error.reason}): send JSON") from None
+        raise RendezviewError(f"not UTF-8 ({error.reason}): send JSON") from None
     parts = [line for line in whole.split("\n") if line.strip()]
     if not parts:
         raise RendezviewError("the message is empty: send a line of a sensor's log")
@@ -55,32 +58,32 @@ def split_records(text: bytes) -> list[Json]:
         try:
             record = from_json(part, allow_inf_nan=False)
         except ValueError as error:
-            told = f"line {number}: not valid JSON ({error}): correct or remove it"
-            raise RendezviewError(told) from None
+            said = f"line {number}: not valid JSON ({error}): correct or remove it"
+            raise RendezviewError(said) from None
         if not isinstance(record, dict):
             raise RendezviewError(f"line {number}: not a JSON object: send a sensor's log lines")
         records.append(record)
     return records
 
 
-def read_line(record: Json, kind: str, sensor: str, context: LogContext, where: str) -> Line:
-    """A line of a sensor, all of it.
+def read_line(record: Json, kind: str, sensor: str, context: LogContext, where: str) -> SensorLine:
+    """Read one line of a sensor.
 
     Raises:
-        RendezviewError: it cannot be read, or its numbers are beyond all measure.
+        RendezviewError: it cannot be read, or its numbers are too large or too small.
     """
-    with np.errstate(all="ignore"):  # what is beyond all measure is refused below
+    with np.errstate(all="ignore"):  # numbers that overflow are refused below
         measurement = read_record(record, kind, sensor, context, where)
     if measurement is not None:
         check_size(measurement, where)
-    return Line(kind, record, measurement, _marks(sensor, record, context, where))
+    return SensorLine(kind, record, measurement, _marks(sensor, record, context, where))
 
 
 def check_size(measurement: Measurement, where: str) -> None:
-    """Numbers with which a filter can work.
+    """Check that the filter can use the numbers of a measurement.
 
     Raises:
-        RendezviewError: a place beyond 10⁹ m, or a variance beyond what a sensor can have.
+        RendezviewError: a place beyond 10⁹ m, or a variance that no sensor has.
     """
     if isinstance(measurement, PoseMeasurement):
         places = [measurement.pose.translation_m]
@@ -92,7 +95,7 @@ def check_size(measurement: Measurement, where: str) -> None:
         places = [c.centre_m for c in measurement.candidates]
         variances = np.concatenate([np.diagonal(c.covariance)[:3] for c in measurement.candidates])
     if any(np.abs(place).max() > _MOST_M for place in places):
-        raise RendezviewError(f"{where}: places beyond {_MOST_M:g} m are of no use here")
+        raise RendezviewError(f"{where}: places must be within {_MOST_M:g} m")
     if not (variances.min() >= _LEAST and variances.max() <= _MOST):
         raise RendezviewError(
             f"{where}: variances must be {_LEAST:g} … {_MOST:g}, in rad² and m², not "
@@ -101,7 +104,7 @@ def check_size(measurement: Measurement, where: str) -> None:
 
 
 def _marks(sensor: str, record: Json, context: LogContext, where: str) -> Json | None:
-    """What there is to draw: a sensor that is mounted elsewhere has other pixels."""
+    """Ellipses and spots to draw; none for a sensor with a mount, which has other pixels."""
     edges, spots = record.get("ellipses"), record.get("spots")
     if sensor in context.mounts or not (edges or spots):
         return None
@@ -122,12 +125,12 @@ def _marks(sensor: str, record: Json, context: LogContext, where: str) -> Json |
     except (ValueError, LookupError, TypeError, AttributeError) as error:
         said = f"no key {error}" if isinstance(error, KeyError) else str(error)[:200]
         raise RendezviewError(
-            f"{where}: its ellipses or spots cannot be read ({said}): correct or leave them out"
+            f"{where}: its ellipses or spots cannot be read ({said}): correct or remove them"
         ) from None
 
 
 def context_of(asked: FusionRequest) -> LogContext:
-    """What is known of the sensors, as their logs are read with it."""
+    """The data on the sensors that their logs are read with."""
     ring = None
     if asked.ring is not None:
         axis = np.array(asked.ring.axis)
@@ -138,12 +141,16 @@ def context_of(asked: FusionRequest) -> LogContext:
     return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})
 
 
-def _surface(told: SurfaceMessage) -> BeamSurface:
-    outer_m = math.inf if told.outer_m is None else told.outer_m
+def _surface(message: SurfaceMessage) -> BeamSurface:
+    outer_m = math.inf if message.outer_m is None else message.outer_m
     return BeamSurface(
-        np.array(told.point_m), np.array(told.normal), told.relief_m, told.inner_m, outer_m
+        np.array(message.point_m),
+        np.array(message.normal),
+        message.relief_m,
+        message.inner_m,
+        outer_m,
     )
 
 
-def _pose(told: PoseMessage) -> Pose:
-    return Pose.from_quat_wxyz(told.quat_wxyz, told.translation_m)
+def _pose(message: PoseMessage) -> Pose:
+    return Pose.from_quat_wxyz(message.quat_wxyz, message.translation_m)

@@ -1,4 +1,4 @@
-"""uvicorn around the application."""
+"""Runs the application with uvicorn."""
 
 from __future__ import annotations
 
@@ -17,31 +17,34 @@ from rendezview.service.app import make_app
 from rendezview.service.security import read_tokens
 from rendezview.service.service import Service
 
-_SHUTDOWN_S = 10
+_SHUTDOWN_S = 10  # s, for open requests. Source: chosen
 
 
 class _Server(uvicorn.Server):
-    """Says where it listens once it does, and keeps why it did not start."""
+    """Reports its address once it listens."""
 
     on_ready: Callable[[str], None] = staticmethod(lambda address: None)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         gc.collect()
-        gc.freeze()  # what is there now stays: it need not be looked through again
+        gc.freeze()  # what exists now stays: the collector need not scan it again
         if self.started and sockets:
             host, port = sockets[0].getsockname()[:2]
             scheme = "https" if self.config.is_ssl else "http"
             self.on_ready(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """A first signal ends the service in order, with code 0; a second one at once."""
+        """The first signal ends the service in order, with code 0; the second ends it at once."""
         self.force_exit = self.should_exit
         self.should_exit = True
 
 
 def run(service: Service, on_ready: Callable[[str], None]) -> None:
-    """Serve until told to end (SIGINT, SIGTERM); logs are complete afterwards.
+    """Serve until SIGINT or SIGTERM; the logs are complete afterwards.
+
+    Args:
+        on_ready: receives the address once the service listens.
 
     Raises:
         RendezviewError: the address is taken, or the service cannot start.
@@ -59,7 +62,7 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
         log_config=None,
         server_header=False,
         ws_max_size=settings.frame_bytes + 8,
-        ws_per_message_deflate=False,  # frames are noise, or packed already
+        ws_per_message_deflate=False,  # frames hardly compress
         ws_ping_interval=20.0,
         ws_ping_timeout=20.0,
         timeout_graceful_shutdown=_SHUTDOWN_S,
@@ -85,7 +88,7 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
 
 
 class _Watched:
-    """Keeps the error of a start that failed: uvicorn only logs it."""
+    """Keeps the error of a failed start: uvicorn only logs it."""
 
     def __init__(self, app: object) -> None:
         self._app = app
@@ -111,6 +114,6 @@ def _listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise RendezviewError(
-            f"{host}:{port}: cannot be listened on ({error.strerror}): choose another --port"
+            f"{host}:{port}: cannot listen there ({error.strerror}): choose another --port"
         ) from None
     return listener

@@ -1,4 +1,4 @@
-"""The service itself, without HTTP: models, sessions, sources, trainings, and their lives."""
+"""The service without HTTP: models, sessions, sources and training jobs."""
 
 from __future__ import annotations
 
@@ -20,35 +20,38 @@ from rendezview.io.camera_files import load_camera
 from rendezview.io.files import make_folder
 from rendezview.io.target import Target
 from rendezview.service.fusion_messages import FusionRequest, RingMessage
+from rendezview.service.inputs import Full
 from rendezview.service.jobs import Jobs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import ModelStore, StoredModel
-from rendezview.service.pool import WorkerGone
 from rendezview.service.recording import mend_folder
-from rendezview.service.sessions import Full, Session
+from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
 from rendezview.service.sources import Feeder, Source, open_source
 from rendezview.service.tracking import camera_message
-from rendezview.service.workers import COMPILING, NotReady, Workers
+from rendezview.service.worker_handle import WorkerGone
+from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
 
 log = logging.getLogger("rendezview.service")
 
-_CLOSE_S = 30.0
-_IDLE_CHECK_S = 5.0
+_CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+_IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
 
 
 def _ring_of(path: Path) -> RingMessage:
     ring = Target.load(path).docking_ring
     if ring is None:
-        raise RendezviewError(f"{path}: this target has no docking_ring: add one, or leave it out")
+        raise RendezviewError(
+            f"{path}: this target has no docking_ring: add one, or do not give --target"
+        )
     return RingMessage(
         centre_m=ring.centre_m.tolist(), axis=ring.axis.tolist(), radius_m=ring.radius_m
     )
 
 
 class Service:
-    """Everything the routes act on."""
+    """What the routes act on."""
 
     def __init__(
         self,
@@ -60,8 +63,9 @@ class Service:
         """A service that is not started yet.
 
         Args:
-            model: read at once; more can be sent.
-            sources: each gets a session of its own.
+            model: a model file; clients can upload others.
+            sources: each has its own session.
+            speed: of sources that are files, as a multiple of their own rate; 0: no pauses.
 
         Raises:
             RendezviewError: a model, camera or source is missing or wrong.
@@ -92,19 +96,19 @@ class Service:
             raise
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs)
-        self._workers = Workers(settings, self.metrics, self._reopen)
+        self._workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._first_log_taken = False
 
-    # Life
+    # Start and stop
 
     async def start(self) -> None:
-        """Start workers and sources; mend logs that an earlier life left cut off.
+        """Start workers and sources; repair logs that an earlier run left cut off.
 
         Raises:
-            RendezviewError: no worker comes up, or a source's session cannot be opened.
+            RendezviewError: a worker does not start, or a source's session cannot be opened.
         """
         place = self.settings.record
         if place is not None:
@@ -132,7 +136,7 @@ class Service:
         self._spawn(self._housekeeping())
 
     async def stop(self) -> None:
-        """Complete the logs, tell the watchers, end the processes."""
+        """Complete the logs, notify the watchers, end the processes."""
         self.stopping = True
         self._workers.stay_down()
         for task in self._tasks:
@@ -145,10 +149,10 @@ class Service:
             self._temporary.cleanup()
 
     def health(self) -> Health:
-        """Whether frames can be looked at, and what is wrong if not."""
+        """Whether frames can be tracked, and the reasons if not."""
         reasons = []
         if self._workers.none_ready:
-            reasons.append("no process that tracks is up")
+            reasons.append("no worker process is ready")
         if self._workers.compiling:
             reasons.append(COMPILING)
         failures = sum(s.recording.state is RecordingState.FAILED for s in self.sessions.values())
@@ -165,12 +169,12 @@ class Service:
     # Sessions
 
     async def open(self, request: SessionRequest, source: Source | None = None) -> Session:
-        """A new session.
+        """Open a session.
 
         Raises:
-            RendezviewError: the request is impossible.
-            Full: there is no room for another.
-            NotReady: no worker is up, or loops are being compiled.
+            RendezviewError: the request is wrong.
+            Full: too many sessions are open.
+            NotReady: no worker is ready, or loops are being compiled.
         """
         if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
             raise Full
@@ -186,7 +190,7 @@ class Service:
         if request.camera.width * request.camera.height > self.settings.frame_bytes:
             raise RendezviewError(
                 f"camera: frames of {request.camera.width} × {request.camera.height} are larger "
-                f"than this service takes ({self.settings.frame_bytes} bytes)"
+                f"than the setting frame_bytes ({self.settings.frame_bytes} bytes)"
             )
         if self.ring is not None and (request.fusion is None or request.fusion.ring is None):
             fusion = (request.fusion or FusionRequest()).model_copy(update={"ring": self.ring})
@@ -200,7 +204,7 @@ class Service:
             }
         )
         if request.record and self.settings.record is None:
-            raise RendezviewError("record: the service keeps no logs: start it with --record")
+            raise RendezviewError("record: the service writes no logs: start it with --record")
         self._opening.add(name)
         try:
             await self._workers.warmed(stored)
@@ -225,7 +229,7 @@ class Service:
         return session
 
     async def close(self, session: Session, reason: str) -> None:
-        """End a session; its log is complete afterwards."""
+        """End a session and complete its log."""
         if self.sessions.pop(session.id, None) is None:
             return
         feeder = self._feeders.pop(session.id, None)
@@ -243,7 +247,7 @@ class Service:
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
     def uses(self, model: str) -> bool:
-        """Whether a session needs a model."""
+        """Whether a session uses a model."""
         return any(session.model == model for session in self.sessions.values())
 
     def _model(self, name: str | None) -> StoredModel:
@@ -253,12 +257,12 @@ class Service:
             raise RendezviewError(
                 f"model {name}: not here (there are: {known})"
                 if name is not None
-                else f"model: say which one (there are: {known})"
+                else f"model: name one (there are: {known})"
             )
         return stored
 
     async def _place(self, session: Session, model: Path) -> None:
-        """Give a session to the worker with the fewest."""
+        """Give a session to the worker with the fewest sessions."""
         worker = self._workers.least_busy()
         worker.sessions.add(session)
         request = session.request
@@ -305,7 +309,7 @@ class Service:
         return place / f"{session.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
 
     async def _reopen(self, orphans: list[Session]) -> None:
-        """Sessions whose worker ended go on with another, or end."""
+        """Continue the sessions of a worker that ended with another worker, or end them."""
         for session in orphans:
             if session.id not in self.sessions:
                 continue
@@ -313,10 +317,10 @@ class Service:
             session.reopened()
             try:
                 if stored is None:
-                    raise RendezviewError(f"model {session.model}: is gone")
+                    raise RendezviewError(f"model {session.model}: no longer there")
                 await self._place(session, stored.path)
             except (RendezviewError, NotReady) as error:
-                await self.close(session, f"its tracker cannot be started anew: {error}")
+                await self.close(session, f"its tracker cannot be restarted: {error}")
 
     async def _housekeeping(self) -> None:
         while True:

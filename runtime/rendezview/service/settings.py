@@ -1,4 +1,4 @@
-"""Configuration of the service: by file, environment and flags, the later winning."""
+"""Settings of the service: from a file, the environment and flags, in rising precedence."""
 
 from __future__ import annotations
 
@@ -16,32 +16,34 @@ LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 class Settings(BaseSettings):
-    """What can be set; environment variables are ``RENDEZVIEW_SERVE_<NAME>``."""
+    """All settings; environment variables are ``RENDEZVIEW_SERVE_<NAME>``."""
 
     model_config = SettingsConfigDict(env_prefix="RENDEZVIEW_SERVE_", extra="forbid")
 
     host: str = "127.0.0.1"
     port: int = Field(default=8360, ge=0, le=65535)  # 0: any free one
-    allowed_hosts: list[str] = []  # names the service is called by, beside its own
+    allowed_hosts: list[str] = []  # other host names of the service
     tls_certificate: Path | None = None  # PEM
     tls_key: Path | None = None
     tokens_file: Path | None = None  # TOML, see `security.read_tokens`
-    open_to_all: bool = False  # serve others than this machine without tokens
+    open_to_all: bool = False  # serve other machines without tokens
 
-    models_folder: Path | None = None  # uploaded and trained models; a temporary one otherwise
-    camera: Path | None = None  # of sessions that give none
-    target: Path | None = None  # its docking ring, of sessions that say none
-    record: Path | None = None  # *.mcap of the first session, or a folder
-    record_all: bool = True  # sessions that do not say so are recorded, if `record` is given
+    models_folder: Path | None = None  # uploaded and trained models; default: a temporary folder
+    camera: Path | None = None  # for sessions that give none
+    target: Path | None = None  # its docking ring, for sessions that give none
+    record: Path | None = None  # *.mcap for the first session, or a folder
+    record_all: bool = True  # record sessions that do not choose, if `record` is given
     record_images: bool = True
-    record_model: bool = True  # with images: a log that can be replayed on its own
+    record_model: bool = True  # with images: the log can be replayed on its own
     sync: Literal["always", "interval", "never"] = "interval"  # fsync; `interval`: each second
     compression: Literal["", "lz4", "zstd"] = "lz4"
 
-    workers: int = Field(default=0, ge=0, le=256)  # processes that track; 0: one a core
+    workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
     sessions: int = Field(default=16, ge=1, le=1024)
     watchers: int = Field(default=32, ge=1)  # of all sessions
-    waiting: int = Field(default=4, ge=1, le=256)  # frames of a session by plain requests
+    waiting: int = Field(
+        default=4, ge=1, le=256
+    )  # frames of a session that plain requests may queue
     frame_bytes: int = Field(default=32_000_000, ge=1024, le=1_000_000_000)
     model_bytes: int = Field(default=500_000_000, ge=1024)
     mesh_bytes: int = Field(default=200_000_000, ge=1024)
@@ -52,13 +54,13 @@ class Settings(BaseSettings):
     measurements_per_s: float = Field(default=500.0, gt=0.0)  # lines, of a session
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
-    frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is started anew
-    idle_s: float = Field(default=3600.0, gt=0.0)  # sessions without frames that long are ended
+    frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is restarted
+    idle_s: float = Field(default=3600.0, gt=0.0)  # sessions without frames for longer are closed
     history_s: float = Field(default=300.0, ge=0.0)
     history_rate_hz: float = Field(default=30.0, gt=0.0)
     history_image_hz: float = Field(default=4.0, ge=0.0)
     history_image_px: int = Field(default=480, ge=16, le=4096)
-    jobs: int = Field(default=1, ge=0, le=64)  # trainings at once; 0: none
+    jobs: int = Field(default=1, ge=0, le=64)  # training jobs at once; 0: none
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     @classmethod
@@ -89,7 +91,7 @@ def load_settings(file: Path | None, flags: dict[str, Any]) -> Settings:
         try:
             content = tomllib.loads(read_text(file, "settings of the service (TOML)"))
         except tomllib.TOMLDecodeError as error:
-            raise RendezviewError(f"{file}: not valid TOML ({error}): mend the file") from None
+            raise RendezviewError(f"{file}: not valid TOML ({error}): correct the file") from None
         unknown = sorted(set(content) - set(Settings.model_fields))
         if unknown:
             raise RendezviewError(
@@ -107,7 +109,7 @@ def load_settings(file: Path | None, flags: dict[str, Any]) -> Settings:
         raise RendezviewError("TLS needs both a certificate and a key: give --tls-key too")
     if not settings.is_loopback and settings.tokens_file is None and not settings.open_to_all:
         raise RendezviewError(
-            f"{settings.host} lets others than this machine in: give --tokens FILE, or say "
+            f"{settings.host} is open to other machines: give --tokens FILE, or "
             "--open-to-all if the network is trusted"
         )
     return settings

@@ -1,4 +1,4 @@
-"""What the service reads itself: folders, scenes and videos, logs, cameras and network streams."""
+"""Sources that the service reads itself: image sequences, logs, cameras, network streams."""
 
 from __future__ import annotations
 
@@ -19,30 +19,32 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.decoding import quiet_opencv
+from rendezview.service.inputs import Answer, SessionInput
 from rendezview.service.replay import LoggedFrame, read_log
-from rendezview.service.sessions import Answer, Session, Waiting
+from rendezview.service.sessions import Session
 
 _LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
 _DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")
-_LONGEST_PAUSE_S = 10.0  # between frames of a file, whatever their times say
-_RECONNECT_S = 2.0
+# s, between frames of a file; longer gaps are shortened. Source: a chosen limit.
+_LONGEST_PAUSE_S = 10.0
+_RECONNECT_S = 2.0  # s, before a live source is opened again. Source: chosen
 
 
 @dataclass(frozen=True)
 class SourceFrame:
-    """A frame of a source; bytes as a caller would send them."""
+    """A frame of a source, in the bytes that a client would send."""
 
-    time_s: float | None  # None: now
+    time_s: float | None  # None: the time of arrival
     content: bytes
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Frames to come, and how they are to be taken."""
+    """A name, a camera and the frames to come."""
 
     name: str
     camera: Camera | None
-    live: bool  # the newest counts; else every one
+    live: bool  # True: only the newest frame counts; False: every frame
     frames: Callable[[threading.Event], Iterator[SourceFrame | RendezviewError]]
 
 
@@ -50,15 +52,15 @@ def open_source(text: str, camera: Camera | None) -> Source:
     """A source by its name: path, ``/dev/video0``, ``v4l2:0``, ``rtsp://…``, ``bag#/topic``.
 
     Raises:
-        RendezviewError: there is none, or it needs a camera file.
+        RendezviewError: it does not exist, or needs a camera file.
     """
     if _LIVE.match(text) or _DEVICE.fullmatch(text):
         if camera is None:
-            raise RendezviewError(f"{text}: nobody knows its calibration: give --camera")
+            raise RendezviewError(f"{text}: its calibration is not known: give --camera")
         return Source(_without_password(text), camera, True, lambda stop: _captured(text, stop))
     if text.endswith(".mcap"):
         log = read_log(Path(text))
-        if log.notes:  # ours: its frames as they were sent
+        if log.notes:  # a log of the service: its frames as they were sent
             return Source(text, camera or log.camera, False, lambda _: _logged(log.frames()))
     sequence = open_sequence(text, camera)
 
@@ -76,22 +78,22 @@ def open_source(text: str, camera: Camera | None) -> Source:
 
 
 class Feeder:
-    """A thread that gives a session the frames of a source."""
+    """A thread that gives the frames of a source to a session."""
 
     def __init__(
         self, source: Source, session: Session, loop: asyncio.AbstractEventLoop, speed: float
     ) -> None:
-        """Frames of files come at their own times, ``speed`` times as fast; 0: at once."""
+        """Files play at ``speed`` times their own rate; 0: without pauses."""
         self._source, self._session, self._loop, self._speed = source, session, loop, speed
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="source", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Give no more frames."""
+        """Stop the thread."""
         self._stop.set()
 
     def _run(self) -> None:
@@ -129,7 +131,7 @@ class Feeder:
 
         now_s = time.time()
         time_s = now_s if frame.time_s is None else frame.time_s
-        waiting = Waiting((frame.content,), time_s, now_s, time.monotonic(), answer)
+        waiting = SessionInput((frame.content,), time_s, now_s, time.monotonic(), answer)
         self._loop.call_soon_threadsafe(self._session.replace, waiting)
         if not self._source.live:
             while not self._stop.is_set():
@@ -141,7 +143,7 @@ class Feeder:
 
 
 def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:
-    """Frames of a camera or a network stream; reconnects when it breaks off."""
+    """Frames of a camera or a network stream; opens it again after a failure."""
     device = _DEVICE.fullmatch(text)
     while not stop.is_set():
         with quiet_opencv():
@@ -151,14 +153,14 @@ def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | Rendez
             else:
                 capture = cv2.VideoCapture(text, cv2.CAP_FFMPEG)
         if not capture.isOpened():
-            yield RendezviewError(f"{_without_password(text)}: cannot be opened; tried again")
+            yield RendezviewError(f"{_without_password(text)}: cannot be opened; trying again")
             stop.wait(_RECONNECT_S)
             continue
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         while not stop.is_set():
             taken, image = capture.read()
             if not taken:
-                yield RendezviewError(f"{_without_password(text)}: broke off; opened again")
+                yield RendezviewError(f"{_without_password(text)}: broke off; opening it again")
                 break
             grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
             yield SourceFrame(None, grey.tobytes())

@@ -1,4 +1,4 @@
-"""WebSockets: frames in and states out; and states, contours and pictures for watchers."""
+"""WebSockets: one takes frames and sends states, one sends states and pictures to watchers."""
 
 from __future__ import annotations
 
@@ -19,24 +19,26 @@ from starlette.websockets import WebSocketDisconnect
 from rendezview.errors import RendezviewError
 from rendezview.io.files import parse_json
 from rendezview.service.answers import needs, sensor_name, service_of, session_of
+from rendezview.service.inputs import Answer, Full, SessionInput
 from rendezview.service.message_parts import MOST_TIME_S
 from rendezview.service.messages import Fault, WatchEnd
 from rendezview.service.security import SUBPROTOCOL, Right
-from rendezview.service.sessions import Answer, Full, Session, Waiting, Watcher
+from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
+from rendezview.service.watching import Watcher
 
 router = APIRouter(prefix="/v1/sessions")
 
 _TIME = struct.Struct("<d")
-_OUTBOX = 64  # answers that are not read yet; then no more frames are taken
+_OUTBOX = 64  # unread answers; with more, no frames are received. Source: a chosen limit
 _REFUSED, _GONE = 1008, 1001
 
 
 @router.websocket("/{name}/stream")
 async def stream(socket: WebSocket, name: str) -> None:
-    """Frames and sensors' lines in, states out.
+    """Receives frames and sensor lines, sends states.
 
-    While a frame is looked at the newest waits, others are dropped.
+    While a frame is tracked, the newest frame waits; older ones are dropped.
     """
     session = await _accepted(socket, name, Right.TRACK)
     if session is None:
@@ -79,7 +81,7 @@ async def stream(socket: WebSocket, name: str) -> None:
             if content is None:
                 _take_lines(session, service_of(socket).settings, message["text"], answer)
             elif len(content) <= _TIME.size:
-                answer(Answer(422, b"", "a frame is 8 bytes of time, and a picture"))
+                answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
             else:
                 _take(session, content, answer)
             await room.wait()
@@ -102,24 +104,26 @@ def _take(session: Session, content: bytes, answer: Answering) -> None:
     if not abs(time_s) <= MOST_TIME_S:
         answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
         return
-    picture = memoryview(content)[_TIME.size :]  # as it is: it is copied once, to the worker
-    session.replace(Waiting((picture,), time_s, now_s, time.monotonic(), answer))
+    picture = memoryview(content)[_TIME.size :]  # copied once, to the worker
+    session.replace(SessionInput((picture,), time_s, now_s, time.monotonic(), answer))
 
 
 def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
-    """``{"sensor": name, "record": {…}}``."""
+    """A text message ``{"sensor": name, "record": {…}}``."""
     most = min(settings.measurement_bytes, settings.frame_bytes)
     if len(text) > most:
-        answer(Answer(413, b"", f"too long: at most {most} bytes are taken here"))
+        answer(Answer(413, b"", f"the message is too long: send at most {most} bytes"))
         return
     try:
         message = parse_json(text, "the message")
         if not isinstance(message, dict) or set(message) != {"sensor", "record"}:
-            raise RendezviewError('a text message is {"sensor": name, "record": a line of its log}')
+            raise RendezviewError(
+                'a text message must be {"sensor": name, "record": a line of its log}'
+            )
         sensor = sensor_name(message["sensor"])
         content = json.dumps(message["record"]).encode()
         if len(content) > most:
-            raise HTTPException(413, f"too long: at most {most} bytes are taken here")
+            raise HTTPException(413, f"the message is too long: send at most {most} bytes")
     except RendezviewError as error:
         answer(Answer(422, b"", str(error)))
         return
@@ -128,9 +132,9 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
         return
     now_s = time.time()
     try:
-        session.measure(Waiting((content,), now_s, now_s, time.monotonic(), answer, sensor))
+        session.measure(SessionInput((content,), now_s, now_s, time.monotonic(), answer, sensor))
     except Full:
-        answer(Answer(429, b"", "too many lines wait, or come a second: come back later"))
+        answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
 
 
 @router.websocket("/{name}/watch")
@@ -143,13 +147,13 @@ async def watch(
     contour: bool = True,
     silhouette: bool = False,
 ) -> None:
-    """States out, the newest at most so often, and what belongs to them."""
+    """Sends the newest state, at most ``rate_hz`` times a second, with contours and pictures."""
     session = await _accepted(socket, name, Right.READ)
     if session is None:
         return
     service = service_of(socket)
     if service.watchers >= service.settings.watchers:
-        await socket.close(_REFUSED, "too many watch already")
+        await socket.close(_REFUSED, "there are too many watchers already")
         return
     watcher = Watcher(rate_hz, width if image else 0, contour, silhouette)
     session.watchers.add(watcher)
@@ -186,7 +190,7 @@ async def _show(socket: WebSocket, watcher: Watcher) -> None:
 
 
 async def _until_gone(socket: WebSocket) -> None:
-    """What a watcher says is not for us; that it goes is."""
+    """Ignore messages of a watcher until it disconnects."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass
 
@@ -197,7 +201,7 @@ async def _accepted(socket: WebSocket, name: str, right: Right) -> Session | Non
         needs(socket, right)
         session = session_of(socket, name)
     except HTTPException as error:
-        # Accepted first: a browser is told nothing of a refused handshake.
+        # Accept first: a browser gives its page no reason for a refused handshake.
         await socket.accept(SUBPROTOCOL if SUBPROTOCOL in offered else None)
         await socket.close(_REFUSED, str(error.detail)[:100])
         return None

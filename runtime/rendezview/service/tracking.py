@@ -1,4 +1,4 @@
-"""One session's tracker: frames to states. The worker runs it, and so does replay."""
+"""The tracker of one session: frames in, states out. The worker and replay run it."""
 
 from __future__ import annotations
 
@@ -13,20 +13,23 @@ from numba.core.event import install_recorder
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.results import json_value
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
-from rendezview.sensors.appearance.edges.refinement import Sky
-from rendezview.service import fusing
-from rendezview.service.fusing import SessionFilter
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
-from rendezview.service.messages import CameraMessage, Contour, Phase, SessionRequest
+from rendezview.service.messages import CameraMessage, Contour, Fit, Phase, SessionRequest
+from rendezview.service.session_filter import SessionFilter
+from rendezview.service.session_filter import warm_up as warm_up_filter
 
-# A `State` as it is written: nothing is validated, for it is our own and of every frame.
+# A `State` as a dict. It is not validated, because it is made here for every frame.
 StateDict = dict[str, Any]
 
-_OUTLINE_POINTS = 600  # of a silhouette that is shown
+# Keys of an observation's record that a state has as they are, in this order.
+_OBSERVED = ("status", "reason", "pose", "covariance", "confidence", "score")
+_OUTLINE_POINTS = 600  # of a silhouette that is drawn. Source: a chosen limit
 
 
 def camera_of(message: CameraMessage) -> Camera:
@@ -66,8 +69,11 @@ def pose_of(message: PoseMessage) -> Pose:
         raise RendezviewError(f"pose: {error}") from None
 
 
-class Follower:
-    """A tracker with the names and counters that its states carry."""
+class SessionTracker:
+    """A tracker with the session's filter, names and counters.
+
+    One thread uses it: the worker's, or that of replay.
+    """
 
     def __init__(
         self,
@@ -77,14 +83,14 @@ class Follower:
         most_sensors: int | None = None,
         forgotten: bool = False,
     ) -> None:
-        """A tracker as a session's request, camera included, asks for it.
+        """The tracker that a request describes; the request has a camera.
 
         Args:
             most_sensors: beside the camera; None: any number.
-            forgotten: its filter has ended with another process.
+            forgotten: the session had a filter whose process ended.
 
         Raises:
-            RendezviewError: camera, prior or direction to the Sun are impossible.
+            RendezviewError: the camera, the prior or the direction to the Sun is wrong.
         """
         if request.camera is None:
             raise RendezviewError("the session has no camera: give one")
@@ -103,18 +109,18 @@ class Follower:
         self._last_s = -math.inf
         self._last_pose_s: float | None = None
 
-    def look(
+    def track(
         self, image: GreyImage, time_s: float, received_unix_s: float
     ) -> tuple[StateDict, AppearanceObservation]:
-        """The state that a frame gives; ``latency_ms``, ``drops`` and ``recorded`` are to be set.
+        """The state of a frame; the caller sets ``latency_ms``, ``drops`` and ``recorded``.
 
         Raises:
-            RendezviewError: the time does not rise, or the image does not fit the camera. The
-                tracker is as it was.
+            RendezviewError: the time is not later than the last frame's, or the image does not
+                fit the camera. The tracker does not change then.
         """
         if not (abs(time_s) <= MOST_TIME_S and time_s > self._last_s):
             raise RendezviewError(
-                f"time_s: {time_s} is not later than the frame's before ({self._last_s}), or "
+                f"time_s: {time_s} is not later than that of the last frame ({self._last_s}), or "
                 "beyond 1e10: send frames in order of time"
             )
         start = time.perf_counter()
@@ -125,13 +131,13 @@ class Follower:
             self._last_pose_s = time_s
         state = self._state(observation, time_s, received_unix_s, track_ms)
         if self.filter.running:
-            state["fused"] = self.filter.look(time_s, observation.pose, observation.covariance)
+            state["fused"] = self.filter.track(observation)
         self._frames += 1
         return state, observation
 
     @property
     def frames(self) -> int:
-        """Looked at so far."""
+        """Number of frames tracked so far."""
         return self._frames
 
     @property
@@ -146,42 +152,29 @@ class Follower:
         received_unix_s: float,
         track_ms: float,
     ) -> StateDict:
-        pose, found, confidence = observation.pose, observation.found, observation.confidence
+        """The observation's record, and what only the session knows."""
+        record = json_value(observation.record())
+        pose = observation.pose
         rates = None if pose is None else self.tracker.rates
-        covariance = observation.covariance
+        fit = record["refinement"]
         return {
             "session": self.session,
             "frame": self._frames,
             "time_s": time_s,
             "received_unix_s": received_unix_s,
             "phase": self._phase(observation, time_s),
-            "status": str(observation.status),
-            "reason": observation.reason,
-            "pose": None if pose is None else pose.as_dict(),
-            "covariance": None if covariance is None else covariance.tolist(),
-            "confidence": confidence,
-            "score": observation.score if confidence is None else confidence,
+            **{name: record[name] for name in _OBSERVED},
             "range_m": None if pose is None else math.hypot(*pose.apply(self.model.centre_m)),
             "rates": None
             if rates is None
             else {"angular_rad_s": rates[0].tolist(), "linear_m_s": rates[1].tolist()},
-            "candidates": [p.as_dict() for p in observation.candidates],
-            "fit": None
-            if found is None
-            else {
-                "outline": found.best.outline,
-                "inner": found.best.inner,
-                "seen": found.best.visible,
-                "residual_px": found.best.residual_px,
-                "margin": found.margin,
-            },
+            "candidates": record["candidates"],
+            "fit": None if fit is None else {name: fit[name] for name in Fit.model_fields},
             "on_nodes": [
                 {"index": node, "weight": weight, "direction": self._nodes[node]}
-                for node, weight in zip(
-                    observation.active_nodes.tolist(), observation.weights.tolist(), strict=True
-                )
+                for node, weight in zip(record["on_nodes"], record["weights"], strict=True)
             ],
-            "stage_ms": dict(observation.stage_ms),
+            "stage_ms": record["stage_ms"],
             "track_ms": track_ms,
             "latency_ms": 0.0,
             "drops": 0,
@@ -198,15 +191,15 @@ class Follower:
 
 
 def warm_up(model: ViewModel) -> int:
-    """Have all loops compiled, or read from their cache, before the first frame counts.
+    """Compile all loops, or read them from their cache, before the first frame.
 
-    A blob before a noisy sky, black and bright, without a prior and near one, goes through all
-    of them, always in the same order: which copy of a shared loop a process uses depends on what
-    it has loaded first, and copies that were compiled apart may round differently. For the
-    same reason a process that had to compile should be started anew before its poses are kept.
+    A blob before a noisy sky, dark and bright, without and with a prior, runs all loops, always in
+    the same order. The order matters: it decides which compiled copy of a shared loop a process
+    uses, and copies that were compiled separately may round differently. For the same reason,
+    restart a process that had to compile before you record its poses.
 
     Returns:
-        how many loops were compiled, not read from the cache.
+        number of loops that were compiled rather than read from the cache.
     """
     camera = Camera.from_fov(320, 240, np.deg2rad(40.0))
     rng = np.random.default_rng(0)
@@ -223,12 +216,12 @@ def warm_up(model: ViewModel) -> int:
             if recognizer.search is not None:
                 recognizer.search.at(image, Sky.of(image), prior, np.pi)
         contour_at(model, camera, prior)
-        fusing.warm_up()
+        warm_up_filter()
     return len(recorder.buffer) // 2  # each has a start and an end
 
 
 def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
-    """The contour points of the view nearest to a pose, projected; None without any."""
+    """Contour points of the view nearest to a pose, projected; None if the model has none."""
     contours = model.contours
     if contours is None:
         return None
@@ -247,7 +240,7 @@ def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
 
 
 def silhouette_px(observation: AppearanceObservation) -> list[list[list[float]]] | None:
-    """The outlines that were found, thinned for drawing."""
+    """The outlines of the silhouette, thinned for drawing."""
     if observation.silhouette is None:
         return None
     outlines: tuple[npt.NDArray[np.float64], ...] = observation.silhouette.outlines_px

@@ -1,6 +1,6 @@
-"""What the service and its workers say to each other: a JSON header and some bytes behind it.
+"""Messages between the service and its workers: a JSON header and some bytes.
 
-The bytes of frames do not go this way but through memory that both have.
+Frames do not go this way but through shared memory.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def pack(header: Header, content: bytes = b"") -> bytes:
 
 
 class Unpacker:
-    """Messages from bytes that come in pieces."""
+    """Builds messages from bytes that arrive in pieces."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[tuple[Header, bytes]]:
-        """The messages that are complete now."""
+        """Add bytes; the messages that are now complete."""
         self._buffer += data
         found = []
         while len(self._buffer) >= _HEAD.size:
@@ -48,7 +48,7 @@ class Unpacker:
 
 
 def receive(connection: socket.socket) -> tuple[Header, bytes] | None:
-    """The next message, waited for; None when the other side is gone."""
+    """Wait for the next message; None if the other side is gone."""
     head = _exactly(connection, _HEAD.size)
     if head is None:
         return None
@@ -74,7 +74,7 @@ def _exactly(connection: socket.socket, count: int) -> bytes | None:
 
 
 def shared_memory(size: int) -> int:
-    """A file descriptor of memory without a name, to be mapped by two processes."""
+    """A file descriptor of unnamed memory that two processes can map."""
     if hasattr(os, "memfd_create"):
         descriptor = os.memfd_create("rendezview")
     else:  # macOS
@@ -85,5 +85,5 @@ def shared_memory(size: int) -> int:
 
 
 def mapped(descriptor: int, size: int) -> mmap.mmap:
-    """That memory."""
+    """Map shared memory."""
     return mmap.mmap(descriptor, size)

@@ -1,8 +1,8 @@
-"""A process that tracks: ``python -m rendezview.service.worker``, started by the service.
+"""The worker process: ``python -m rendezview.service.worker``, started by the service.
 
-It holds the trackers and logs of some sessions and looks at one frame at a time. A crash in
-here, of a decoder say, ends some sessions' trackers but not the service. When the service goes
-away, the logs are completed and the process ends.
+It holds the trackers and logs of some sessions and handles one input at a time. A crash here (of an
+image decoder, for example) ends these trackers, but not the service. When the service ends, the
+worker completes its logs and ends too.
 """
 
 from __future__ import annotations
@@ -31,35 +31,41 @@ from rendezview.errors import RendezviewError
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.service.frames import read_frame
-from rendezview.service.logs import set_up_logging
+from rendezview.service.json_logging import set_up_logging
 from rendezview.service.messages import Contour, SessionRequest
 from rendezview.service.recording import LogWriter, RecordingOptions
-from rendezview.service.tracking import Follower, StateDict, contour_at, silhouette_px, warm_up
+from rendezview.service.tracking import (
+    SessionTracker,
+    StateDict,
+    contour_at,
+    silhouette_px,
+    warm_up,
+)
 from rendezview.service.wire import Header, mapped, pack, receive
 
-JPEG_QUALITY = 80
-_TOLD = ("session", "frame", "time_s", "status", "phase", "track_ms")
+JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
+_HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview.service.worker")
 
 
 @dataclass(slots=True)
-class _Session:
-    follower: Follower
+class _WorkerSession:
+    tracker: SessionTracker
     log: LogWriter | None
 
 
-class Worker:
+class WorkerProcess:
     """Answers the service's requests."""
 
     def __init__(self, connection: socket.socket, memory: Any) -> None:
         self._connection = connection
         self._memory = memoryview(memory)
         self._models: dict[str, ViewModel] = {}
-        self._sessions: dict[str, _Session] = {}
-        self._compiled = 0  # loops; see `warm_up`
+        self._sessions: dict[str, _WorkerSession] = {}
+        self._compiled = 0  # number of loops; see `warm_up`
 
     def run(self) -> None:
-        """Until the service goes away or says so."""
+        """Answer until the service ends or asks to quit."""
         gc.freeze()
         self._send({"kind": "ready"})
         try:
@@ -91,14 +97,14 @@ class Worker:
         except RendezviewError as error:
             self._send(_fault(request, str(error)))
         except Exception:
-            # One frame's misfortune must not take the other sessions of this process along.
+            # An error in one frame must not end the other sessions of this process.
             log.exception("a request failed")
-            told = "this met an error of the service itself; its log says which"
-            self._send(_fault(request, told) | {"internal": True})
+            message = "the service has an internal error: see its log"
+            self._send(_fault(request, message) | {"internal": True})
         return True
 
     def _model(self, path: Path) -> ViewModel:
-        """A model, read once, and all that it needs compiled."""
+        """A model, read once, with its loops compiled."""
         key = str(path)
         if key not in self._models:
             self._models[key] = ViewModel.load(path)
@@ -109,7 +115,7 @@ class Worker:
         asked = SessionRequest.model_validate(request["request"])
         path = Path(request["model_path"])
         model = self._model(path)
-        follower = Follower(
+        tracker = SessionTracker(
             request["session"], model, asked, request["sensors"], request["forgotten"]
         )
         writer = None
@@ -119,18 +125,18 @@ class Worker:
             notes = session_notes(request["session"], asked, model.name, path)
             notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
-            writer = LogWriter(place, follower.camera, notes, content, options)
-        self._sessions[request["session"]] = _Session(follower, writer)
+            writer = LogWriter(place, tracker.camera, notes, content, options)
+        self._sessions[request["session"]] = _WorkerSession(tracker, writer)
         written = None if writer is None else str(writer.path)
         return {"recording": _recording(writer), "log_path": written}
 
     def _frame(self, request: Header) -> None:
         session = self._sessions[request["session"]]
-        follower = session.follower
+        tracker = session.tracker
         content = self._memory[: request["length"]]
-        image = read_frame(content, follower.camera)
+        image = read_frame(content, tracker.camera)
         time_s = request["time_s"]
-        state, observation = follower.look(image, time_s, request["received_unix_s"])
+        state, observation = tracker.track(image, time_s, request["received_unix_s"])
         state["frame"] += request["first_frame"]
         state["drops"] = request["drops"]
         state["recorded"] = session.log is not None
@@ -142,38 +148,38 @@ class Worker:
         more = request["extras"]
         answer: Header = {
             "kind": "state",
-            **{name: state[name] for name in _TOLD},
+            **{name: state[name] for name in _HEADER_KEYS},
             "done": not more,
         }
-        if follower.filter.running:
-            answer["sensors"] = follower.filter.health()
+        if tracker.filter.running:
+            answer["sensors"] = tracker.filter.health()
         if session.log is not None:
             answer["recording"] = _recording(session.log)
             answer["log_path"] = str(session.log.path)
         self._send(answer, text)
         if more:
-            self._extras(more, follower, image, state["frame"], observation)
+            self._extras(more, tracker, image, state["frame"], observation)
 
     def _measure(self, request: Header) -> None:
-        """Lines of another sensor: all checked, then taken one by one, logged, answered."""
+        """Lines of another sensor: all are checked, then each is taken; then they are logged."""
         session = self._sessions[request["session"]]
-        follower, sensor = session.follower, request["sensor"]
+        tracker, sensor = session.tracker, request["sensor"]
         text = bytes(self._memory[: request["length"]])
-        lines = follower.filter.check(
-            sensor, text, follower.last_s, request["waited_s"], request["most_lines"]
+        lines = tracker.filter.check(
+            sensor, text, tracker.last_s, request["waited_s"], request["most_lines"]
         )
         logged, verdicts, marks = [], [], None
         fused: StateDict | None = None
         for line in lines:
-            order = follower.filter.lines
-            verdict, fused = follower.filter.take(sensor, line)
+            order = tracker.filter.lines
+            verdict, fused = tracker.filter.take(sensor, line)
             verdicts.append(verdict)
             marks = line.marks or marks
             logged.append(
                 {
-                    "session": follower.session,
+                    "session": tracker.session,
                     "order": order,
-                    "frame": request["first_frame"] + follower.frames,
+                    "frame": request["first_frame"] + tracker.frames,
                     "sensor": sensor,
                     "received_unix_s": request["received_unix_s"],
                     "record": line.record,
@@ -181,9 +187,9 @@ class Worker:
                     "fused": fused,
                 }
             )
-        told = {
+        answer_body = {
             "type": "measured",
-            "session": follower.session,
+            "session": tracker.session,
             "sensor": sensor,
             "verdicts": verdicts,
             "fused": fused,
@@ -191,35 +197,35 @@ class Worker:
         }
         answer: Header = {
             "kind": "measured",
-            "session": follower.session,
+            "session": tracker.session,
             "accepted": sum(v is not None and v["accepted"] for v in verdicts),
             "lines": len(lines),
-            "sensors": follower.filter.health(),
+            "sensors": tracker.filter.health(),
             "marks": marks,
             "done": True,
         }
         if session.log is not None:
             answer["recording"] = _recording(session.log)
             answer["log_path"] = str(session.log.path)
-        self._send(answer, to_json(told, inf_nan_mode="null"))
+        self._send(answer, to_json(answer_body, inf_nan_mode="null"))
 
     def _extras(
         self,
         more: Header,
-        follower: Follower,
+        tracker: SessionTracker,
         image: GreyImage,
         frame: int,
         observation: AppearanceObservation,
     ) -> None:
-        """What watchers asked for; the frame's sender has been answered already."""
+        """What watchers asked for. The sender of the frame already has its answer."""
         contour: Contour | None = None
         if more["contour"] and observation.pose is not None:
-            contour = contour_at(follower.model, follower.camera, observation.pose)
+            contour = contour_at(tracker.model, tracker.camera, observation.pose)
         outlines = silhouette_px(observation) if more["silhouette"] else None
         picture = jpeg(image, more["width"]) if more["width"] else b""
         header: Header = {
             "kind": "extras",
-            "session": follower.session,
+            "session": tracker.session,
             "frame": frame,
             "contour": None if contour is None else contour.model_dump(),
             "silhouette_px": outlines,
@@ -236,14 +242,16 @@ class Worker:
         self._send({"kind": "closed", "session": request["session"], "recording": recording})
 
     def _send(self, header: Header, content: bytes = b"") -> None:
-        with contextlib.suppress(ConnectionError):  # gone: the next `receive` says so
+        with contextlib.suppress(
+            ConnectionError
+        ):  # the next `receive` sees that the service is gone
             self._connection.sendall(pack(header, content))
 
 
 def session_notes(
     session: str, request: SessionRequest, model_name: str, model_path: Path
 ) -> dict[str, str]:
-    """What a log says of its session, for replay."""
+    """The metadata of a session in its log, for replay."""
     return {
         "session": session,
         "request": request.model_dump_json(),
@@ -258,7 +266,7 @@ def session_notes(
 
 
 def jpeg(image: GreyImage, width: int) -> bytes:
-    """A frame for looking at, at most so wide."""
+    """A frame as JPEG for display, at most ``width`` pixels wide."""
     shown = image
     if image.shape[1] > width:
         height = max(1, round(image.shape[0] * width / image.shape[1]))
@@ -282,14 +290,14 @@ def _recording(writer: LogWriter | None) -> Header | None:
 
 
 def main() -> None:
-    """Started with the descriptors of the connection and of the memory, and its size."""
-    # Signals to the whole group are the service's: it tells us when to end. Should it be gone,
-    # so is the connection.
+    """Arguments: descriptors of the connection and of the shared memory, and its size."""
+    # Signals to the process group are for the service: it asks its workers to quit, and if it is
+    # gone, the connection is closed.
     for sent in (signal.SIGINT, signal.SIGTERM):
         signal.signal(sent, signal.SIG_IGN)
-    cv2.setNumThreads(1)  # one core a worker
+    cv2.setNumThreads(1)  # one core per worker
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    # Decoders write to the standard error as they like; the log of the service is JSON lines.
+    # Image decoders write to standard error; the log of the service must be JSON lines only.
     sys.stderr = os.fdopen(os.dup(2), "w", buffering=1)
     faulthandler.enable(sys.stderr)
     quiet = os.open(os.devnull, os.O_WRONLY)
@@ -297,7 +305,7 @@ def main() -> None:
     os.close(quiet)
     set_up_logging("info")
     connection, memory, size = (int(argument) for argument in sys.argv[1:4])
-    Worker(socket.socket(fileno=connection), mapped(memory, size)).run()
+    WorkerProcess(socket.socket(fileno=connection), mapped(memory, size)).run()
 
 
 if __name__ == "__main__":

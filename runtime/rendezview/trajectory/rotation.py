@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from rendezview.trajectory.shapes import turn_matrix
+from rendezview.geometry import so3
 
 _STEP_RAD = 0.1  # of turn, at most, between two evaluations: an error below 1e-7 rad a turn
 
@@ -48,7 +48,7 @@ def _advance(moments, rotation, rate, span, vector, turned):  # type: ignore[no-
         vector[0] = 0.5 * h * (p + x) + f * (p1 - a * y * z) + f * (q * z - r * y)
         vector[1] = 0.5 * h * (q + y) + f * (q1 - b * z * x) + f * (r * x - p * z)
         vector[2] = 0.5 * h * (r + z) + f * (r1 - c * x * y) + f * (p * y - q * x)
-        turn_matrix(vector, turned)
+        so3.exp_into(vector, turned)
         for i in range(3):
             u, v, w = rotation[i, 0], rotation[i, 1], rotation[i, 2]
             for j in range(3):

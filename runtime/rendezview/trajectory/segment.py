@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.cloud import PointCloud
 from rendezview.trajectory.nothing import Nothing
@@ -20,7 +21,6 @@ from rendezview.trajectory.shapes import (
     code_of,
     frame_of,
     places,
-    turn_matrix,
 )
 from rendezview.trajectory.simplex import (
     RESIDUALS,
@@ -110,9 +110,7 @@ class Segment:
     @property
     def frame(self) -> Array:
         """(3, 3) of circular and spiral: columns towards the middle's place, ahead, normal."""
-        turned = np.empty((3, 3))
-        turn_matrix(self.parameters[:3], turned)
-        return self.base @ turned
+        return np.asarray(self.base @ so3.exp(self.parameters[:3]))
 
     @property
     def rate_rad_s(self) -> float | None:
@@ -367,8 +365,7 @@ def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
 
 def _turned_over(fit: _Fit, parameters: Array, covariance: Array) -> tuple[_Fit, Array, Array]:
     """The same circle with its normal on the other side, so that the rate is positive."""
-    turned = np.empty((3, 3))
-    turn_matrix(parameters[:3], turned)
+    turned = so3.exp(parameters[:3])
     over = np.diag([1.0, -1.0, -1.0])  # half a turn about the place of the middle
     times, base, *rest = fit.data
     change = np.eye(len(parameters))

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.relative_orbit import response
 
@@ -55,35 +56,6 @@ def code_of(shape: Shape) -> int:
 
 
 @njit(cache=True, nogil=True)
-def turn_matrix(vector, out):  # type: ignore[no-untyped-def]
-    """Fill (3, 3) with the rotation of a rotation vector (3,): Rodrigues' formula."""
-    x, y, z = vector[0], vector[1], vector[2]
-    squared = x * x + y * y + z * z
-    angle = math.sqrt(squared)
-    if angle > 1e-6:
-        a = math.sin(angle) / angle
-        half = math.sin(0.5 * angle) / angle
-        b = 2.0 * half * half
-    else:
-        a, b = 1.0 - squared / 6.0, 0.5 - squared / 24.0
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - b * (y * y + z * z),
-        b * x * y - a * z,
-        b * x * z + a * y,
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        b * x * y + a * z,
-        1.0 - b * (x * x + z * z),
-        b * y * z - a * x,
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        b * x * z - a * y,
-        b * y * z + a * x,
-        1.0 - b * (x * x + y * y),
-    )
-
-
-@njit(cache=True, nogil=True)
 def places(code, parameters, times, base, constants, out):  # type: ignore[no-untyped-def]
     """Fill (N, 3) with the places at times (N,) from the middle of the segment.
 
@@ -94,8 +66,7 @@ def places(code, parameters, times, base, constants, out):  # type: ignore[no-un
     frame = np.empty((3, 3))
     rr, rv, pushed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     if code <= SPIRAL:
-        turned = np.empty((3, 3))
-        turn_matrix(p[:3], turned)
+        turned = so3.exp(p[:3])
         for i in range(3):
             for j in range(2):
                 frame[i, j] = (

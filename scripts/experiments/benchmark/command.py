@@ -1,20 +1,7 @@
-"""Everything the README claims, beside its peers and floors, in one run: docs/benchmark.md.
-
-    python -m experiments benchmark [--model hubble.rvm] [--peer-python PYTHON] [--figure FILE.png]
-    python -m experiments benchmark --short --check benchmark.json    # 1 where one is 1.5 × worse
-    python -m experiments benchmark --short --write benchmark.json
-    python -m experiments benchmark --long [FOLDER]    # print the long campaigns, or run them
-
-Ours and its peers are timed in turns, in processor time; each figure is the least of the medians of
-15 turns. Less is better everywhere, and the ratio is ours over the peer's. The short form has a
-small model of its own, trained once into --cache. EdgeDrawing and linemod are in opencv-contrib,
-which cannot stand beside opencv: --peer-python names an interpreter that has it. ViSP is C++: its
-rows want ``apt install g++ pkg-config libvisp-mbt-dev``.
-"""
+"""Everything the README claims, beside its peers and floors, in one run."""
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import importlib.util
 import os
@@ -24,22 +11,24 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated
 
 import cv2
-from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from experiments.benchmark.check import ALLOWED, Row, best, worse, write
+from experiments.benchmark.check import ALLOWED, Row, best, worse
+from experiments.benchmark.check import write as write_rows
 from experiments.benchmark.rows import Bench, groups
 from experiments.flight_code.driver import compiler
-from experiments.frame import ROOT
+from experiments.frame import ROOT, PeerPython, mesh_of, show
 from experiments.peers import visp as visp_driver
 from rendezview.training.bundled import find_target
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
+CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendezview-benchmark"
 AGAIN = 4  # passes at most
 SMALL = TrainingOptions(
     order=2,
@@ -49,7 +38,7 @@ SMALL = TrainingOptions(
     contour_points=120,
     contour_radii=(1.0,),
     contour_resolution_px=400,
-    lit_views=False,
+    shadowed_silhouettes=False,
 )
 LONG = (  # claim, command; {folder}: where the campaign writes and reads
     ("default models of four targets", "rendezview train hubble -o {folder}/hubble.rvm"),
@@ -123,18 +112,19 @@ def absent(peer_python: Path | None, short: bool) -> Iterator[str]:
         yield f"ViSP: {visp_driver.missing()}"
 
 
-def show(rows: list[Row]) -> None:
+def show_rows(rows: list[Row]) -> None:
+    """Print the comparisons."""
+    columns = ("what", "ours", "beside", "peer or floor", "ratio", "at length")
     table = Table(title="less is better; ratio = ours / beside")
-    for name in ("what", "ours", "beside", "peer or floor", "ratio", "at length"):
-        numbers = name in ("ours", "beside", "ratio")
-        table.add_column(name, justify="right" if numbers else "left")
+    for name in columns:
+        table.add_column(name, justify="right" if name in ("ours", "beside", "ratio") else "left")
     for row in rows:
         mine, peer, unit = row.told()
         table.add_row(
             row.name, f"{mine:.3g} {unit}", f"{peer:.3g} {unit}", row.beside,
             f"{row.ratio:.3g}", row.command,
         )  # fmt: skip
-    Console(width=170).print(table)
+    show(table, width=170)
 
 
 def draw(rows: list[Row], path: Path) -> None:
@@ -216,52 +206,51 @@ def measured(
     return list(rows.values()), wrong
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--short", action="store_true", help="small model, less than a minute")
-    parser.add_argument("--check", type=Path, help="1 where a ratio is worse than 1.5 × the kept")
-    parser.add_argument("--write", type=Path, help="keep the ratios in a file")
-    parser.add_argument("--figure", type=Path, help="PNG of the ratios")
-    parser.add_argument("--long", nargs="?", const="", metavar="FOLDER",
-                        help="print the long campaigns, or run them in a folder")  # fmt: skip
-    parser.add_argument("--model", type=Path, help="default model of hubble; else it is trained")
-    parser.add_argument("--peer-python", type=Path, help="an interpreter with opencv-contrib")
-    parser.add_argument("--seed", type=int, default=77)
-    home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    parser.add_argument("--cache", type=Path, default=home / "rendezview-benchmark")
-    arguments = parser.parse_args()
-    if arguments.long is not None:
-        folder = str(Path(arguments.long).resolve()) if arguments.long else ""
-        sys.exit(1 if campaigns(folder) else 0)
+def run(
+    *, short: Annotated[bool, "small model, less than a minute"] = False,
+    check: Annotated[Path | None, "exit 1 where a ratio is over 1.5 × the kept one"] = None,
+    write: Annotated[Path | None, "keep the ratios in a file"] = None,
+    figure: Annotated[Path | None, "PNG of the ratios"] = None,
+    long: Annotated[
+        str | None, "print the long campaigns, or run them in a folder", {"nargs": "?", "const": ""}
+    ] = None,
+    model: Annotated[Path | None, "default model of hubble; else it is trained"] = None,
+    peer_python: PeerPython = None, seed: int = 77, cache: Path = CACHE,
+) -> None:  # fmt: skip
+    """Everything the README claims, beside its peers and floors.
+
+    Ours and the peers are timed in turns, in processor time; each figure is the least of the
+    medians of 15 turns. Less is better everywhere; the ratio is ours over the peer's. --short
+    trains a small model of its own once, into --cache. linemod and EdgeDrawing need --peer-python,
+    ViSP needs a C++ compiler and ``apt install g++ pkg-config libvisp-mbt-dev``.
+    """
+    if long is not None:
+        sys.exit(1 if campaigns(str(Path(long).resolve()) if long else "") else 0)
     start = time.perf_counter()
     cv2.setNumThreads(1)
-    found = find_target("hubble")
-    mesh = load_mesh(found.mesh_path, found.unit)
-    if arguments.short:
-        path, peers = small_model(arguments.cache), None
+    name, mesh = mesh_of("hubble")
+    if short:
+        path, peers = small_model(cache), None
     else:
-        path, peers = arguments.model or arguments.cache / "hubble.rvm", arguments.peer_python
+        path, peers = model or cache / "hubble.rvm", peer_python
         if not path.exists():
-            arguments.cache.mkdir(parents=True, exist_ok=True)
-            train(mesh, path, name="hubble")
+            cache.mkdir(parents=True, exist_ok=True)
+            train(mesh, path, name=name)
+    frames, problems, seconds = (3, 200, 0.6) if short else (6, 1000, 1.5)
     with threadpool_limits(1):
-        if arguments.short:
-            bench = Bench(mesh, path, 3, 200, 0.6, arguments.seed, peers)
-        else:
-            bench = Bench(mesh, path, 6, 1000, 1.5, arguments.seed, peers)
-        passes = 3 if arguments.write else 1
-        rows, wrong = measured(bench, passes, arguments.check, arguments.short)
-    show(rows)
-    for line in absent(peers, arguments.short):
+        bench = Bench(mesh, path, frames, problems, seconds, seed, peers)
+        rows, wrong = measured(bench, 3 if write else 1, check, short)
+    show_rows(rows)
+    for line in absent(peers, short):
         print(f"absent: {line}")
-    print(f"seed {arguments.seed}; model {path.stat().st_size / 1e6:.1f} MB; "
-          f"{time.perf_counter() - start:.0f} s")  # fmt: skip
-    if arguments.figure:
-        draw(rows, arguments.figure)
-    if arguments.write:
-        write(rows, arguments.write)
-    if arguments.check:
+    size, spent = path.stat().st_size / 1e6, time.perf_counter() - start
+    print(f"seed {seed}; model {size:.1f} MB; {spent:.0f} s")
+    if figure:
+        draw(rows, figure)
+    if write:
+        write_rows(rows, write)
+    if check:
         for line in wrong.values():
             print(line, file=sys.stderr)
-        print(f"{len(rows)} ratios, {len(wrong)} not within {ALLOWED} × {arguments.check}")
+        print(f"{len(rows)} ratios, {len(wrong)} not within {ALLOWED} × {check}")
         sys.exit(1 if wrong else 0)

@@ -20,13 +20,14 @@ from experiments.flight_code.check import LIMIT_BYTES, perturbed
 from experiments.flight_code.driver import FlightCode, build, compiler, object_bytes
 from experiments.frame import MODELS_CAD
 from experiments.fusion import speed as fusion_speed
-from experiments.peers import linemod as recognition_peers
+from experiments.peers import opencv_contrib
 from experiments.peers import visp as visp_driver
 from experiments.pose import speed as pose_speed
 from experiments.pose import visp_tracking
 from experiments.recognition import speed as recognition_speed
 from experiments.reflectors import solvers as reflector_solvers
 from experiments.reflectors import speed as reflector_speed
+from experiments.reflectors.run import CAMERA
 from experiments.ring import speed as ring_speed
 from experiments.stereo import speed as stereo_speed
 from experiments.timing import Way, race
@@ -73,7 +74,7 @@ def poses(bench: Bench) -> Iterator[Row]:
     full, fast = pose_speed.recognizers(bench.model)
     table: dict[str, list[float]] = {}
     errors: dict[str, list[float]] = {"with a prior": [], "first pose": [], pose_speed.NEAREST: []}
-    for frame, prior, truth in pose_speed.frames(bench.mesh, full.camera, bench.frames, bench.seed):
+    for frame, prior, truth in pose_speed.scene(bench.mesh, full.camera, bench.frames, bench.seed):
 
         def degrees_off(pose: Pose | None, truth: Pose = truth) -> float:
             if pose is None:
@@ -146,13 +147,11 @@ def nodes(bench: Bench) -> Iterator[Row]:
     )
     yield from times(command, spent, {trees: ("scikit-learn, a call a tree",)})
     if bench.peer_python is not None:
-        peer = recognition_peers.linemod_ms(bench.peer_python, frames)
-        if peer is None:
-            return
+        peer = opencv_contrib.linemod_ms(bench.peer_python, frames)
         ours = race({pose: Way(lambda: recognizer.recognize(frames[0], priors[0]))}, bench.seconds)
         for templates, ms in peer.items():
             name = f"linemod, templates: {templates}"
-            yield Row(pose, ours[pose], name, 1e-3 * ms, "s", "recognition-peers")
+            yield Row(pose, ours[pose], name, 1e-3 * ms, "s", "recognition-speed")
 
 
 def flight_code(bench: Bench) -> Iterator[Row]:
@@ -174,8 +173,7 @@ def flight_code(bench: Bench) -> Iterator[Row]:
             spent = bench.race(
                 {
                     "all trees in C": Way(
-                        lambda: 1e-9 * float(np.median(code.trees_ns(stacked, few))),
-                        own_clock=True,
+                        lambda: 1e-9 * float(np.median(code.trees_ns(stacked, few))), own_clock=True
                     ),
                     "the runtime's loop": Way(
                         lambda: [
@@ -196,7 +194,7 @@ def reflectors(bench: Bench) -> Iterator[Row]:
     """A reading of the reflectors beside what OpenCV needs for three centroids."""
     rng = np.random.default_rng(41)
     pattern = patterns_of(Target.load(MODELS / "client"), ("far",))[0]
-    acquirer = Acquirer(reflector_speed.CAMERA, [pattern])
+    acquirer = Acquirer(CAMERA, [pattern])
     pairs = reflector_speed.pairs_at(rng, pattern, 6.0)
     first = pairs[0]
     floor = "difference, threshold, contours, moments"
@@ -257,9 +255,9 @@ def rings(bench: Bench) -> Iterator[Row]:
         )
         yield from times("ring-speed", spent, {ours: (floor,)})
         if bench.peer_python is not None:
-            theirs = ring_speed.peers(bench.peer_python, frames, 15)
+            theirs = opencv_contrib.ellipse_ms(bench.peer_python, frames, 15)
             best, _ = ring_speed.ours(camera, frames, 30)
-            for name, values in ring_speed.peers(bench.peer_python, frames, 15).items():
+            for name, values in opencv_contrib.ellipse_ms(bench.peer_python, frames, 15).items():
                 peer_ms = float(np.mean(np.minimum(theirs[name], values)))
                 ours_ms = float(np.mean(best))
                 yield Row(ours, 1e-3 * ours_ms, name, 1e-3 * peer_ms, "s", "ring-speed")

@@ -1,29 +1,14 @@
-"""Exported flight code beside the runtime, on the same frames and signatures: are they identical?
-
-    rendezview train hubble -o hubble.rvm
-    python -m experiments export-c-check hubble.rvm models_cad/hubble --seed 77
-
-Frames are drawn at random poses, 1-3 sphere radii away, with hard shadows, blur and noise of 3
-grey levels, the Sun within 60° of behind the camera. Each goes from grey picture to signature in
-C and in Python. Each signature that comes of it, and nine perturbed ones (readings off by up to
-10 %, some of them cut off), is asked of all trees, each at its own roll, and of both searches, at
-and around an attitude that is up to 20° off. Whatever Python says, C must say too: outlines,
-readings and trust to the last bit.
-
-Then sizes of the object files and the time of all trees: every signature once in a round, nine
-rounds, each signature's fastest; the median and the worst of them. The runtime's own compiled
-loop answers the same questions beside it. With ``--onnx`` the trees are asked as an ONNX graph too.
-"""
+"""Exported flight code beside the runtime, on the same frames and signatures."""
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -105,44 +90,56 @@ def perturbed(readings: Readings, rng: np.random.Generator) -> Readings:
     return np.rint(np.maximum(out, 0.0)).astype(np.float32)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("target", type=Path, help="of which the model is: folder or target.toml")
-    parser.add_argument("--signatures", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=77)
-    parser.add_argument("--optimise", default="-O2", help="flag of the C compiler")
-    parser.add_argument(
-        "--onnx", action="store_true", help="the ONNX graph too (needs onnxruntime)"
-    )
-    arguments = parser.parse_args()
+def run(
+    model: Path, target: Annotated[Path, "of which the model is: folder or target.toml"], *,
+    signatures: int = 10000, seed: int = 77,
+    optimise: Annotated[str, "flag of the C compiler"] = "-O2",
+    onnx: Annotated[bool, "the ONNX graph too (needs onnxruntime)"] = False,
+) -> None:  # fmt: skip
+    """Exported flight code beside the runtime, on the same frames and signatures: are they
+    identical?
+
+        rendezview train hubble -o hubble.rvm
+
+    Frames are drawn at random poses, 1-3 sphere radii away, with hard shadows, blur and noise of
+    3 grey levels, the Sun within 60° of behind the camera. Each goes from grey picture to
+    signature in C and in Python. Each signature that comes of it, and nine perturbed ones
+    (readings off by up to 10 %, some of them cut off), is asked of all trees, each at its own
+    roll, and of both searches, at and around an attitude that is up to 20° off. Whatever Python
+    says, C must say too: outlines, readings and trust to the last bit.
+
+    Then sizes of the object files and the time of all trees: every signature once in a round,
+    nine rounds, each signature's fastest; the median and the worst of them. The runtime's own
+    compiled loop answers the same questions beside it. With ``--onnx`` the trees are asked as an
+    ONNX graph too.
+    """
     cc = compiler()
     if cc is None:
         sys.exit("no C compiler here")
     version = subprocess.run([cc, "--version"], capture_output=True, text=True, check=True)
-    print(f"seed {arguments.seed}; {version.stdout.splitlines()[0]} {arguments.optimise}")
-    model = ViewModel.load(arguments.model)
-    matcher, options = Matcher(model), MatchOptions()
-    target = Target.load(arguments.target)
-    mesh = load_mesh(target.mesh_path, target.unit)
+    print(f"seed {seed}; {version.stdout.splitlines()[0]} {optimise}")
+    view_model = ViewModel.load(model)
+    matcher, options = Matcher(view_model), MatchOptions()
+    craft = Target.load(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
     camera = flight_camera(mesh)
-    rng = np.random.default_rng([arguments.seed, 9])
-    nodes = np.arange(len(model.forest))
-    rotations = model.views.centred_from_target[: len(nodes)]
-    reach_rad = (options.margin_edges + 2.0) * model.geodesic.mean_edge_rad
+    rng = np.random.default_rng([seed, 9])
+    nodes = np.arange(len(view_model.forest))
+    rotations = view_model.views.centred_from_target[: len(nodes)]
+    reach_rad = (options.margin_edges + 2.0) * view_model.geodesic.mean_edge_rad
     tally: Counter[str] = Counter()
     readings, attitudes, rolls, trusts = [], [], [], []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        sizes = object_bytes(model, folder)
-        with FlightCode(build(model, folder, [arguments.optimise]), model) as code:
-            while len(readings) < arguments.signatures:
-                _, pose = random_pose(model, camera, rng)
-                image = frame_of(mesh, model, camera, pose, (0.0, 60.0), rng)
-                signature = compare_frame(code, image, camera, model, tally)
+        sizes = object_bytes(view_model, folder)
+        with FlightCode(build(view_model, folder, [optimise]), view_model) as code:
+            while len(readings) < signatures:
+                _, pose = random_pose(view_model, camera, rng)
+                image = frame_of(mesh, view_model, camera, pose, (0.0, 60.0), rng)
+                signature = compare_frame(code, image, camera, view_model, tally)
                 if signature is None:
                     continue
-                for k in range(min(1 + PERTURBED, arguments.signatures - len(readings))):
+                for k in range(min(1 + PERTURBED, signatures - len(readings))):
                     view = perturbed(signature.readings, rng) if k else signature.readings
                     axis = rng.normal(size=3)
                     turn = np.deg2rad(PRIOR_DEG) * rng.uniform() * axis / np.linalg.norm(axis)
@@ -152,7 +149,7 @@ def main() -> None:
                         @ pose.rotation
                     )
                     roll = twist(attitude, rotations)
-                    trust = matcher.trust_of(model.forest.leaves(view, nodes, roll))
+                    trust = matcher.trust_of(view_model.forest.leaves(view, nodes, roll))
                     c = code.trees(view, roll)
                     tally["all trees identical"] += isinstance(c, np.ndarray) and np.array_equal(
                         c, trust
@@ -179,9 +176,9 @@ def main() -> None:
         for _ in range(3):
             for k, (view, roll) in enumerate(zip(readings, rolls, strict=True)):
                 before = time.perf_counter()
-                model.forest.leaves(view, nodes, roll)
+                view_model.forest.leaves(view, nodes, roll)
                 python_us[k] = min(python_us[k], 1e6 * (time.perf_counter() - before))
-        onnx_same = ask_onnx(model, folder, readings, rolls, trusts) if arguments.onnx else None
+        onnx_same = ask_onnx(view_model, folder, readings, rolls, trusts) if onnx else None
     total, size = len(readings), sum(sizes.values())
     frames = tally["frames"]
     print(f"frame to signature   identical {tally['frames identical']} of {frames} "

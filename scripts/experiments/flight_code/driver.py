@@ -1,4 +1,4 @@
-"""Compiles exported flight code and asks it questions through ``flight_code_driver.c``."""
+"""Compiles exported flight code and asks it questions through ``driver.c``."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import struct
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
 
+from experiments.peers.pipe import Array, Pipe
 from rendezview.flight_code import write_c
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
@@ -19,7 +19,6 @@ from rendezview.sensors.appearance.outline.signature import Readings, Signature
 from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.sensors.observation import Status
 
-Array = npt.NDArray[np.float64]
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
 MORE_WARNINGS = ["-Wconversion", "-Wshadow", "-Wdouble-promotion", "-Wcast-qual", "-Wvla"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
@@ -96,32 +95,17 @@ class Outline:
     box_px: tuple[int, int, int, int]
 
 
-class FlightCode:
+class FlightCode(Pipe):
     """A running driver; ends with the block."""
 
     def __init__(self, program: Path, model: ViewModel) -> None:
+        super().__init__([str(program)])
         self.bins, self.node_count = model.bins, len(model.forest)
-        self._process = subprocess.Popen(
-            [program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-        )
-
-    def __enter__(self) -> FlightCode:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        said = self._process.communicate()[1]
-        if error is None:
-            assert self._process.returncode == 0, (self._process.returncode, said.decode())
 
     def trees(self, readings: npt.ArrayLike, rolls_rad: npt.ArrayLike) -> Array | Status | str:
         """Trust of every node, 0 where it is off."""
-        self._ask(b"T", _f32(readings), _f64(rolls_rad))
-        status, trust = self._status(), self._take("d", self.node_count)
+        self.send(b"T", _f32(readings), _f64(rolls_rad))
+        status, trust = self._status(), self.take("d", self.node_count)
         return trust if status is Status.OK else status
 
     def search(
@@ -139,21 +123,21 @@ class FlightCode:
     def _search(
         self, letter: bytes, readings: npt.ArrayLike, attitude: npt.ArrayLike, angle_rad: float
     ) -> OnNodes | Status | str:
-        self._ask(letter, _f32(readings), _f64(attitude), _f64([angle_rad]))
+        self.send(letter, _f32(readings), _f64(attitude), _f64([angle_rad]))
         status = self._status()
         if status is not Status.OK:
             return status
-        (count,) = self._take("I", 1)
-        nodes = self._take("H", int(count)).astype(np.uint16)
-        trust, weights = self._take("d", int(count)), self._take("d", int(count))
-        (support,) = self._take("d", 1)
-        return OnNodes(nodes, trust, weights, float(support), self._take("d", 3))
+        (count,) = self.take("I", 1)
+        nodes = self.take("H", int(count)).astype(np.uint16)
+        trust, weights = self.take("d", int(count)), self.take("d", int(count))
+        (support,) = self.take("d", 1)
+        return OnNodes(nodes, trust, weights, float(support), self.take("d", 3))
 
     def signature(self, outlines: list[Array]) -> Signature | Status | str:
         """`rdv_signature_of` of outlines (M, 2) or (M, 3) as rays x, y[, 1]."""
         ends = np.cumsum([len(o) for o in outlines], dtype=np.uint32)
         rays = np.concatenate([np.asarray(o)[:, :2] for o in outlines] or [np.zeros((0, 2))])
-        self._ask(
+        self.send(
             b"G",
             struct.pack("I", len(outlines)),
             ends.tobytes(),
@@ -174,15 +158,15 @@ class FlightCode:
         numbers = struct.pack("4I", width, height, most_points, expected_px is not None)
         place = _f64([0.0, 0.0] if expected_px is None else expected_px)
         lens = _f64([camera.fx, camera.fy, camera.cx, camera.cy])
-        self._ask(b"F", numbers, place, lens, np.ascontiguousarray(image).tobytes())
+        self.send(b"F", numbers, place, lens, np.ascontiguousarray(image).tobytes())
         status = self._status()
         if status is not Status.OK:
             return status
-        area_px, sky, level = map(float, self._take("d", 3))
-        left, top, right, bottom = map(int, self._take("i", 4))
-        (outlines,) = self._take("I", 1)
-        ends = self._take("I", int(outlines)).astype(int)
-        points = self._take("d", 2 * int(ends[-1])).reshape(-1, 2)
+        area_px, sky, level = map(float, self.take("d", 3))
+        left, top, right, bottom = map(int, self.take("i", 4))
+        (outlines,) = self.take("I", 1)
+        ends = self.take("I", int(outlines)).astype(int)
+        points = self.take("d", 2 * int(ends[-1])).reshape(-1, 2)
         found = Outline(
             np.split(points, ends[:-1]), area_px, sky, level, (left, top, right, bottom)
         )
@@ -202,34 +186,20 @@ class FlightCode:
 
     def _speed(self, letter: bytes, readings: Array, more: Array) -> Array:
         pairs = [_f32(r) + _f64(m) for r, m in zip(readings, more, strict=True)]
-        self._ask(letter, struct.pack("I", len(pairs)), *pairs)
-        return self._take("d", len(pairs))
+        self.send(letter, struct.pack("I", len(pairs)), *pairs)
+        return self.take("d", len(pairs))
 
     def _signature(self) -> Signature | Status | str:
         status = self._status()
         if status is not Status.OK:
             return status
-        readings = self._take("f", self.bins).astype(np.float32)
-        (area_sr,) = self._take("d", 1)
-        return Signature(readings, float(area_sr), self._take("d", 9).reshape(3, 3))
-
-    def _ask(self, *parts: bytes) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.write(b"".join(parts))
-        self._process.stdin.flush()
+        readings = self.take("f", self.bins).astype(np.float32)
+        (area_sr,) = self.take("d", 1)
+        return Signature(readings, float(area_sr), self.take("d", 9).reshape(3, 3))
 
     def _status(self) -> Status | str:
-        (number,) = self._take("i", 1)
+        (number,) = self.take("i", 1)
         return STATUSES[int(number)]
-
-    def _take(self, code: str, count: int) -> Array:
-        assert self._process.stdout is not None
-        wanted = count * struct.calcsize(code)
-        data = self._process.stdout.read(wanted)
-        if len(data) < wanted:
-            said = self._process.communicate()[1].decode()
-            raise AssertionError(f"the flight code ended ({self._process.returncode}): {said}")
-        return np.frombuffer(data, dtype=code)
 
 
 def runtime_search(

@@ -1,28 +1,17 @@
-"""Direction of view that exported flight code finds, by how well the attitude was known before.
-
-    rendezview train hubble -o hubble.rvm
-    python -m experiments flight-code-search hubble.rvm models_cad/hubble --frames 400 --seed 77
-
-Frames as condition (d) of ``recognition-accuracy``: 640 × 480, 1-3 sphere radii, hard shadows,
-blur, noise of 3 grey levels, the Sun up to 30° from behind the camera. The prior attitude is off
-by exactly the error given, about a random axis. `rdv_search` asks each node once, at the prior's
-roll; `rdv_search_around` tries the rolls that the error allows; the runtime's matcher looks for
-the roll in stored signatures of the nodes, which flight code does not carry. A direction more than
-8° off is wrong; a frame without a direction is not right either.
-"""
+"""Direction of view that exported flight code finds, by how well the attitude was known before."""
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from experiments.flight_code.driver import FlightCode, OnNodes, build
+from experiments.frame import show
 from experiments.recognition.accuracy import WRONG_DEG, flight_camera, frame_of, random_pose
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array
@@ -44,27 +33,36 @@ def error_deg(found: OnNodes | Match | Status | str | None, truth: Array) -> flo
     return float(np.rad2deg(angle_between(found.direction, truth)))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("target", type=Path, help="of which the model is: folder or target.toml")
-    parser.add_argument("--frames", type=int, default=400)
-    parser.add_argument("--seed", type=int, default=77)
-    arguments = parser.parse_args()
-    model = ViewModel.load(arguments.model)
-    target = Target.load(arguments.target)
-    mesh = load_mesh(target.mesh_path, target.unit)
-    camera, matcher = flight_camera(mesh), Matcher(model)
-    near_rad = (MatchOptions().margin_edges + 2.0) * model.geodesic.mean_edge_rad
-    rng = np.random.default_rng([arguments.seed, 10])
+def run(
+    model: Path, target: Annotated[Path, "of which the model is: folder or target.toml"], *,
+    frames: int = 400, seed: int = 77,
+) -> None:  # fmt: skip
+    """Direction of view that exported flight code finds, by how well the attitude was known before.
+
+        rendezview train hubble -o hubble.rvm
+
+    Frames as condition (d) of ``recognition-accuracy``: 640 × 480, 1-3 sphere radii, hard
+    shadows, blur, noise of 3 grey levels, the Sun up to 30° from behind the camera. The prior
+    attitude is off by exactly the error given, about a random axis. `rdv_search` asks each node
+    once, at the prior's roll; `rdv_search_around` tries the rolls that the error allows; the
+    runtime's matcher looks for the roll in stored signatures of the nodes, which flight code does
+    not carry. A direction more than 8° off is wrong; a frame without a direction is not right
+    either.
+    """
+    view_model = ViewModel.load(model)
+    craft = Target.load(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
+    camera, matcher = flight_camera(mesh), Matcher(view_model)
+    near_rad = (MatchOptions().margin_edges + 2.0) * view_model.geodesic.mean_edge_rad
+    rng = np.random.default_rng([seed, 10])
     errors: dict[tuple[float, str], list[float]] = {}
     with (
         tempfile.TemporaryDirectory() as folder,
-        FlightCode(build(model, Path(folder), ["-O2"]), model) as code,
+        FlightCode(build(view_model, Path(folder), ["-O2"]), view_model) as code,
     ):
-        for _ in range(arguments.frames):
-            _, pose = random_pose(model, camera, rng)
-            image = frame_of(mesh, model, camera, pose, (0.0, 30.0), rng)
+        for _ in range(frames):
+            _, pose = random_pose(view_model, camera, rng)
+            image = frame_of(mesh, view_model, camera, pose, (0.0, 30.0), rng)
             seen = code.frame(image, camera)
             signature = seen[1] if isinstance(seen, tuple) else seen
             for prior_deg in ERRORS_DEG:
@@ -77,7 +75,7 @@ def main() -> None:
                 true = signature.centred_from_camera @ pose.rotation
                 prior = Rotation.from_rotvec(turn).as_matrix() @ true
                 prior_rad = np.deg2rad(prior_deg)
-                reach_rad = max(near_rad, prior_rad + 1.2 * model.geodesic.mean_edge_rad)
+                reach_rad = max(near_rad, prior_rad + 1.2 * view_model.geodesic.mean_edge_rad)
                 answers = (
                     code.search(signature.readings, prior, reach_rad),
                     code.search_around(signature.readings, prior, prior_rad),
@@ -86,7 +84,7 @@ def main() -> None:
                 for way, found in zip(WAYS, answers, strict=True):
                     off = error_deg(found, -true[2])
                     errors.setdefault((prior_deg, way), []).append(off)
-    table = Table(title=f"{arguments.frames} frames of {model.name}, seed {arguments.seed}: "
+    table = Table(title=f"{frames} frames of {view_model.name}, seed {seed}: "
                         f"median, within {WRONG_DEG:.0f}°")  # fmt: skip
     table.add_column("prior off by", justify="right")
     for way in WAYS:
@@ -97,4 +95,4 @@ def main() -> None:
             off = np.array(errors[prior_deg, way])
             cells.append(f"{np.median(off):.1f}°  {100.0 * np.mean(off < WRONG_DEG):.1f} %")
         table.add_row(f"{prior_deg:.0f}°", *cells)
-    Console(width=100).print(table)
+    show(table, width=100)

@@ -1,18 +1,11 @@
-"""An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
-
-    python -m experiments fusion-approach RUNS --model client.rvm --seeds 50
-
-Every seed is an approach of its own: motion, Sun (10–40° from behind the camera), roll, noise.
-Frames are rendered, and the recognizer and the ring detector run on them as the commands do; RUNS
-keeps their logs, so that a second call only joins them. The filter is the one of `rendezview fuse`.
-"""
+"""An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter."""
 
 from __future__ import annotations
 
-import argparse
-import json
 from itertools import pairwise
+from json import dumps
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.special import chdtri
@@ -89,21 +82,25 @@ def tables(flights: list[Flight]) -> None:
         print(f"{far:5.1f}–{near:5.1f} {mean:6.2f} {told:5s} {shares}")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("runs", type=Path, help="folder of the runs, kept")
-    parser.add_argument("--model", type=Path, help="view model of the client; for new runs")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--keep-frames", action="store_true", help="1 MB a frame")
-    parser.add_argument("--json", type=Path, help="write every sample too")
-    arguments = parser.parse_args()
-    model = ViewModel.load(arguments.model) if arguments.model else None
+def run(
+    runs: Annotated[Path, "folder of the runs, kept"], *,
+    model: Annotated[Path | None, "view model of the client; for new runs"] = None,
+    first_seed: int = 0, seeds: int = 50, keep_frames: Annotated[bool, "1 MB a frame"] = False,
+    json: Annotated[Path | None, "write every sample too"] = None,
+) -> None:  # fmt: skip
+    """An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
+
+    Every seed is an approach of its own: motion, Sun (10–40° from behind the camera), roll,
+    noise. Frames are rendered, and the recognizer and the ring detector run on them as the
+    commands do; RUNS keeps their logs, so that a second call only joins them. The filter is the
+    one of `rendezview fuse`.
+    """
+    views = ViewModel.load(model) if model else None
     flights = []
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    for seed in seeds:
-        folder = arguments.runs / str(seed)
-        make_run(folder, seed, model, keep_frames=arguments.keep_frames)
+    numbers = range(first_seed, first_seed + seeds)
+    for seed in numbers:
+        folder = runs / str(seed)
+        make_run(folder, seed, views, keep_frames=keep_frames)
         flight = fly(load_run(folder), OPTIONS)
         flights.append(flight)
         unheard = sum(np.isnan(s.fused[0]) for s in flight.samples)
@@ -116,16 +113,16 @@ def main() -> None:
     tables(flights)
     lost = sum(np.isnan(s.fused[0]) for f in flights for s in f.samples)
     print(
-        f"\n{len(flights)} approaches, seeds {seeds.start} to {seeds.stop - 1}: frames without a "
-        f"state {lost}; begun anew {sum(f.starts > 1 for f in flights)}; largest step at a "
+        f"\n{len(flights)} approaches, seeds {numbers.start} to {numbers.stop - 1}: frames without "
+        f"a state {lost}; begun anew {sum(f.starts > 1 for f in flights)}; largest step at a "
         f"hand-over {max(f.jumps['hand-over'] for f in flights):.2f} σ, of any update "
         f"{max(f.jumps['any'] for f in flights):.2f} σ"
     )
-    if arguments.json:
+    if json:
         rows = [
             {"seed": seed, "time_s": s.time_s, "range_m": s.range_m, "nees": s.nees,
              "fused": s.fused.tolist(), "sigma_m": s.sigma_m,
              "single": {n: v.tolist() for n, v in s.single.items()}}
-            for seed, f in zip(seeds, flights, strict=True) for s in f.samples
+            for seed, f in zip(numbers, flights, strict=True) for s in f.samples
         ]  # fmt: skip
-        arguments.json.write_text(json.dumps(rows))
+        json.write_text(dumps(rows))

@@ -1,24 +1,11 @@
-"""One sensor dead, lying or late for a third of an approach: does the filter diverge?
-
-    python -m experiments fusion-faults RUNS --seeds 50
-
-RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, the middle
-or the last third of the time one sensor (or the camera, which is recognizer and ring at once) is
-silent, adds a constant offset, or gives what it saw 0.5 s ago the present time. The offset is the
-same in the sensor's own words for all seeds: pose 0.2 m, −0.15 m, 0.4 m and 3° about an axis across
-the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m; --size multiplies them.
-
-Diverged is a run whose state in its last 5 s is wrong beyond its own 99.99 % bound (six degrees of
-freedom), or that has no state then although the fault is over. Where the fault lasts to the end and
-no other sensor sees the ring, the filter coasts: its error grows, and so must its covariance.
-"""
+"""One sensor dead, lying or late for a third of an approach: does the filter diverge?"""
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -117,18 +104,29 @@ def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
     )  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("runs", type=Path)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--size", type=float, default=1.0, help="of the lies")
-    parser.add_argument("--tell", action="store_true", help="each run that diverged")
-    arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    runs = {seed: load_run(arguments.runs / str(seed)) for seed in seeds}
+def run(
+    runs: Path, *, first_seed: int = 0, seeds: int = 50,
+    size: Annotated[float, "of the lies"] = 1.0,
+    tell: Annotated[bool, "each run that diverged"] = False,
+) -> None:  # fmt: skip
+    """One sensor dead, lying or late for a third of an approach: does the filter diverge?
+
+    RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, the
+    middle or the last third of the time one sensor (or the camera, which is recognizer and ring
+    at once) is silent, adds a constant offset, or gives what it saw 0.5 s ago the present time.
+    The offset is the same in the sensor's own words for all seeds: pose 0.2 m, −0.15 m, 0.4 m and
+    3° about an axis across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m;
+    --size multiplies them.
+
+    Diverged is a run whose state in its last 5 s is wrong beyond its own 99.99 % bound (six
+    degrees of freedom), or that has no state then although the fault is over. Where the fault
+    lasts to the end and
+    no other sensor sees the ring, the filter coasts: its error grows, and so must its covariance.
+    """
+    numbers = range(first_seed, first_seed + seeds)
+    kept = {seed: load_run(runs / str(seed)) for seed in numbers}
     print(
-        f"seeds {seeds.start} to {seeds.stop - 1}, lies × {arguments.size:g}; error of the ring's "
+        f"seeds {numbers.start} to {numbers.stop - 1}, lies × {size:g}; error of the ring's "
         f"centre in % of range, median and worst of the seeds: while it lasts, from "
         f"{SETTLED_S:g} s after it on"
     )
@@ -140,11 +138,11 @@ def main() -> None:
         for fault in FAULTS if sensors else ("–",):
             for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
                 outcomes = []
-                for seed, run in runs.items():
-                    flight = fly(with_fault(run, sensors, fault, third, arguments.size), OPTIONS)
+                for seed, run in kept.items():
+                    flight = fly(with_fault(run, sensors, fault, third, size), OPTIONS)
                     found = outcome(flight, sensors, third)
                     outcomes.append(found)
-                    if found.diverged and arguments.tell:
+                    if found.diverged and tell:
                         print(f"    seed {seed}: {found}, {flight.lockouts}")
                 worst = 100.0 * np.array([o.worst for o in outcomes])
                 after = 100.0 * np.array([o.after for o in outcomes])

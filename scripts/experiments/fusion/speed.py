@@ -1,14 +1,7 @@
-"""Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them.
-
-    python -m experiments fusion-speed
-
-Beside it, in the same run, a 12-state Kalman filter in plain numpy: prediction and update with
-six numbers, no gate, no attitude, no lasting errors.
-"""
+"""Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 
@@ -96,14 +89,15 @@ def plain_numpy() -> Callable[[], None]:
     return run
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--repeats", type=int, default=15)
-    arguments = parser.parse_args()
-    kinds = measurements(arguments.seed)
+def run(*, seed: int = 0, repeats: int = 15) -> None:
+    """Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them.
+
+    Beside it, in the same run, a 12-state Kalman filter in plain numpy: prediction and update
+    with six numbers, no gate, no attitude, no lasting errors.
+    """
+    kinds = measurements(seed)
     spent_us: dict[str, list[float]] = {kind: [] for kind in (*kinds, "state_at", "late", "numpy")}
-    for _ in range(arguments.repeats):
+    for _ in range(repeats):
         plain = plain_numpy()
         start = time.perf_counter()
         for _ in range(STEPS):
@@ -135,7 +129,7 @@ def main() -> None:
         "state_at": "estimate at a time",
         "numpy": "plain numpy, 12 states",
     }
-    print(f"seed {arguments.seed}; best and median of {arguments.repeats} runs, µs a step")
+    print(f"seed {seed}; best and median of {repeats} runs, µs a step")
     for kind, name in names.items():
         values = np.array(spent_us[kind])
         print(f"{name:36s} {values.min():7.1f} {np.median(values):7.1f}")

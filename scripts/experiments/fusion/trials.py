@@ -27,8 +27,8 @@ from rendezview.fusion import (
     RingMeasurement,
     SensorOptions,
 )
-from rendezview.fusion.kernels import rotation_vector
 from rendezview.fusion.logs import LogContext, merged, read_log
+from rendezview.geometry import so3
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import JsonLinesWriter, read_json_lines
@@ -229,7 +229,7 @@ def load_run(folder: Path) -> Run:
 
 def off_by(pose: Pose, truth: Pose) -> Array:
     """(6,) perturbation from truth to an estimate."""
-    turn = rotation_vector(pose.rotation, truth.rotation)
+    turn = so3.between(pose.rotation, truth.rotation)
     return np.concatenate([turn, pose.translation_m - truth.translation_m])
 
 

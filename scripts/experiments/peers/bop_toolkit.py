@@ -1,18 +1,7 @@
-"""Our results and measures beside those of the public BOP toolkit, in one run.
-
-    python -m experiments bop-toolkit-peer SCENE POSES.csv TARGET --toolkit FOLDER [--python PYTHON]
-
-FOLDER is a checkout of the toolkit, PYTHON an interpreter with the packages that it needs. The
-scene's truth (640 × 480, object 1) and the target are laid out as one of its data sets, POSES.csv
-is given to it as it is, and its own scripts judge it: errors (mssd, mspd, add, adi), recall, and
-the mean average precision of `eval_bop24_pose.py`. Printed is the largest difference of each
-error from ours, and both recalls. VSD is left out: it needs depth pictures. Exit 1 where
-they differ.
-"""
+"""Our results and measures beside those of the public BOP toolkit, in one run."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -74,38 +63,42 @@ def lay_out(folder: Path, sequence: Sequence, points_m: Array, target: Target, d
         path.write_text(json.dumps(rows))
 
 
-def main() -> int:
-    """Compare, print, and say whether both agree."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("poses", type=Path)
-    parser.add_argument("target")
-    parser.add_argument("--unit")
-    parser.add_argument("--toolkit", type=Path, required=True)
-    parser.add_argument("--python", type=Path, default=Path(sys.executable))
-    given = parser.parse_args()
-    sequence, target = open_sequence(given.scene), find_target(given.target)
-    mesh = load_mesh(target.mesh_path, given.unit or target.unit)
+def run(
+    scene: Path, poses: Path, target: str, *, unit: str | None = None, toolkit: Path,
+    python: Path = Path(sys.executable),
+) -> int:  # fmt: skip
+    """Our results and measures beside those of the public BOP toolkit, in one run.
+
+    FOLDER is a checkout of the toolkit, PYTHON an interpreter with the packages that it needs.
+    The scene's truth (640 × 480, object 1) and the target are laid out as one of its data sets,
+    POSES.csv
+    is given to it as it is, and its own scripts judge it: errors (mssd, mspd, add, adi), recall,
+    and the mean average precision of `eval_bop24_pose.py`. Printed is the largest difference of
+    each error from ours, and both recalls. VSD is left out: it needs depth pictures. Exit 1 where
+    they differ.
+    """
+    sequence, craft = open_sequence(scene), find_target(target)
+    mesh = load_mesh(craft.mesh_path, unit or craft.unit)
     points_m = mesh.vertices_m[np.unique(mesh.faces)]
-    surface = Surface.of(points_m, alike_of(target.symmetries))
-    ours = evaluate(sequence, read_results(given.poses), (), None, surface=surface)
+    surface = Surface.of(points_m, alike_of(craft.symmetries))
+    ours = evaluate(sequence, read_results(poses), (), None, surface=surface)
     with tempfile.TemporaryDirectory() as name:
         folder, results = Path(name) / "data", Path(name) / "results"
         results.mkdir()
-        lay_out(folder, sequence, points_m, target, surface.diameter_m)
+        lay_out(folder, sequence, points_m, craft, surface.diameter_m)
         file = f"rendezview_{DATA_SET}-test.csv"
-        shutil.copy(given.poses, results / file)
+        shutil.copy(poses, results / file)
         environment = os.environ | {
-            "PYTHONPATH": str(given.toolkit.resolve()),
-            "PATH": f"{given.python.absolute().parent}:{os.environ['PATH']}",
+            "PYTHONPATH": str(toolkit.resolve()),
+            "PATH": f"{python.absolute().parent}:{os.environ['PATH']}",
             "BOP_PATH": str(folder),
             "BOP_RESULTS_PATH": str(results),
             "BOP_EVAL_PATH": str(results),
             "BOP_NUM_WORKERS": "1",
         }
 
-        def toolkit(script: str, *arguments: str) -> None:
-            command = [str(given.python), str(given.toolkit.resolve() / "scripts" / script)]
+        def judged(script: str, *arguments: str) -> None:
+            command = [str(python), str(toolkit.resolve() / "scripts" / script)]
             ran = subprocess.run(
                 [*command, *arguments], env=environment, capture_output=True, text=True
             )
@@ -115,7 +108,7 @@ def main() -> int:
         def recall(kind: str, limit: float) -> float:
             place = f"rendezview_{DATA_SET}-test/error={kind}_ntop=-1"
             threshold = f"--correct_th_{kind}={limit}"
-            toolkit("eval_calc_scores.py", f"--error_dir_paths={place}", threshold)
+            judged("eval_calc_scores.py", f"--error_dir_paths={place}", threshold)
             found = list((results / place).glob("scores_*.json"))
             value = json.loads(found[0].read_text())["recall"]
             found[0].unlink()
@@ -124,7 +117,7 @@ def main() -> int:
         worst = 0.0
         ids = {frame.im_id: frame for frame in ours.frames}
         for kind, scale in (("mssd", 1e3), ("mspd", 1.0), ("add", 1e3), ("adi", 1e3)):
-            toolkit(
+            judged(
                 *("eval_calc_errors.py", "--n_top=-1", f"--error_type={kind}"),
                 *(f"--result_filenames={file}", "--num_workers=1"),
             )
@@ -155,7 +148,7 @@ def main() -> int:
             theirs = float(np.mean([recall(kind, float(limit)) for limit in limits]))
             worst = max(worst, abs((value or 0.0) - theirs))
             print(f"recall by {kind}: ours {value:.6f}, theirs {theirs:.6f}")
-        toolkit("eval_bop24_pose.py", f"--result_filenames={file}", "--num_workers=1")
+        judged("eval_bop24_pose.py", f"--result_filenames={file}", "--num_workers=1")
         final = json.loads((results / f"rendezview_{DATA_SET}-test/scores_bop24.json").read_text())
         print("eval_bop24_pose.py:", ", ".join(f"{k} {v:.4f}" for k, v in final.items()))
     agree = worst < EQUAL

@@ -1,15 +1,7 @@
-"""Our SPEED and SPEED+ scores beside the published code of the data set's authors.
-
-    python -m experiments speed-score-peer METRICS.py [--pairs 2000] [--seed 3]
-
-METRICS.py is ``core/utils/metrics.py`` of a checkout of SPNv2, with its ``speed_score``. Random
-truths and estimates, from far below the thresholds to far above, go through both; printed is the
-largest difference. Exit 1 where they differ by more than 1e-7: the arc cosine of one near 0.
-"""
+"""Our SPEED and SPEED+ scores beside the published code of the data set's authors."""
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import sys
 from pathlib import Path
@@ -23,22 +15,23 @@ from rendezview.geometry.pose import Pose
 ERRORS = (1e-3, 3e-3, 1e-2, 0.3, 2.0)  # rad and m
 
 
-def main() -> int:
-    """Compare, print, and say whether both agree."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("metrics", type=Path)
-    parser.add_argument("--pairs", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=3)
-    given = parser.parse_args()
-    spec = importlib.util.spec_from_file_location("spnv2_metrics", given.metrics)
+def run(metrics: Path, *, pairs: int = 2000, seed: int = 3) -> int:
+    """Our SPEED and SPEED+ scores beside the published code of the data set's authors.
+
+    METRICS.py is ``core/utils/metrics.py`` of a checkout of SPNv2, with its ``speed_score``.
+    Random truths and estimates, from far below the thresholds to far above, go through both;
+    printed is the largest difference. Exit 1 where they differ by more than 1e-7: the arc cosine
+    of one near 0.
+    """
+    spec = importlib.util.spec_from_file_location("spnv2_metrics", metrics)
     if spec is None or spec.loader is None:
-        sys.exit(f"{given.metrics}: no Python file")
+        sys.exit(f"{metrics}: no Python file")
     theirs = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(theirs)
-    rng = np.random.default_rng(given.seed)
+    rng = np.random.default_rng(seed)
     apart = {False: 0.0, True: 0.0}
     forgiven = 0
-    for _ in range(given.pairs):
+    for _ in range(pairs):
         turn = Rotation.random(random_state=rng).as_matrix()
         truth = Pose(turn, [*rng.uniform(-1.0, 1.0, 2), rng.uniform(3.0, 10.0)])
         estimate = truth.perturbed(rng.choice(ERRORS) * rng.normal(size=6))
@@ -52,7 +45,7 @@ def main() -> int:
             forgiven += plus and 0.0 in terms
             apart[plus] = max(apart[plus], abs(sum(terms) - score))
     print(
-        f"{given.pairs} pairs, seed {given.seed}: SPEED differs by at most {apart[False]:.1e}, "
+        f"{pairs} pairs, seed {seed}: SPEED differs by at most {apart[False]:.1e}, "
         f"SPEED+ by {apart[True]:.1e} ({forgiven} pairs with a term forgiven)"
     )
     return 0 if max(apart.values()) < 1e-7 else 1

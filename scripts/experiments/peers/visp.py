@@ -1,11 +1,10 @@
-"""Builds ``visp_driver.cpp`` and has ViSP's model-based tracker track frames.
+"""Builds ``visp.cpp`` and has ViSP's model-based tracker track frames.
 
 ViSP is C++; Debian and Ubuntu have it: ``apt install g++ pkg-config libvisp-mbt-dev``.
 """
 
 from __future__ import annotations
 
-import os
 import shutil
 import struct
 import subprocess
@@ -13,15 +12,15 @@ import tempfile
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from types import TracebackType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from experiments.peers.pipe import Array, Pipe
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 
-Array = npt.NDArray[np.float64]
 Frame = npt.NDArray[np.uint8]
 DRIVER = Path(__file__).with_suffix(".cpp")
 PACKAGES = "g++ pkg-config libvisp-mbt-dev"
@@ -71,7 +70,7 @@ def build(folder: Path) -> Path:
     return program
 
 
-class Visp:
+class Visp(Pipe):
     """A running driver with one model (``cao``: the text) and camera; ends with the block.
 
     One thread: OpenMP's and OpenCV's others are kept from starting.
@@ -83,35 +82,17 @@ class Visp:
         assert not np.any(camera.distortion), "the driver's camera has no distortion"
         self._folder = tempfile.TemporaryDirectory()
         path = Path(self._folder.name) / "model.cao"
-        self._said = path.with_name("said")  # a pipe that nobody reads would fill
         path.write_text(cao)
         centre = (camera.cx + _SHIFT_PX, camera.cy + _SHIFT_PX)
         numbers = (camera.width, camera.height, camera.fx, camera.fy, *centre)
         named = [f"{name}={value:.9g}" for name, value in (settings or {}).items()]
-        with self._said.open("wb") as said:
-            self._process = subprocess.Popen(
-                [str(program), str(path), *(f"{n:.17g}" for n in numbers), *named],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=said,
-                env=os.environ
-                | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C"},
-            )
+        one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "LC_ALL": "C"}
+        command = [str(program), str(path), *(f"{n:.17g}" for n in numbers), *named]
+        super().__init__(command, one_thread)
 
-    def __enter__(self) -> Visp:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._process.communicate()
-        said = self._heard()
+    def __exit__(self, *error: Any) -> None:
+        super().__exit__(*error)
         self._folder.cleanup()
-        if error is None:
-            assert self._process.returncode == 0, (self._process.returncode, said)
 
     def frame(self, image: Frame, prior: Pose, passes: int = 1, repeats: int = 1) -> Tracked:
         """Track one frame from a pose; each of ``passes`` goes on where the last ended."""
@@ -127,41 +108,18 @@ class Visp:
 
     def edges_px(self, pose: Pose) -> Array:
         """(N, 4) both ends u, v, u, v of the edges that ViSP would see."""
-        self._send(b"V", _numbers(pose))
-        (count,) = self._take("I", 1)
-        return self._take("d", 4 * int(count)).reshape(-1, 4)
+        self.send(b"V", _numbers(pose))
+        (count,) = self.take("I", 1)
+        return self.take("d", 4 * int(count)).reshape(-1, 4)
 
     def _ask(self, *parts: bytes) -> Tracked:
-        self._send(*parts)
-        (status,) = self._take("i", 1)
-        numbers = self._take("d", 14)
-        points, letters = self._take("I", 2).astype(int)
-        thrown = self._take("B", int(letters)).tobytes().decode(errors="replace").strip()
+        self.send(*parts)
+        (status,) = self.take("i", 1)
+        numbers = self.take("d", 14)
+        points, letters = self.take("I", 2).astype(int)
+        thrown = self.take("B", int(letters)).tobytes().decode(errors="replace").strip()
         pose = Pose(numbers[:9].reshape(3, 3), numbers[9:12].copy()) if status == 0 else None
         return Tracked(pose, thrown, float(numbers[12]), float(numbers[13]), int(points))
-
-    def _send(self, *parts: bytes) -> None:
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(b"".join(parts))
-            self._process.stdin.flush()
-        except BrokenPipeError:
-            raise self._ended() from None
-
-    def _take(self, code: str, count: int) -> Array:
-        assert self._process.stdout is not None
-        wanted = count * struct.calcsize(code)
-        data = self._process.stdout.read(wanted)
-        if len(data) < wanted:
-            raise self._ended()
-        return np.frombuffer(data, dtype=code)
-
-    def _ended(self) -> AssertionError:
-        self._process.wait()
-        return AssertionError(f"ViSP's driver ended ({self._process.returncode}): {self._heard()}")
-
-    def _heard(self) -> str:
-        return self._said.read_text(errors="replace")[-2000:]
 
 
 def _compiler() -> str | None:

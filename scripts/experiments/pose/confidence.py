@@ -1,19 +1,10 @@
-"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``.
-
-    python -m experiments pose-confidence LOG.jsonl [LOG.jsonl …] [--output error_model.json]
-
-Prints, each target left out in turn, how many answers would be given and wrong at several least
-confidences. ``--output`` writes the coefficients as ``edges/error_model.json`` has them, where
-training and models without their own read them. The logs must come from models that carry the
-packaged coefficients or none.
-"""
+"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``."""
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -67,12 +58,17 @@ def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
     return theta, nees * np.exp(-features @ theta)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("logs", type=Path, nargs="+")
-    parser.add_argument("--output", type=Path, help="JSON file of the coefficients")
-    arguments = parser.parse_args()
-    records = [json.loads(line) for log in arguments.logs for line in log.read_text().splitlines()]
+def run(
+    logs: list[Path], *, output: Annotated[Path | None, "JSON file of the coefficients"] = None
+) -> None:
+    """Fit confidence and covariance of a pose to logs of pose-accuracy and pose-cut.
+
+    Prints, with each target left out in turn, how many answers would be given and wrong at several
+    minimum confidences. --output writes the coefficients as edges/error_model.json has them, where
+    training and models without their own read them. The logs must come from models that carry the
+    packaged coefficients or none.
+    """
+    records = [json.loads(line) for log in logs for line in log.read_text().splitlines()]
     chosen = [r for r in records if "features" in r]
     features = np.array([r["features"] for r in chosen])
     right = np.array([r["best_deg"] < WRONG_DEG for r in chosen])
@@ -92,14 +88,14 @@ def main() -> None:
         print(f"NEES {condition}: mean {part.mean():.1f}, median {np.median(part):.1f}")
     log_odds = np.round(fitted(features, right, looked), 2)
     print("coefficients", log_odds.tolist())
-    if arguments.output is not None:
+    if output is not None:
         low = rest[[r["condition"] == "low" for r in answers]]
         if len(low):  # raised until the normalised error squared averages six there
             theta[0] += np.log(low.mean() / 6.0)
-        provenance = {"command": "pose-confidence", "logs": [p.name for p in arguments.logs]}
+        provenance = {"command": "pose-confidence", "logs": [p.name for p in logs]}
         inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
         made = ErrorModel(log_odds, inflation_now, provenance)
-        arguments.output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
+        output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
     for mode in ("first", "tracked"):
         for condition in conditions:
             these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])

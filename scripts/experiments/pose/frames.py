@@ -1,33 +1,23 @@
-"""The frames on which docs/refinement.md judges poses: drawn by Mitsuba, kept as BOP scenes.
-
-    python -m experiments pose-frames FRAMES models_cad/hubble mesh.obj --count 200 --seed 77
-
-FRAMES/<target>/<condition> holds independent frames of random attitudes: 640 × 480, 53° across,
-the bounding sphere 100–220 px in radius anywhere in the picture, blur 0.7 px, σ = 3 grey levels,
-each frame with its own exposure and Sun. Conditions: ``low`` Sun phase 0–30°, black sky; ``high``
-30–70°, black sky; ``earth`` 0–60° before the Earth, whose limb crosses some of the frames. A scene
-that is there already is left as it is. ``sun.json`` has the directions to the Sun, camera frame.
-"""
+"""The frames on which docs/refinement.md judges poses: drawn by Mitsuba, kept as BOP scenes."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from joblib import Parallel, delayed
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import mesh_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.sequences import BopSceneWriter
 from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.command import default_camera
-from rendezview.training.bundled import find_target
-from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh import Mesh
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0
@@ -85,30 +75,31 @@ def render_scene(
         return
     condition = CONDITIONS[name]
     stream = list(CONDITIONS).index(name)
-    # Mitsuba uses all cores by itself.
-    frames = Parallel(n_jobs=1, return_as="generator")(
-        delayed(one_frame)(mesh, camera, condition, [seed, stream, i]) for i in range(count)
-    )
     suns = []
     with BopSceneWriter(folder, camera) as writer:
-        for i, (image, pose, sun) in enumerate(frames):
+        for i in range(count):  # Mitsuba uses all cores by itself
+            image, pose, sun = one_frame(mesh, camera, condition, [seed, stream, i])
             writer.add(i, image, pose, float(i))
             suns.append(sun.tolist())
     (folder / "sun.json").write_text(json.dumps(suns))
     print(f"{folder}: {count} frames", flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("frames", type=Path, help="folder of the scenes")
-    parser.add_argument("targets", nargs="+", help="meshes or bundled targets")
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=77)
-    arguments = parser.parse_args()
+def run(
+    frames: Annotated[Path, "folder of the scenes"],
+    targets: Annotated[list[str], "meshes or bundled targets"],
+    *, count: int = 200, seed: int = 77,
+) -> None:  # fmt: skip
+    """Draw the frames of pose-accuracy with Mitsuba, as BOP scenes.
+
+    FRAMES/<target>/<condition> has independent frames of random attitudes: 640 × 480, 53° across,
+    the bounding sphere 100–220 px in radius anywhere in the image, blur 0.7 px, σ = 3 grey levels,
+    each frame with its own exposure and Sun. Conditions: low: Sun phase 0–30°, black sky; high:
+    30–70°, black sky; earth: 0–60°, the Earth behind, whose limb crosses some of the frames. An
+    existing scene is kept. sun.json has the directions to the Sun, camera frame.
+    """
     camera = default_camera()
-    for target in arguments.targets:
-        found = find_target(target)
-        mesh = load_mesh(found.mesh_path, found.unit)
+    for target in targets:
+        target_name, mesh = mesh_of(target)
         for name in CONDITIONS:
-            folder = arguments.frames / found.name / name
-            render_scene(folder, mesh, camera, name, arguments.count, arguments.seed)
+            render_scene(frames / target_name / name, mesh, camera, name, count, seed)

@@ -1,17 +1,8 @@
-"""How long a pose takes at 1024 × 1024 on one core, beside what it could be done with.
-
-    python -m experiments pose-speed models_cad/hubble [--model FILE] [--peer-python PYTHON]
-
-Frames of our own simulator, Sun phase 20°, medians of single calls. In the same run: the floor
-(threshold, contours, contour → bins), nearest of all views by FFT, scikit-learn's trees in a loop,
-and OpenCV's linemod by an interpreter that has opencv-contrib.
-"""
+"""How long a pose takes at 1024 × 1024 on one core, beside what it could be done with."""
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -22,16 +13,17 @@ from scipy.spatial.transform import Rotation
 from sklearn.tree import DecisionTreeClassifier
 from threadpoolctl import threadpool_limits
 
-from experiments.peers.linemod import linemod_ms
+from experiments.frame import PeerPython, mesh_of
+from experiments.peers.opencv_contrib import linemod_ms
+from experiments.timing import median_ms
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.bundled import find_target
 from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh import Mesh
 
 TRACKING, WITH_NODES = "tracking, refinement only", "tracking with on nodes"
 FIRST, FLOOR = "first pose, no prior", "floor: threshold, contours, bins"
@@ -40,59 +32,13 @@ SKLEARN = "scikit-learn, predict in a loop over the nodes"
 REPEATS = {TRACKING: 20, WITH_NODES: 20, FIRST: 5, FLOOR: 20, NEAREST: 5}
 
 
-def median_ms(call: Callable[[], object], repeats: int = 60) -> float:
-    call()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return 1e3 * float(np.median(times))
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("target")
-    parser.add_argument("--model", type=Path)
-    parser.add_argument("--peer-python", type=Path)
-    parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--seed", type=int, default=77)
-    arguments = parser.parse_args()
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
-    found = find_target(arguments.target)
-    mesh = load_mesh(found.mesh_path, found.unit)
-    with tempfile.TemporaryDirectory() as folder:
-        path = arguments.model or Path(folder) / "model.rvm"
-        if arguments.model is None:
-            train(mesh, path, name=found.name)
-        load = median_ms(lambda: ViewModel.load(path), 15)
-        model, size = ViewModel.load(path), path.stat().st_size
-    full, fast = recognizers(model)
-    rows: dict[str, list[float]] = {}
-    seen = list(frames(mesh, full.camera, arguments.frames, arguments.seed))
-    for frame, prior, _ in seen:
-        for name, call in calls(full, fast, frame, prior).items():
-            rows.setdefault(name, []).append(median_ms(call, REPEATS[name]))
-    rows[SKLEARN] = [median_ms(looped_trees(model), 5)]
-    if arguments.peer_python is not None:
-        images = [frame for frame, _, _ in seen]
-        for templates, ms in (linemod_ms(arguments.peer_python, images) or {}).items():
-            rows[f"cv2.linemod, templates: {templates}"] = [ms]
-    floor_ms = float(np.median(rows["floor: threshold, contours, bins"]))
-    print(f"model {size / 1e6:.1f} MB, loaded in {load:.1f} ms")
-    for name, times in rows.items():
-        ms = float(np.median(times))
-        print(f"{name:48s} {ms:8.2f} ms  {ms / floor_ms:6.1f} × floor")
-
-
 def recognizers(model: ViewModel) -> tuple[Recognizer, Recognizer]:
-    """With the trees and without, for the camera of :func:`frames`."""
+    """With the trees and without, for the camera of `scene`."""
     camera = Camera.from_fov(1024, 1024, np.deg2rad(40.0))
     return Recognizer(model, camera), Recognizer(model, camera, trees=False)
 
 
-def frames(
+def scene(
     mesh: Mesh, camera: Camera, count: int, seed: int
 ) -> Iterator[tuple[np.ndarray, Pose, Pose]]:
     """Frames; for each a pose about a degree and 1 % of range off, and the true one."""
@@ -167,3 +113,38 @@ def floor(frame: np.ndarray, camera: Camera, model: ViewModel) -> object:
     border = max(outer_borders(np.asarray(mask, np.uint8)), key=len)
     rays = camera.rays(border.astype(np.float64))
     return Signature.of_outlines([rays], model.bins, 1)
+
+
+def run(
+    target: str, *, model: Path | None = None, peer_python: PeerPython = None,
+    frames: int = 12, seed: int = 77,
+) -> None:  # fmt: skip
+    """Time of a pose at 1024 × 1024 on one core, beside its floor and its peers.
+
+    Frames of our own simulator, Sun phase 20°, medians of single calls. In the same run: the floor
+    (threshold, contours, contour → bins), the nearest of all views by FFT, scikit-learn's trees
+    in a loop, and OpenCV's linemod.
+    """
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
+    name, mesh = mesh_of(target)
+    with tempfile.TemporaryDirectory() as folder:
+        path = model or Path(folder) / "model.rvm"
+        if model is None:
+            train(mesh, path, name=name)
+        load = median_ms(lambda: ViewModel.load(path), 15)
+        views, size = ViewModel.load(path), path.stat().st_size
+    full, fast = recognizers(views)
+    rows: dict[str, list[float]] = {}
+    drawn = list(scene(mesh, full.camera, frames, seed))
+    for frame, prior, _ in drawn:
+        for name, call in calls(full, fast, frame, prior).items():
+            rows.setdefault(name, []).append(median_ms(call, REPEATS[name]))
+    rows[SKLEARN] = [median_ms(looped_trees(views), 5)]
+    for templates, ms in linemod_ms(peer_python, [frame for frame, _, _ in drawn]).items():
+        rows[f"cv2.linemod, templates: {templates}"] = [ms]
+    floor_ms = float(np.median(rows[FLOOR]))
+    print(f"model {size / 1e6:.1f} MB, loaded in {load:.1f} ms")
+    for name, times in rows.items():
+        ms = float(np.median(times))
+        print(f"{name:48s} {ms:8.2f} ms  {ms / floor_ms:6.1f} × floor")

@@ -1,27 +1,17 @@
-"""Sequences, frames without a target, and an inexact model: docs/refinement.md.
-
-    python -m experiments pose-trials sequences MODELS TARGET... [--seed 77]
-    python -m experiments pose-trials refusals MODELS TARGET... [--seed 77]
-    python -m experiments pose-trials inexact MESH [--seed 77]
-
-``sequences``: approach and fly-around, 1–5° a frame, Sun phase 0–30°, our own simulator; a loss is
-a frame without a pose or more than 5° off. ``refusals``: frames with no target, another target, the
-Earth and its limb, stars, a glint, and half the target out of the frame; every pose given is
-counted, and of the last kind those more than 5° off. ``inexact``: a model trained on a mesh 4 %
-longer along one axis, tried on frames of the mesh itself.
-"""
+"""Sequences, frames without a target, and an inexact model: docs/refinement.md."""
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 import tempfile
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import Dask, mesh_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
@@ -35,20 +25,14 @@ from rendezview.simulation import (
     sun_at_phase,
 )
 from rendezview.simulation.command import default_camera
-from rendezview.training.bundled import find_target
 from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh import Mesh
 from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions
 
 WRONG_DEG = 5.0
 FRAMES = 125  # of a sequence
 KINDS = ("nothing", "another target", "Earth", "stars", "glint", "half out")
-
-
-def mesh_of(target: str) -> tuple[str, Mesh]:
-    found = find_target(target)
-    return found.name, load_mesh(found.mesh_path, found.unit)
 
 
 def error_deg(pose: Pose, truth: Pose, model: ViewModel) -> float:
@@ -173,7 +157,9 @@ def inexact(path: str, seed: int) -> None:
         ):
             model_path = Path(folder) / "model.rvm"
             # The trees do not matter here: poses are refined from near the truth.
-            options = TrainingOptions(perturbed_views=1000, held_out_views=100, lit_views=False)
+            options = TrainingOptions(
+                perturbed_views=1000, held_out_views=100, shadowed_silhouettes=False
+            )
             train(made, model_path, name=name, options=options, shape_error=shape_error)
             model = ViewModel.load(model_path)
             recognizer = Recognizer(model, camera)
@@ -207,49 +193,49 @@ def inexact(path: str, seed: int) -> None:
             )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["sequences", "refusals", "inexact"])
-    parser.add_argument("models", help="folder of models; the mesh for inexact")
-    parser.add_argument("targets", nargs="*")
-    parser.add_argument("--seed", type=int, default=77)
-    parser.add_argument("--count", type=int, default=42, help="refusals: frames a kind and target")
-    parser.add_argument("--dask", help="scheduler of a cluster that has the files too")
-    arguments = parser.parse_args()
-    if arguments.part == "inexact":
-        inexact(arguments.models, arguments.seed)
+def run(
+    part: Literal["sequences", "refusals", "inexact"],
+    models: Annotated[str, "folder of models; the mesh for inexact"],
+    targets: list[str] = [],  # noqa: B006
+    *, seed: int = 77, count: Annotated[int, "refusals: frames a kind and target"] = 42,
+    dask: Dask = None,
+) -> None:  # fmt: skip
+    """Sequences, frames without a target, and an inexact model.
+
+    sequences: approach and fly-around, 1–5° a frame, Sun phase 0–30°, our own simulator; a loss is
+    a frame without a pose or more than 5° off. refusals: frames with no target, another target,
+    the Earth and its limb, stars, a glint, and half the target out of the frame; counted are the
+    poses given, and of the last kind those more than 5° off. inexact: a model trained on a mesh
+    4 % longer along one axis, tried on frames of the mesh itself.
+    """
+    if part == "inexact":
+        inexact(models, seed)
         return
-    models, targets = Path(arguments.models), arguments.targets
     if not targets:
-        parser.error("name the targets whose models are in the folder")
-    if arguments.part == "sequences":
-        tasks = [(t, kind) for t in targets for kind in ("approach", "fly-around")]
-        with open_executor(2, arguments.dask, processes=True) as workers:
-            shards = [(t, kind, arguments.seed) for t, kind in tasks]
-            results = dict(workers.results(sequence, (models.resolve(),), shards))
-        done = [results[k] for k in range(len(tasks))]
-        for (target, kind), (count, losses, errors, shares) in zip(tasks, done, strict=True):
-            print(
-                f"{Path(target).stem} {kind}: {count} frames, {losses} lost, rotation "
-                f"{np.median(errors):.3f}° median, {np.percentile(errors, 95):.2f}° 95 %, "
-                f"translation {100 * np.median(shares):.3f} % of range"
-            )
-        everything = np.concatenate([e for _, _, e, _ in done])
-        print(
-            f"all: {sum(d[0] for d in done)} frames, {sum(d[1] for d in done)} lost, "
-            f"{np.median(everything):.3f}° median"
-        )
+        raise SystemExit("name the targets whose models are in the folder")
+    one = sequence if part == "sequences" else refusals
+    tasks: list[tuple[str, ...]]
+    if part == "sequences":
+        tasks = [(target, kind) for target in targets for kind in ("approach", "fly-around")]
+        shards = [(*task, seed) for task in tasks]
+    else:
+        others = [*targets[1:], targets[0]]
+        tasks = [(*pair, kind) for pair in zip(targets, others, strict=True) for kind in KINDS]
+        shards = [(*task, count, seed) for task in tasks]
+    with open_executor(2, dask, processes=True) as workers:
+        results = dict(workers.results(one, (Path(models).resolve(),), shards))
+    done = [(tasks[k], results[k]) for k in range(len(tasks))]
+    if part == "refusals":
+        for kind in KINDS:
+            given, wrong = np.sum([result for task, result in done if task[2] == kind], axis=0)
+            print(f"{kind}: {count * len(targets)} frames, {given} poses given, {wrong} wrong")
         return
-    tasks = [
-        (t, targets[(i + 1) % len(targets)], kind) for i, t in enumerate(targets) for kind in KINDS
-    ]
-    with open_executor(2, arguments.dask, processes=True) as workers:
-        shards = [(*task, arguments.count, arguments.seed) for task in tasks]
-        results = dict(workers.results(refusals, (models.resolve(),), shards))
-    done = [results[k] for k in range(len(tasks))]
-    for kind in KINDS:
-        part = [d for task, d in zip(tasks, done, strict=True) if task[2] == kind]
+    for (target, kind), (frames, losses, errors, shares) in done:
         print(
-            f"{kind}: {arguments.count * len(targets)} frames, {sum(p[0] for p in part)} poses "
-            f"given, {sum(p[1] for p in part)} wrong"
+            f"{Path(target).stem} {kind}: {frames} frames, {losses} lost, rotation "
+            f"{np.median(errors):.3f}° median, {np.percentile(errors, 95):.2f}° 95 %, "
+            f"translation {100 * np.median(shares):.3f} % of range"
         )
+    everything = np.concatenate([errors for _, (_, _, errors, _) in done])
+    frames, losses = (sum(result[k] for _, result in done) for k in (0, 1))
+    print(f"all: {frames} frames, {losses} lost, {np.median(everything):.3f}° median")

@@ -1,42 +1,21 @@
-"""Tracking beside ViSP's model-based tracker (moving edges, and with KLT points), in one run.
-
-    python -m experiments visp-tracking client --model M.rvm [--set range=20 ...] [--pictures D]
-
-Three tasks, each on frames of our simulator (1024 × 1024, 40°), all of the same frames and
-priors, on one core, in processor time:
-
-- "5°": a random frame and a prior at most 5° off, 3 % of range along and 1 % across, as in our
-  campaigns;
-- "1.5°": the same with a third of that;
-- "sequence": 1.5° a frame about a fixed axis and 0.3 % of range, the first pose given, each tracker
-  from its own last pose (ours turns it on at the rate of the last two). ViSP that threw goes on
-  from its last pose.
-
-A frame is right where the pose is less than 5° off; a frame without a pose is not. As priors are at
-most 5° off, what is within 1° says more.
-
-ViSP's settings are the best found on seed 501, 24 frames of client and 12 of hubble: range 5, 6, 8,
-10, 12, 15, 20, 25, 30 pixels; masks of 3, 5, 7; thresholds of 1,000 to 20,000; steps of 2, 3, 4, 6;
-contrast margins, least share of points, angles of appearance (no difference); one to four passes on
-a frame; Gauss–Newton and Levenberg–Marquardt; how much of the mesh is told."""
+"""Tracking beside ViSP's model-based tracker (moving edges, and with KLT points), in one run."""
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
+from experiments.frame import mesh_of, show, table_of
 from experiments.peers.visp import Frame, Visp, build, missing
 from experiments.peers.visp_cao import cao_of
 from rendezview.geometry.camera import Camera
@@ -44,8 +23,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.bundled import find_target
-from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh import Mesh
 
 CAMERA = Camera.from_fov(1024, 1024, math.radians(40.0))
 OURS, EDGES, KLT = "ours", "ViSP, edges", "ViSP, edges and KLT"
@@ -243,42 +221,50 @@ def draw(mesh: Mesh, model: ViewModel, program: Path, count: int, seed: int, fol
             cv2.imwrite(str(folder / f"visp_{k:02d}.png"), picture)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("target")
-    parser.add_argument("--model", type=Path, required=True)
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--length", type=int, default=60, help="frames of the sequence")
-    parser.add_argument("--seed", type=int, default=77)
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE")
-    parser.add_argument("--pictures", type=Path, metavar="FOLDER")
-    arguments = parser.parse_args()
+def run(
+    target: str, *, model: Path, frames: int = 60,
+    length: Annotated[int, "frames of the sequence"] = 60, seed: int = 77,
+    set_: Annotated[list[str] | None, "settings of ViSP, as range=20"] = None,
+    pictures: Annotated[Path | None, "folder for pictures of what ViSP found"] = None,
+) -> None:  # fmt: skip
+    """Tracking beside ViSP's model-based tracker (moving edges, and with KLT points).
+
+    Three tasks on frames of our simulator (1024 × 1024, 40°), the same frames and priors for all,
+    on one core, in processor time:
+
+    - "5°": a random frame and a prior at most 5° off, 3 % of range along and 1 % across;
+    - "1.5°": the same with a third of that;
+    - "sequence": 1.5° a frame about a fixed axis and 0.3 % of range. The first pose is given, then
+      each tracker starts from its own last pose (ours turns it on at the last rate). A ViSP that
+      threw an error goes on from its last pose.
+
+    A frame is right if the pose is less than 5° off. As priors are at most 5° off, the count
+    within 1° says more.
+
+    ViSP's settings are the best found on seed 501, 24 frames of client and 12 of hubble: range 5,
+    6, 8, 10, 12, 15, 20, 25, 30 pixels; masks of 3, 5, 7; thresholds of 1,000 to 20,000; steps of
+    2, 3, 4, 6; contrast margins, least share of points, angles of appearance (no difference); one
+    to four passes on a frame; Gauss–Newton and Levenberg–Marquardt; how much of the mesh is given.
+    """
     reason = missing()
     if reason is not None:
         raise SystemExit(f"ViSP: {reason}")
     cv2.setNumThreads(1)
-    changed = {name: float(value) for name, value in (w.split("=") for w in arguments.set)}
-    found = find_target(arguments.target)
-    mesh = load_mesh(found.mesh_path, found.unit)
-    model = ViewModel.load(arguments.model)
-    table = Table(title=f"{arguments.target}, seed {arguments.seed}, ms of processor time")
-    for name in (
-        "task", "tracker", "ms a frame", "mean", "right", "within 1°", "no pose", "rotation",
-        "translation",
-    ):  # fmt: skip
-        table.add_column(name)
+    changed = {name: float(value) for name, value in (w.split("=") for w in set_ or [])}
+    _, mesh = mesh_of(target)
+    views = ViewModel.load(model)
+    columns = ("task", "tracker", "ms a frame", "mean", "right", "within 1°", "no pose", "rotation",
+               "translation")  # fmt: skip
+    rows = table_of(f"{target}, seed {seed}, ms of processor time", columns, left=9)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         program = build(Path(folder))
-        for task, scores in tasks(
-            mesh, model, program, arguments.frames, arguments.length, arguments.seed, changed
-        ):
+        for task, scores in tasks(mesh, views, program, frames, length, seed, changed):
             for name, score in scores.items():
-                table.add_row(
+                rows.add_row(
                     task, name, f"{score.ms:.1f}", f"{score.mean_ms:.1f}",
-                    f"{score.right}/{len(score.rotation_rad)}",
-                    str(score.close), str(score.refused), f"{score.degrees:.2f}°",
-                    f"{score.percent:.2f} %",
+                    f"{score.right}/{len(score.rotation_rad)}", str(score.close),
+                    str(score.refused), f"{score.degrees:.2f}°", f"{score.percent:.2f} %",
                 )  # fmt: skip
-        if arguments.pictures:
-            draw(mesh, model, program, 6, arguments.seed, arguments.pictures)
-    Console(width=130).print(table)
+        if pictures:
+            draw(mesh, views, program, 6, seed, pictures)
+    show(rows, width=130)

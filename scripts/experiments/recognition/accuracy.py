@@ -1,34 +1,16 @@
-"""Node decisions and direction of view on held-out frames, as docs/recognizer.md reports them.
-
-    python -m experiments recognition-accuracy models_cad/hubble --views 2000 --seed 1
-
-Trains the robust model and the paper's (or takes ``--model FILE``), then asks every node
-within three edges about random views that neither has seen:
-
-(a) the paper's conditions: a clean silhouette at the sphere radius, roll known;
-(b) real frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,
-    off-centre bearing, roll known to 1° (one σ), light from behind the camera;
-(c) the same frames end to end: only a prior that is off by up to 20° about a random axis;
-(d) as (c), with the Sun up to 30° from behind the camera, hard shadows;
-(e) as (d), with the Sun 30–60° from behind the camera: what shadows cost.
-
-In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame
-counts: one that gives no silhouette has all its in-decisions wrong and its out-decisions
-right.
-"""
+"""Node decisions and direction of view on held-out frames, as docs/recognizer.md reports them."""
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import Dask, show, table_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array, Pose, rotation_angle
@@ -222,99 +204,82 @@ def end_to_end(
 def joined(tallies: list[Tally]) -> Tally:
     """The sum of many."""
     total = Tally()
-    for t in tallies:
-        total.in_right += t.in_right
-        total.in_total += t.in_total
-        total.out_right += t.out_right
-        total.out_total += t.out_total
-        for name in ("on", "direction_deg", "rotation_deg", "range_percent"):
-            getattr(total, name).extend(getattr(t, name))
+    for tally in tallies:
+        for one in fields(Tally):  # numbers and lists are both added up
+            setattr(total, one.name, getattr(total, one.name) + getattr(tally, one.name))
     return total
 
 
-def row(table: Table, name: str, t: Tally) -> None:
-    """One line: decisions, nodes on, errors."""
+def row(t: Tally) -> list[str]:
+    """Decisions, active nodes, errors."""
     right, total = t.in_right + t.out_right, t.in_total + t.out_total
 
-    def quantiles(errors: list[float], *shares: float) -> str:
+    def quantiles(errors: list[float]) -> str:
         if not errors:
             return "–"
-        return " / ".join(f"{np.quantile(errors, q, method='higher'):.2f}" for q in shares)
+        return " / ".join(f"{np.quantile(errors, q, method='higher'):.2f}" for q in (0.5, 0.95))
 
     refused = "–"
     if t.rotation_deg:
         errors = np.array(t.rotation_deg)
         wrong = np.isfinite(errors) & (errors > WRONG_DEG)
         refused = f"{100 * np.mean(np.isinf(errors)):.1f} / {100 * np.mean(wrong):.1f}"
-    table.add_row(
-        name,
-        f"{100 * right / total:.2f}",
-        f"{100 * t.in_right / t.in_total:.2f}",
-        f"{100 * t.out_right / t.out_total:.2f}",
-        f"{np.mean(t.on):.2f}",
-        f"{100 * np.mean(np.array(t.on) == 0):.2f}",
-        quantiles(t.direction_deg, 0.5, 0.95),
-        quantiles(t.rotation_deg, 0.5, 0.95),
-        quantiles(t.range_percent, 0.5, 0.95),
-        refused,
-    )
+    return [
+        f"{100 * right / total:.2f}", f"{100 * t.in_right / t.in_total:.2f}",
+        f"{100 * t.out_right / t.out_total:.2f}", f"{np.mean(t.on):.2f}",
+        f"{100 * np.mean(np.array(t.on) == 0):.2f}", quantiles(t.direction_deg),
+        quantiles(t.rotation_deg), quantiles(t.range_percent), refused,
+    ]  # fmt: skip
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("target", type=Path, help="target.toml, its folder, or a mesh")
-    parser.add_argument("--unit", help="unit of a bare mesh")
-    parser.add_argument("--model", type=Path, help="robust model, trained before")
-    parser.add_argument("--views", type=int, default=2000)
-    parser.add_argument("--seed", type=int, default=1, help="of the test frames")
-    parser.add_argument("--jobs", type=int, default=-1)
-    parser.add_argument("--dask", help="scheduler of a cluster")
-    arguments = parser.parse_args()
-    target = Target.load(arguments.target)
-    mesh = load_mesh(target.mesh_path, arguments.unit or target.unit)
+def run(
+    target: Annotated[Path, "target.toml, its folder, or a mesh"],
+    *, unit: Annotated[str | None, "of a bare mesh"] = None,
+    model: Annotated[Path | None, "robust model, trained before"] = None,
+    views: int = 2000, seed: Annotated[int, "of the test frames"] = 1, jobs: int = -1,
+    dask: Dask = None,
+) -> None:  # fmt: skip
+    """Node decisions and direction of view on held-out frames, as docs/recognizer.md reports them.
+
+    Trains the robust model and the paper's (or takes ``--model FILE``), then asks every node
+    within three edges about random views that neither has seen:
+
+    (a) the paper's conditions: a clean silhouette at the sphere radius, roll known; (b) real
+    frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,     off-centre
+    bearing, roll known to 1° (one σ), light from behind the camera; (c) the same frames end to
+    end: only a prior that is off by up to 20° about a random axis; (d) as (c), with the Sun up to
+    30° from behind the camera, hard shadows; (e) as (d), with the Sun 30–60° from behind the
+    camera: what shadows cost.
+
+    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame
+    counts: one that gives no silhouette has all its in-decisions wrong and its out-decisions
+    right.
+    """
+    found = Target.load(target)
+    mesh = load_mesh(found.mesh_path, unit or found.unit)
     with tempfile.TemporaryDirectory() as folder:
-        options = TrainingOptions(contour_points=0, lit_views=False)
-        if arguments.model:
-            robust = ViewModel.load(arguments.model)
-        else:
-            robust = train(
-                mesh, Path(folder) / "robust.rvm", name=target.name, options=options
-            ).model
-        paper = train(
-            mesh,
-            Path(folder) / "paper.rvm",
-            name=target.name,
-            options=replace(options.paper(), held_out_views=0),
-        ).model
-    camera = flight_camera(mesh)
-    models = [robust, paper]
-    with open_executor(arguments.jobs, arguments.dask) as workers:
-        shared = (mesh, models, camera, arguments.seed)
-        done = dict(workers.results(one_real, shared, [(k,) for k in range(arguments.views)]))
-    frames = [done[k] for k in range(arguments.views)]
-    table = Table(title=f"{target.name}: {arguments.views} random views, seed {arguments.seed}")
-    for column in (
-        "condition",
-        "right %",
-        "in %",
-        "out %",
-        "nodes on",
-        "none on %",
-        "direction °, median / 95 %",
-        "rotation °, median / 95 %",
-        "range %, median / 95 %",
-        "no pose / wrong %",
-    ):
-        table.add_column(column, justify="left" if column == "condition" else "right")
-    for name, model in (("robust", robust), ("paper", paper)):
-        row(
-            table,
-            f"(a) clean, {name}",
-            clean_tally(mesh, model, arguments.views, arguments.seed),
-        )
-    row(table, "(b) real frames, robust", joined([f[0] for f in frames]))
-    row(table, "(b) real frames, paper", joined([f[1] for f in frames]))
-    row(table, "(c) 20° prior, robust", joined([f[2] for f in frames]))
-    row(table, "(d) Sun 0–30°, robust", joined([f[3] for f in frames]))
-    row(table, "(e) Sun 30–60°, robust", joined([f[4] for f in frames]))
-    Console(width=160).print(table)
+
+        def trained(name: str, options: TrainingOptions) -> ViewModel:
+            return train(mesh, Path(folder) / name, name=found.name, options=options).model
+
+        options = TrainingOptions(contour_points=0, shadowed_silhouettes=False)
+        robust = ViewModel.load(model) if model else trained("robust.rvm", options)
+        paper = trained("paper.rvm", replace(options.paper(), held_out_views=0))
+    shared = (mesh, [robust, paper], flight_camera(mesh), seed)
+    with open_executor(jobs, dask) as workers:
+        done = dict(workers.results(one_real, shared, [(k,) for k in range(views)]))
+    conditions = {
+        "(a) clean, robust": clean_tally(mesh, robust, views, seed),
+        "(a) clean, paper": clean_tally(mesh, paper, views, seed),
+    }
+    names = ("(b) real frames, robust", "(b) real frames, paper", "(c) 20° prior, robust",
+             "(d) Sun 0–30°, robust", "(e) Sun 30–60°, robust")  # fmt: skip
+    for place, name in enumerate(names):
+        conditions[name] = joined([done[k][place] for k in range(views)])
+    columns = ("condition", "right %", "in %", "out %", "nodes on", "none on %",
+               "direction °, median / 95 %", "rotation °, median / 95 %",
+               "range %, median / 95 %", "no pose / wrong %")  # fmt: skip
+    rows = table_of(f"{found.name}: {views} random views, seed {seed}", columns)
+    for name, tally in conditions.items():
+        rows.add_row(name, *row(tally))
+    show(rows, width=160)

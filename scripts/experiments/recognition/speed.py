@@ -1,58 +1,38 @@
-"""Time from an 8-bit frame to the on nodes, beside the floor of that frame, in one run.
-
-    python -m experiments recognition-speed --model hubble.rvm
-
-Without ``--model`` a small model of ``models_cad/hubble`` is trained first (the time of a
-frame does not depend on how many views it learned from). The floor is what reading the
-frame must cost: OpenCV's threshold, its external contours, and the readings of their
-outline. Peer: OpenCV's linemod, by the interpreter that ``--peer-python`` names. One thread,
-medians; compare the ratios, not the milliseconds.
-"""
+"""Time from an 8-bit frame to the on nodes, beside the floor of that frame, in one run."""
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD
-from experiments.peers.linemod import linemod_ms
+from experiments.frame import PeerPython, mesh_of, show, table_of
+from experiments.peers.opencv_contrib import linemod_ms
+from experiments.timing import median_ms
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.outline.signature import (
+    Signature,
+    radial_maxima,
+    spokes_of,
+    twist,
+)
 from rendezview.sensors.appearance.outline.silhouette import outer_borders
-from rendezview.sensors.appearance.outline.tracing import crack_outline, radial_maxima, spokes_of
+from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
 from rendezview.training.views import look_from
 
 SIZE = 1024
-FOLDER = MODELS_CAD / "hubble"
-
-
-def median_ms(call: Callable[[], object], seconds: float = 1.0) -> float:
-    """Median time of a call, milliseconds, after a warm-up."""
-    for _ in range(3):
-        call()
-    spent, start = [], time.perf_counter()
-    while time.perf_counter() - start < seconds or len(spent) < 5:
-        before = time.perf_counter()
-        call()
-        spent.append(time.perf_counter() - before)
-    return 1e3 * float(np.median(spent))
 
 
 def scene(mesh: Mesh, model: ViewModel, count: int) -> tuple[Camera, list[np.ndarray], list[Pose]]:
@@ -101,30 +81,33 @@ def all_trees(model: ViewModel, signature: Signature, prior: Pose) -> Callable[[
     return lambda: model.forest.leaves(signature.readings, nodes, rolls)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--model", type=Path, help="model of models_cad/hubble")
-    parser.add_argument("--peer-python", type=Path, help="an interpreter with opencv-contrib")
-    arguments = parser.parse_args()
+def small_model(mesh: Mesh) -> ViewModel:
+    """Trained on few views: the time of a frame does not depend on how many there were."""
+    options = TrainingOptions(
+        perturbed_views=6000, held_out_views=500, contour_points=0, shadowed_silhouettes=False
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        return train(mesh, Path(folder) / "hubble.rvm", name="hubble", options=options).model
+
+
+def run(
+    *, model: Annotated[Path | None, "of hubble; else a small one is trained"] = None,
+    peer_python: PeerPython = None,
+) -> None:  # fmt: skip
+    """Time from an 8-bit frame to the active nodes, beside the floor of that frame.
+
+    The floor is what reading the frame must cost: OpenCV's threshold, its external contours, and
+    the readings of their outline. Peer: OpenCV's linemod. One thread, medians; compare the
+    ratios, not the milliseconds.
+    """
     cv2.setNumThreads(1)
-    target = Target.load(FOLDER)
-    mesh = load_mesh(target.mesh_path, target.unit)
-    if arguments.model:
-        model = ViewModel.load(arguments.model)
-    else:
-        with tempfile.TemporaryDirectory() as folder:
-            options = TrainingOptions(
-                perturbed_views=6000, held_out_views=500, contour_points=0, lit_views=False
-            )
-            path = Path(folder) / "hubble.rvm"
-            model = train(mesh, path, name="hubble", options=options).model
-    camera, frames, priors = scene(mesh, model, 20)
-    recognizer = Recognizer(model, camera, refine=False)
-
-    def floor_stages(frame: np.ndarray) -> tuple[float, ...]:
-        return tuple(median_ms(stage, 0.1) for stage in floor_calls(frame, camera, model.bins))
-
-    floors = np.array([floor_stages(f) for f in frames])
+    _, mesh = mesh_of("hubble")
+    views = ViewModel.load(model) if model else small_model(mesh)
+    camera, frames, priors = scene(mesh, views, 20)
+    recognizer = Recognizer(views, camera, refine=False)
+    floors = np.array(
+        [[median_ms(s, 5, seconds=0.1) for s in floor_calls(f, camera, views.bins)] for f in frames]
+    )
     stages: dict[str, list[float]] = {}
     whole = []
     for frame, prior in zip(frames, priors, strict=True):
@@ -133,30 +116,31 @@ def main() -> None:
             for name, ms in recognizer.recognize(frame, prior).stage_ms.items():
                 stages.setdefault(name, []).append(ms)
 
-        whole.append(median_ms(once, 0.15))
+        whole.append(median_ms(once, 5, seconds=0.15))
     signature = recognizer.recognize(frames[0], priors[0]).signature
     assert signature is not None  # a rendered frame of the whole target
-    trees_ms = median_ms(all_trees(model, signature, priors[0]), 0.5)
-    floor = floors.sum(axis=1)
-    table = Table(title=f"{SIZE} × {SIZE}, 20 frames, one thread, medians")
-    for column in ("what", "ms", "× floor"):
-        table.add_column(column, justify="left" if column == "what" else "right")
-    base = float(np.median(floor))
-
-    def row(name: str, ms: float) -> None:
-        table.add_row(name, f"{ms:.3f}", f"{ms / base:.2f}")
-
-    for k, name in enumerate(("threshold", "external contours", "binning")):
-        row(f"floor: {name}", float(np.median(floors[:, k])))
-    row("floor: together", base)
-    for name, values in stages.items():
-        row(f"recognizer: {name}", float(np.median(values)))
-    to_nodes = sum(float(np.median(stages[n])) for n in ("silhouette", "signature", "trees"))
-    row("recognizer: frame to on nodes", to_nodes)
-    row("recognizer: frame to pose", float(np.median(whole)))
-    row(f"all {len(model.forest)} trees", trees_ms)
-    if arguments.peer_python is not None:
-        for templates, ms in (linemod_ms(arguments.peer_python, frames) or {}).items():
-            row(f"peer: cv2.linemod, templates: {templates}", ms)
-    Console(width=100).print(table)
-    print(f"frame to on nodes / floor: {to_nodes / base:.2f}; all trees {1e3 * trees_ms:.1f} µs")
+    trees_ms = median_ms(all_trees(views, signature, priors[0]), 5, seconds=0.5)
+    floor_ms = float(np.median(floors.sum(axis=1)))
+    medians = {name: float(np.median(values)) for name, values in stages.items()}
+    to_nodes = sum(medians[name] for name in ("silhouette", "signature", "trees"))
+    lines = dict(
+        zip(
+            ("floor: threshold", "floor: external contours", "floor: binning"),
+            np.median(floors, axis=0), strict=True,
+        )
+    )  # fmt: skip
+    lines |= {"floor: together": floor_ms}
+    lines |= {f"recognizer: {name}": ms for name, ms in medians.items()}
+    lines |= {
+        "recognizer: frame to on nodes": to_nodes,
+        "recognizer: frame to pose": float(np.median(whole)),
+        f"all {len(views.forest)} trees": trees_ms,
+    }
+    for templates, ms in linemod_ms(peer_python, frames).items():
+        lines[f"peer: cv2.linemod, templates: {templates}"] = ms
+    rows = table_of(f"{SIZE} × {SIZE}, 20 frames, one thread, medians", ("what", "ms", "× floor"))
+    for name, ms in lines.items():
+        rows.add_row(name, f"{ms:.3f}", f"{ms / floor_ms:.2f}")
+    show(rows, width=100)
+    ratio = to_nodes / floor_ms
+    print(f"frame to on nodes / floor: {ratio:.2f}; all trees {1e3 * trees_ms:.1f} µs")

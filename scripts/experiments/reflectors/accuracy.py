@@ -1,21 +1,9 @@
-"""All six numbers against the Cramér–Rao bound, from 12 m to 1 m, on simulated pictures.
-
-    python -m experiments reflector-accuracy --frames 400 --seed 21
-
-The paper's camera (512 × 384, 652 px a radian, 8 bit) and target (far target of
-models_cad/client), tilt up to 30° in any direction, any roll within ±85°, the target anywhere in
-the picture. Every pair of pictures is read on its own.
-
-*Bound of the spots*: the six numbers' standard deviations that the spots' own errors force on any
-unbiased estimate (three spots, six numbers: J Σ Jᵀ), Σ scaled to the errors that the centroids
-really have against the truth. *Bound of the pixels*: the least error of a centroid of a spot of
-known shape under the pictures' noise, σ² = σ_n² / Σ (∂I/∂x)².
-"""
+"""All six numbers against the Cramér–Rao bound, from 12 m to 1 m, on simulated pictures."""
 
 from __future__ import annotations
 
-import argparse
 import math
+from typing import Annotated
 
 import numpy as np
 from rich.console import Console
@@ -126,16 +114,23 @@ def pixel_bound(pattern: ReflectorPattern, pose: Pose) -> float:
     return math.sqrt(float(np.mean(bounds)))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=400, help="pairs at each range")
-    parser.add_argument("--seed", type=int, default=21)
-    arguments = parser.parse_args()
+def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) -> None:
+    """All six numbers against the Cramér–Rao bound, from 12 m to 1 m, on simulated pictures.
+
+    The paper's camera (512 × 384, 652 px a radian, 8 bit) and target (far target of
+    models_cad/client), tilt up to 30° in any direction, any roll within ±85°, the target anywhere
+    in the picture. Every pair of pictures is read on its own.
+
+    *Bound of the spots*: the six numbers' standard deviations that the spots' own errors force on
+    any unbiased estimate (three spots, six numbers: J Σ Jᵀ), Σ scaled to the errors that the
+    centroids really have against the truth. *Bound of the pixels*: the least error of a centroid
+    of a spot of known shape under the pictures' noise, σ² = σ_n² / Σ (∂I/∂x)².
+    """
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(seed)
     acquirer = Acquirer(CAMERA, [pattern])
-    ratios = Table(title=f"RMS error over the bound of the spots, {arguments.frames} pairs, "
-                   f"seed {arguments.seed}")  # fmt: skip
+    ratios = Table(title=f"RMS error over the bound of the spots, {frames} pairs, "
+                   f"seed {seed}")  # fmt: skip
     sizes = Table(title="median bound → median error (bound's σ × 0.674 would be the median)")
     plain = Table(title="closed form with calibration: median / 95 %")
     for table in (ratios, sizes, plain):
@@ -145,12 +140,12 @@ def main() -> None:
     for name in ("range %", "azimuth °", "elevation °", "roll °", "pitch °", "yaw °"):
         sizes.add_column(name, justify="right")
         plain.add_column(name, justify="right")
-    constants = learn(arguments.seed + 1000, pattern)
+    constants = learn(seed + 1000, pattern)
     worst = 0.0
     for range_m in RANGES_M:
         errors, bounds, spot_errors, spot_sigmas, closed, px_bound = [], [], [], [], [], []
         missed = 0
-        for _ in range(arguments.frames):
+        for _ in range(frames):
             pose, six = random_pose(rng, pattern, range_m)
             lit, dark = render_pair(CAMERA, pattern, pose, OPTIONS, rng)
             spots = find_spots(LitDark(lit, dark))
@@ -211,7 +206,7 @@ def main() -> None:
 
 
 def learn(seed: int, pattern: ReflectorPattern):
-    """Calibration of the closed form on 300 other pairs, 1 to 12 m."""
+    """ClosedFormCalibration of the closed form on 300 other pairs, 1 to 12 m."""
     rng = np.random.default_rng(seed)
     acquirer = Acquirer(CAMERA, [pattern])
     readings = []

@@ -1,29 +1,11 @@
-"""Acquisition among glints and foil: found when three spots are visible, and never falsely.
-
-    python -m experiments reflector-acquisition --frames 2500 --seed 39     (four seeds make 10,000)
-
-Every pair is searched on its own, without memory. In a tenth of the pairs one or more reflectors
-are hidden, or there is no target: nothing may be found there. All have a crumpled sheet of
-sunlit foil (12 to 40 facets, some saturated, moving and flickering between the pictures), half of
-them the Earth or stars, and up to six false spots that only the lit picture has, as large and
-as bright as reflectors. A reflector counts as visible when neither foil nor a false spot adds more
-than 4 % of its own light within its spot.
-
-A find that is false is looked at again, as the sensor does before it locks: half a second later,
-the target 1 % nearer and turned by a degree, the foil's facets as bright as ever in their places
-or 30 % off (flicker), a false spot in its place with probability ½ and elsewhere if not. Only a
-find that agrees with the first is a lock.
-
-A find is false when its pose is off by more than 3 % of range, or a spot is not the reflector it
-is said to be; half a turn of roll is no error, three reflectors look the same then.
-"""
+"""Acquisition among glints and foil: found when three spots are visible, and never falsely."""
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
 from collections import Counter
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,13 +15,7 @@ from experiments.reflectors.run import CAMERA, CLIENT
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors import (
-    Acquirer,
-    LitDark,
-    find_spots,
-    patterns_of,
-    predict_spots,
-)
+from rendezview.sensors.reflectors import Acquirer, LitDark, find_spots, patterns_of, predict_spots
 from rendezview.simulation.reflector_frames import (
     Clutter,
     ReflectorFrameOptions,
@@ -88,13 +64,29 @@ def agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, first) 
     return bool(np.linalg.norm(a - b) < 0.1 * np.linalg.norm(a))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, default=2500)
-    parser.add_argument("--seed", type=int, default=39)
-    parser.add_argument("--tell", action="store_true", help="say what was missed or false")
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(arguments.seed)
+def run(
+    *, frames: int = 2500, seed: int = 39,
+    tell: Annotated[bool, "say what was missed or false"] = False,
+) -> None:  # fmt: skip
+    """Acquisition among glints and foil: found when three spots are visible, and never falsely.
+
+    Every pair is searched on its own, without memory. In a tenth of the pairs one or more
+    reflectors
+    are hidden, or there is no target: nothing may be found there. All have a crumpled sheet of
+    sunlit foil (12 to 40 facets, some saturated, moving and flickering between the pictures),
+    half of them the Earth or stars, and up to six false spots that only the lit picture has, as
+    large and as bright as reflectors. A reflector counts as visible when neither foil nor a false
+    spot adds more than 4 % of its own light within its spot.
+
+    A find that is false is looked at again, as the sensor does before it locks: half a second
+    later, the target 1 % nearer and turned by a degree, the foil's facets as bright as ever in
+    their places or 30 % off (flicker), a false spot in its place with probability ½ and elsewhere
+    if not. Only a find that agrees with the first is a lock.
+
+    A find is false when its pose is off by more than 3 % of range, or a spot is not the reflector
+    it is said to be; half a turn of roll is no error, three reflectors look the same then.
+    """
+    rng = np.random.default_rng(seed)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
     acquirer = Acquirer(CAMERA, [pattern])
     options = ReflectorFrameOptions()
@@ -104,7 +96,7 @@ def main() -> None:
         sky(CAMERA, rng, earth_grey=150.0) if k % 2 else sky(CAMERA, rng, star_grey=120.0)
         for k in range(8)
     ]
-    for n in range(arguments.frames):
+    for n in range(frames):
         range_m = math.exp(rng.uniform(math.log(1.0), math.log(12.0)))
         pose, _ = random_pose(rng, pattern, range_m)
         clutter: tuple[Clutter, ...] = (
@@ -128,7 +120,7 @@ def main() -> None:
         kind = "hidden" if hidden else "visible" if visible else "touched by clutter"
         if found.status is not Status.OK:
             counts[f"{kind}: {found.status}"] += 1
-            if visible and arguments.tell:
+            if visible and tell:
                 print(n, f"{range_m:.2f} m", found.status, found.reason)
             continue
         off = np.linalg.norm(
@@ -144,9 +136,9 @@ def main() -> None:
         else:
             locked = agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, found)
             counts[f"{kind}: {'FALSE LOCK' if locked else 'false first find'}"] += 1
-        if not true and arguments.tell:
+        if not true and tell:
             print(n, f"{range_m:.2f} m", kind, "FALSE", off, apart, found.score, found.rival_score)
-    print(f"{arguments.frames} pairs, seed {arguments.seed}, median {np.median(spots_seen):.0f} "
+    print(f"{frames} pairs, seed {seed}, median {np.median(spots_seen):.0f} "
           f"spots (most {max(spots_seen)}), median {np.median(spent):.2f} ms a pair")  # fmt: skip
     for name, count in sorted(counts.items()):
         print(f"{count:6d}  {name}")

@@ -1,23 +1,13 @@
-"""Centroids of spots in a real picture, beside an independent catalogue of the same picture.
-
-    python -m experiments reflector-real-spots image.fits image.cat --scale 0.05
-
-PICTURE is a FITS image of stars and CATALOGUE what SExtractor makes of it, with the columns
-XWIN_IMAGE and YWIN_IMAGE (its windowed centroids). Such a pair is data/image.fits and
-data/image.cat of the sources of `sep` (github.com/kbarbary/sep). The picture is brought to 8 bits,
-as a sensor's would be: median taken off, times ``scale``, so that its noise is a few grey levels;
-what that saturates is left out. Nothing of the method was chosen on it.
-"""
+"""Centroids of spots in a real picture, beside an independent catalogue of the same picture."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from experiments.frame import show, table_of
 from rendezview.sensors.reflectors import LitDark, find_spots
 from rendezview.sensors.reflectors.difference import ThresholdOptions
 from rendezview.sensors.reflectors.spots import Centroid
@@ -52,21 +42,28 @@ def read_catalogue(path: Path) -> np.ndarray:
     return np.column_stack([places, rows[:, columns["FLAGS"]]])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("picture", type=Path)
-    parser.add_argument("catalogue", type=Path)
-    parser.add_argument("--scale", type=float, default=0.05, help="grey levels a count")
-    arguments = parser.parse_args()
-    pixels = read_fits(arguments.picture)
-    known = read_catalogue(arguments.catalogue)
-    grey = SKY_GREY + arguments.scale * (pixels - np.median(pixels))
+def run(
+    picture: Path, catalogue: Path, *, scale: Annotated[float, "grey levels a count"] = 0.05
+) -> None:
+    """Centroids of spots in a real picture, beside an independent catalogue of the same picture.
+
+    PICTURE is a FITS image of stars and CATALOGUE what SExtractor makes of it, with the columns
+    XWIN_IMAGE and YWIN_IMAGE (its windowed centroids). Such a pair is data/image.fits and
+    data/image.cat of the sources of `sep` (github.com/kbarbary/sep). The picture is brought to 8
+    bits, as a sensor's would be: median taken off, times ``scale``, so that its noise is a few
+    grey levels; what that saturates is left out. Nothing of the method was chosen on it.
+    """
+    pixels = read_fits(picture)
+    known = read_catalogue(catalogue)
+    grey = SKY_GREY + scale * (pixels - np.median(pixels))
     lit = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
     spread = 1.4826 * np.median(np.abs(grey - np.median(grey)))
     print(f"{lit.shape[1]} × {lit.shape[0]}, noise {spread:.2f} grey levels, {len(known)} listed")
-    table = Table(title="distance from the catalogue's windowed centroid, px")
-    for name in ("centroid", "spots", "peak over 100", "median", "90 %", "worst"):
-        table.add_column(name, justify="right")
+    table = table_of(
+        "distance from the catalogue's windowed centroid, px",
+        "centroid | spots | peak over 100 | median | 90 % | worst",
+        left=0,
+    )
     for method in Centroid:
         spots = find_spots(LitDark(lit, None), ThresholdOptions(), method)
         for least in (0.0, 100.0):
@@ -84,4 +81,4 @@ def main() -> None:
                 method, str(len(apart)), "yes" if least else "no",
                 *(f"{v:.3f}" for v in (np.median(apart), np.quantile(apart, 0.9), max(apart))),
             )  # fmt: skip
-    Console().print(table)
+    show(table)

@@ -1,20 +1,11 @@
-"""A million P3P problems through the default solver, and its peers on a sample of the same.
-
-    python -m experiments reflector-solvers --count 1000000 --seed 11
-
-Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), seen at right
-angles (post, or a side, square to the line of sight; right-angled triangles), random triangles,
-and near the cylinder over the reflectors' circle where two poses fall together (distance from it
-log-uniform from 1e-6 to 1e-1 of its radius). The error of a pose is the larger of its rotation
-error (rad) and its position error over range; that of a problem the least over its roots.
-"""
+"""A million P3P problems through the default solver, and its peers on a sample of the same."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from functools import partial
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -22,6 +13,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import table_of
+from experiments.peers.opencv_contrib import least_ms
 from rendezview.sensors.reflectors.judgement import facing_root
 from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
 from rendezview.sensors.reflectors.triangulation import pose_from_distances, triangulate_batch
@@ -147,16 +140,6 @@ def pose_errors(found_r: np.ndarray, found_t: np.ndarray, r: np.ndarray, t: np.n
     return np.nan_to_num(np.maximum(turn, move), nan=np.inf)
 
 
-def best_us(call, repeats: int = 5) -> float:
-    """Least time of a call, microseconds."""
-    spent = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        spent.append(time.perf_counter() - start)
-    return 1e6 * min(spent)
-
-
 def this_one(rays: np.ndarray, points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(p.rotation, p.translation_m) for p in solve_p3p(rays, points)]
 
@@ -199,28 +182,37 @@ def peers() -> dict[str, object]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=1_000_000)
-    parser.add_argument("--peers", type=int, default=1000, help="problems of each class for peers")
-    parser.add_argument("--seed", type=int, default=11)
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(arguments.seed)
+def run(
+    *, count: int = 1000000, peers: Annotated[int, "problems of each class for peers"] = 1000,
+    seed: int = 11,
+) -> None:  # fmt: skip
+    """A million P3P problems through the default solver, and its peers on a sample of the same.
+
+    Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), seen at right
+    angles (post, or a side, square to the line of sight; right-angled triangles), random
+    triangles, and near the cylinder over the reflectors' circle where two poses fall together
+    (distance from it log-uniform from 1e-6 to 1e-1 of its radius). The error of a pose is the
+    larger of its rotation error (rad) and its position error over range; that of a problem the
+    least over its roots.
+    """
+    rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)
     console = Console(width=120)
-    table = Table(title=f"default solver, {arguments.count} problems, seed {arguments.seed}")
-    for name in ("class", "problems", "median", "99.9 %", "worst", "> 1e-9", "> 1e-6", "µs each"):
-        table.add_column(name, justify="left" if name == "class" else "right")
+    table = table_of(
+        f"default solver, {count} problems, seed {seed}",
+        ("class", "problems", "median", "99.9 %", "worst", "> 1e-9", "> 1e-6", "µs each"),
+    )
     everything, samples = [], {}
     for name, share in SHARES.items():
-        wanted = round(share * arguments.count)
+        wanted = round(share * count)
         rotations, places, points, rays = problems(rng, name, wanted)
         errors = []
         for part in np.array_split(np.arange(wanted), max(1, wanted // 50_000)):
             r, t, _ = solve_p3p_batch(rays[part], points[part])
             errors.append(pose_errors(r, t, rotations[part, None], places[part, None]).min(axis=1))
         some = slice(0, min(wanted, 20_000))
-        us = best_us(partial(solve_p3p_batch, rays[some], points[some])) / some.stop
+        solve = partial(solve_p3p_batch, rays[some], points[some])
+        us = 1e3 * least_ms(solve, 5) / some.stop
         error = np.concatenate(errors)
         everything.append(error)
         samples[name] = (rotations, places, points, rays)
@@ -237,7 +229,7 @@ def main() -> None:
     error = pose_errors(r, t, exact[0][:, None], exact[1][:, None]).min(axis=1)
     print(f"exactly two equal poses (2000, beside the million): worst {error.max():.1e}")
     chosen(rng, samples)
-    compare(console, samples, arguments.peers)
+    compare(console, samples, peers)
     iterations(console, rng)
 
 
@@ -312,16 +304,11 @@ def ask(
 
 def iterations(console: Console, rng: np.random.Generator) -> None:
     """Newton–Raphson and the alternate iteration by tilt: converged, and to the truth."""
-    table = Table(title="Bales' iterations, guidance target, 1 to 12 m, 20,000 each")
-    for name in (
-        "tilt",
-        "method",
-        "converged",
-        "to the truth (1e-6)",
-        "median steps",
-        "µs a solve",
-    ):
-        table.add_column(name, justify="right")
+    table = table_of(
+        "Bales' iterations, guidance target, 1 to 12 m, 20,000 each",
+        "tilt | method | converged | to the truth (1e-6) | median steps | µs a solve",
+        left=0,
+    )
     for degrees in (0.0, 5.0, 30.0):
         n = 20_000
         axis = rng.normal(size=(n, 3)) * (1.0, 1.0, 0.0)
@@ -335,15 +322,8 @@ def iterations(console: Console, rng: np.random.Generator) -> None:
         for name, alternate in (("Newton–Raphson", False), ("alternate", True)):
             distances, steps, converged = triangulate_batch(rays, BASE, POST, alternate=alternate)
             right = (np.abs(distances / truth - 1.0) < 1e-6).all(axis=1)
-            us = (
-                best_us(
-                    lambda a=alternate, r=rays: triangulate_batch(
-                        r[:2000], BASE, POST, alternate=a
-                    ),
-                    3,
-                )
-                / 2000.0
-            )
+            solve = partial(triangulate_batch, rays[:2000], BASE, POST, alternate=alternate)
+            us = 1e3 * least_ms(solve, 3) / 2000.0
             table.add_row(
                 f"{degrees:.0f}°", name, f"{100 * converged.mean():.2f} %",
                 f"{100 * (converged & right).mean():.2f} %", f"{np.median(steps):.0f}", f"{us:.2f}",

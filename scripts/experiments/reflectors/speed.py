@@ -1,25 +1,16 @@
-"""Time of a reading beside threshold + contours + moments of the same pictures, in one run.
-
-    python -m experiments reflector-speed --seed 41
-
-512 × 384 pairs of the paper's target at 12, 6, 3 and 1.5 m; 200 false spots for the triplets; a
-batch of P3P. One thread; the least of repeated medians, so that other work on the machine counts
-little. Compare the ratios, not the milliseconds.
-"""
+"""Time of a reading beside threshold + contours + moments of the same pictures, in one run."""
 
 from __future__ import annotations
 
-import argparse
-import time
 from collections.abc import Callable
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from experiments.frame import show, table_of
 from experiments.reflectors.accuracy import OPTIONS, random_pose
 from experiments.reflectors.run import CAMERA, CLIENT
+from experiments.timing import median_ms
 from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
     Acquirer,
@@ -39,24 +30,9 @@ from rendezview.sensors.reflectors.spots import (
     SHAPE,
     SIZE,
     TOP,
-    Spots,
+    SpotTable,
 )
 from rendezview.simulation.reflector_frames import render_pair
-
-
-def median_ms(call: Callable[[], object], rounds: int = 7, each: int = 60) -> float:
-    """Least of several medians, milliseconds, after a warm-up."""
-    for _ in range(3):
-        call()
-    medians = []
-    for _ in range(rounds):
-        spent = []
-        for _ in range(each):
-            start = time.perf_counter()
-            call()
-            spent.append(time.perf_counter() - start)
-        medians.append(np.median(spent))
-    return 1e3 * float(min(medians))
 
 
 def floor(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:
@@ -71,7 +47,7 @@ def floor(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:
     return centres
 
 
-def many_spots(rng: np.random.Generator, count: int, alike: bool) -> Spots:
+def many_spots(rng: np.random.Generator, count: int, alike: bool) -> SpotTable:
     """False spots all over the picture; ``alike``: all of one size and brightness."""
     table = np.zeros((count, COLUMNS))
     table[:, 0], table[:, 1] = rng.uniform(10, 500, count), rng.uniform(10, 370, count)
@@ -81,7 +57,7 @@ def many_spots(rng: np.random.Generator, count: int, alike: bool) -> Spots:
     table[:, LEFT], table[:, RIGHT] = table[:, 0] - 3, table[:, 0] + 3
     table[:, TOP], table[:, BOTTOM] = table[:, 1] - 3, table[:, 1] + 3
     table[:, 7] = 0.02
-    return Spots(table)
+    return SpotTable(table)
 
 
 def pairs_at(rng: np.random.Generator, pattern: ReflectorPattern, range_m: float) -> list[LitDark]:
@@ -104,41 +80,46 @@ def tracking(pattern: ReflectorPattern, pairs: list[LitDark]) -> Callable[[], No
     return track
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=41)
-    arguments = parser.parse_args()
+def run(*, seed: int = 41) -> None:
+    """Time of a reading beside threshold + contours + moments of the same pictures, in one run.
+
+    512 × 384 pairs of the paper's target at 12, 6, 3 and 1.5 m; 200 false spots for the triplets;
+    a batch of P3P. One thread; the least of repeated medians, so that other work on the machine
+    counts little. Compare the ratios, not the milliseconds.
+    """
     cv2.setNumThreads(1)
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(seed)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
     acquirer = Acquirer(CAMERA, [pattern])
-    table = Table(title=f"512 × 384, seed {arguments.seed}, one thread, ms")
-    for name in ("range m", "threshold + contours + moments", "spots", "triplets and pose",
-                 "acquisition", "× floor", "tracking", "× floor"):  # fmt: skip
-        table.add_column(name, justify="right")
+    table = table_of(
+        f"512 × 384, seed {seed}, one thread, ms",
+        "range m | threshold + contours + moments | spots | triplets and pose | "
+        "acquisition | × floor | tracking | × floor",
+        left=0,
+    )
     for range_m in (12.0, 6.0, 3.0, 1.5):
         pairs = pairs_at(rng, pattern, range_m)
         first = pairs[0]
-        base = median_ms(lambda f=first: floor(f.lit, f.dark))
+        base = median_ms(lambda f=first: floor(f.lit, f.dark), rounds=7)
         spots = find_spots(first)
-        spots_ms = median_ms(lambda f=first: find_spots(f))
-        triplets_ms = median_ms(lambda s=spots: acquirer.acquire(s))
-        both_ms = median_ms(lambda f=first: acquirer.acquire(find_spots(f)))
-        track_ms = median_ms(tracking(pattern, pairs))
+        spots_ms = median_ms(lambda f=first: find_spots(f), rounds=7)
+        triplets_ms = median_ms(lambda s=spots: acquirer.acquire(s), rounds=7)
+        both_ms = median_ms(lambda f=first: acquirer.acquire(find_spots(f)), rounds=7)
+        track_ms = median_ms(tracking(pattern, pairs), rounds=7)
         table.add_row(
             f"{range_m:g}", f"{base:.3f}", f"{spots_ms:.3f}", f"{triplets_ms:.3f}",
             f"{both_ms:.3f}", f"{both_ms / base:.1f}", f"{track_ms:.3f}", f"{track_ms / base:.1f}",
         )  # fmt: skip
-    Console(width=120).print(table)
+    show(table, width=120)
     for alike in (False, True):
         crowd = many_spots(rng, 200, alike)
         found = acquirer.acquire(crowd)
-        ms = median_ms(lambda c=crowd: acquirer.acquire(c), 5, 20)
+        ms = median_ms(lambda c=crowd: acquirer.acquire(c), 20, rounds=5)
         kind = "all alike, the worst" if alike else "of any size and brightness"
         print(f"200 false spots {kind}: {ms:.3f} ms ({found.status})")
     points = pattern.positions_m[[1, 0, 2]]
     rays = np.stack(
         [random_pose(rng, pattern, rng.uniform(1.0, 12.0))[0].apply(points) for _ in range(2000)]
     )
-    ms = median_ms(lambda: solve_p3p_batch(rays, points), 7, 10)
+    ms = median_ms(lambda: solve_p3p_batch(rays, points), 10, rounds=7)
     print(f"P3P, all poses, batch of {len(rays)}: {1e3 * ms / len(rays):.3f} µs a solve")

@@ -1,33 +1,18 @@
-"""Accuracy and detection of the ring sensor on simulated frames, beside OpenCV's detectors.
-
-    python -m experiments ring-accuracy --seed 71
-    python -m experiments ring-accuracy --seed 71 --peer-python /path/to/venv/bin/python
-
-Frames by `simulation/ring_frames.py`, 640 × 480, noise 3 grey levels. The peers (EdgeDrawing's
-ellipses and findEllipses of opencv-contrib) run on the same frames in the interpreter given, in a
-process of its own (`ring-peers`); where a peer reports several ellipses, the one nearest to a
-true edge of the ring counts, which is a help our own detector does not get.
-
-A detection is right when centre and semi-axes are within 2 px, or 3 % of the long axis, of a true
-edge of the ring. Every frame counts; a frame without an answer is a miss.
-"""
+"""Accuracy and detection of the ring sensor on simulated frames, beside OpenCV's detectors."""
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import subprocess
-import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from experiments.peers import ellipses
+from experiments.frame import PeerPython, nees, show, table_of, two
+from experiments.peers import opencv_contrib
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.ring import (
+    CirclePose,
     Ellipse,
     RingDetector,
     RingPrior,
@@ -59,6 +44,24 @@ CLUTTERED = RingSceneOptions(
 )
 
 
+def run(
+    *, seed: int = 71, frames: int = 150, cluttered: int = 1000, least_score: float = 0.15,
+    peer_python: PeerPython = None,
+) -> None:  # fmt: skip
+    """Accuracy and detection of the ring sensor on simulated frames, beside OpenCV's detectors.
+
+    Frames are 640 × 480 with noise of 3 grey levels. The peers (EdgeDrawing's ellipses and
+    findEllipses) see the same frames. Of several ellipses of a peer the one nearest to a true edge
+    counts; our detector does not get this help. A detection is right if centre and semi-axes are
+    within 2 px, or 3 % of the long axis, of a true edge. A frame without an answer is a miss.
+    --frames: of each case; --cluttered: frames for detection; --least-score: of an answer.
+    """
+    if frames:
+        accuracy(seed, frames, peer_python)
+    if cluttered:
+        detection(seed, cluttered, least_score, peer_python)
+
+
 def right(shape: np.ndarray, truth: np.ndarray | None) -> bool:
     """Whether a shape vector is that of a true edge."""
     if truth is None:
@@ -72,6 +75,7 @@ def right(shape: np.ndarray, truth: np.ndarray | None) -> bool:
 
 
 def ring_edges(scene: RingScene) -> list[tuple[Circle, np.ndarray]]:
+    """The true edges of the ring, and their shape vectors."""
     found = []
     for circle in scene.circles:
         shape = shape_of_circle(scene.camera, circle.centre_m, circle.axis, circle.radius_m)
@@ -80,18 +84,21 @@ def ring_edges(scene: RingScene) -> list[tuple[Circle, np.ndarray]]:
     return found
 
 
-def frames(options: RingSceneOptions, count: int, seed: list[int]):
+def drawn(
+    options: RingSceneOptions, count: int, seed: list[int]
+) -> Iterator[tuple[RingScene, np.ndarray]]:
+    """Random scenes and their frames."""
     for k in range(count):
         rng = np.random.default_rng([*seed, k])
         scene = random_scene(CAMERA, rng, options)
         yield scene, render_ring_frame(scene, rng)
 
 
-def errors_of(poses, circle: Circle) -> tuple[float, float] | None:
+def errors_of(poses: Sequence[CirclePose], circle: Circle) -> tuple[float, float] | None:
     """Centre in % of range and axis in degrees of the pose nearer in axis."""
     if not poses:
         return None
-    pose = max(poses, key=lambda p: float(p.axis @ circle.axis))
+    pose = nearer(poses, circle)
     far = np.linalg.norm(circle.centre_m)
     return (
         100.0 * float(np.linalg.norm(pose.centre_m - circle.centre_m) / far),
@@ -99,30 +106,22 @@ def errors_of(poses, circle: Circle) -> tuple[float, float] | None:
     )
 
 
-def run_peers(python: Path, kept: list[np.ndarray]) -> dict[str, list[list[list[float]]]]:
-    with tempfile.TemporaryDirectory() as folder:
-        np.save(Path(folder) / "frames.npy", np.array(kept))
-        script = Path(ellipses.__file__)
-        done = subprocess.run(
-            [str(python), str(script), str(Path(folder) / "frames.npy")],
-            check=True, capture_output=True, text=True,
-        )  # fmt: skip
-    return json.loads(done.stdout)["ellipses"]
+def nearer(poses: Sequence[CirclePose], circle: Circle) -> CirclePose:
+    """The pose whose axis is nearer to the truth."""
+    return max(poses, key=lambda p: float(p.axis @ circle.axis))
 
 
-def accuracy(console: Console, seed: int, count: int, peer: Path | None) -> None:
-    table = Table(title=f"accuracy, {count} frames a case, seed {seed}: median / 95 %")
-    for name in ("case", "detector", "right", "centre, % of range", "axis, degrees", "NEES / 5",
-                 "sign of tilt told / wrong"):  # fmt: skip
-        table.add_column(name)
+def accuracy(seed: int, count: int, peer: Path | None) -> None:
+    """Errors of the right answers, case by case."""
+    columns = ("case", "detector", "right", "centre, % of range", "axis, degrees", "NEES / 5",
+               "sign of tilt told / wrong")  # fmt: skip
+    rows = table_of(f"accuracy, {count} frames a case, seed {seed}: median / 95 %", columns, left=7)
     for number, (case, options) in enumerate(CASES.items()):
         ours: list[tuple[float, float]] = []
-        odd: list[float] = []
-        told = wrong = 0
-        kept, scenes = [], []
-        for scene, image in frames(options, count, [seed, number]):
-            kept.append(image)
-            scenes.append(scene)
+        consistency: list[float] = []
+        given = wrong = 0
+        scenes = list(drawn(options, count, [seed, number]))
+        for scene, image in scenes:
             reading = RingSensor(CAMERA, scene.ring.radius_m).update(0.0, image)
             if reading.edge is None:
                 continue
@@ -137,36 +136,29 @@ def accuracy(console: Console, seed: int, count: int, peer: Path | None) -> None
             if found is None:
                 continue
             ours.append(found)
-            pose = max(reading.circles, key=lambda p: float(p.axis @ match.axis))
-            off = np.concatenate(
-                [
-                    match.centre_m - pose.centre_m,
-                    tangent_basis(pose.axis).T @ (match.axis - pose.axis),
-                ]
-            )
-            odd.append(off @ np.linalg.solve(pose.covariance, off) / 5.0)
+            pose = nearer(reading.circles, match)
+            tilt = tangent_basis(pose.axis).T @ (match.axis - pose.axis)
+            off = np.concatenate([match.centre_m - pose.centre_m, tilt])
+            consistency.append(nees(off, pose.covariance) / 5.0)
             if reading.circle is not None and len(reading.circles) == 2:
-                told += 1
+                given += 1
                 wrong += float(reading.circle.axis @ match.axis) < float(pose.axis @ match.axis) - (
                     1e-6 + np.trace(pose.covariance[3:, 3:])
                 )
-        rows = {"rendezview": (ours, f"{np.median(odd):.2f} / {np.mean(odd):.2f}",
-                               f"{told} / {wrong}")}  # fmt: skip
-        if peer is not None:
-            for name, found_by in run_peers(peer, kept).items():
-                theirs = []
-                for scene, ellipses in zip(scenes, found_by, strict=True):
-                    best = nearest(scene, ellipses)
-                    if best is not None:
-                        theirs.append(best)
-                rows[name] = (theirs, "", "")
-        for name, (values, consistent, sign) in rows.items():
+        spread = f"{np.median(consistency):.2f} / {np.mean(consistency):.2f}"
+        answers = {"rendezview": (ours, spread, f"{given} / {wrong}")}
+        found_by = opencv_contrib.ellipses(peer, [image for _, image in scenes])
+        for name, ellipses in found_by.items():
+            pairs = zip(scenes, ellipses, strict=True)
+            best = [nearest(scene, found) for (scene, _), found in pairs]
+            answers[name] = ([error for error in best if error is not None], "", "")
+        for name, (values, consistent, sign) in answers.items():
             line = [f"{len(values)} of {count}", "–", "–"]
             if values:
-                centre, axis = np.percentile(values, [50, 95], axis=0).T
-                line[1:] = [f"{centre[0]:.4f} / {centre[1]:.4f}", f"{axis[0]:.3f} / {axis[1]:.3f}"]
-            table.add_row(case if name == "rendezview" else "", name, *line, consistent, sign)
-    console.print(table)
+                centre, axis = np.transpose(values)
+                line[1:] = [two(centre, form="{:.4f} / {:.4f}"), two(axis)]
+            rows.add_row(case if name == "rendezview" else "", name, *line, consistent, sign)
+    show(rows, width=150)
 
 
 def nearest(scene: RingScene, ellipses: list[list[float]]) -> tuple[float, float] | None:
@@ -185,24 +177,17 @@ def nearest(scene: RingScene, ellipses: list[list[float]]) -> tuple[float, float
     return best
 
 
-def detection(
-    console: Console, seed: int, count: int, least_score: float, peer: Path | None
-) -> None:
-    table = Table(title=f"detection, {count} cluttered frames, seed {seed}")
-    for name in ("detector and rule", "answers", "right", "precision", "recall"):
-        table.add_column(name)
-    detector = RingDetector(CAMERA)
-    rings = 0
+def detection(seed: int, count: int, least_score: float, peer: Path | None) -> None:
+    """Precision and recall among clutter."""
     best, several = "rendezview, best score", "rendezview, best score, several concentric edges"
     known = "rendezview, known radius and range to 5 %"
     counts = {best: [0, 0], several: [0, 0], known: [0, 0]}
     among = [0, 0]
-    reach = 0
-    kept, scenes = [], []
-    for scene, image in frames(CLUTTERED, count, [seed, 99]):
-        kept.append(image)
-        scenes.append(scene)
-        rng = np.random.default_rng([seed, 98, len(scenes)])
+    rings = reach = 0
+    detector = RingDetector(CAMERA)
+    scenes = list(drawn(CLUTTERED, count, [seed, 99]))
+    for number, (scene, image) in enumerate(scenes, 1):
+        rng = np.random.default_rng([seed, 98, number])
         edges = ring_edges(scene)
         rings += bool(edges)
         found = detector.detect(image).edges
@@ -212,54 +197,35 @@ def detection(
         reach += any(right(e.ellipse.shape, t) for e in found for _, t in edges)
         if found and found[0].score >= least_score:
             good = any(right(found[0].ellipse.shape, t) for _, t in edges)
-            counts[best][0] += 1
-            counts[best][1] += good
-            if sum(edge.family == found[0].family for edge in found) > 1:
-                counts[several][0] += 1
-                counts[several][1] += good
+            concentric = sum(edge.group == found[0].group for edge in found) > 1
+            for name in (best, several) if concentric else (best,):
+                counts[name][0] += 1
+                counts[name][1] += good
+        range_m, radius = 6.0, 0.6  # where there is nothing to find
         if scene.ring is not None:
-            ring = scene.ring
-            range_m = float(np.linalg.norm(ring.centre_m)) * (1.0 + rng.normal(0.0, 0.05))
-            radius = ring.radius_m
-        else:  # as the last scene's: there is nothing to find
-            range_m, radius = 6.0, 0.6
+            radius = scene.ring.radius_m
+            range_m = float(np.linalg.norm(scene.ring.centre_m)) * (1.0 + rng.normal(0.0, 0.05))
         reading = RingSensor(CAMERA, radius).update(0.0, image, RingPrior(range_m=range_m))
         if reading.edge is not None and reading.edges[reading.edge].score >= least_score:
+            shape = reading.edges[reading.edge].ellipse.shape
             counts[known][0] += 1
-            counts[known][1] += any(
-                right(reading.edges[reading.edge].ellipse.shape, t) for _, t in edges
-            )
+            counts[known][1] += any(right(shape, t) for _, t in edges)
+    columns = ("detector and rule", "answers", "right", "precision", "recall")
+    rows = table_of(f"detection, {count} cluttered frames, seed {seed}", columns, left=5)
     for name, (answers, good) in counts.items():
-        table.add_row(name, str(answers), str(good), f"{good / max(answers, 1):.3f}",
-                      f"{good / rings:.3f}")  # fmt: skip
-    table.add_row("rendezview, any ellipse of any true circle", str(among[0]), str(among[1]),
-                  f"{among[1] / max(among[0], 1):.3f}", "")  # fmt: skip
-    table.add_row("rendezview, the ring among the ellipses", "", str(reach), "",
-                  f"{reach / rings:.3f}")  # fmt: skip
-    if peer is not None:
-        for name, found_by in run_peers(peer, kept).items():
-            answers = sum(bool(ellipses) for ellipses in found_by)
-            good = sum(
-                nearest(scene, ellipses) is not None
-                for scene, ellipses in zip(scenes, found_by, strict=True)
-            )
-            table.add_row(f"{name}, the ring among the ellipses", str(answers), str(good), "",
-                          f"{good / rings:.3f}")  # fmt: skip
-    console.print(table)
-    console.print(f"{rings} of {count} frames have a ring")
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=71)
-    parser.add_argument("--frames", type=int, default=150, help="of each case")
-    parser.add_argument("--cluttered", type=int, default=1000)
-    parser.add_argument("--least-score", type=float, default=0.15, help="of an answer")
-    parser.add_argument("--peer-python", type=Path, help="an interpreter with opencv-contrib")
-    arguments = parser.parse_args()
-    console = Console(width=150)
-    if arguments.frames:
-        accuracy(console, arguments.seed, arguments.frames, arguments.peer_python)
-    if arguments.cluttered:
-        least = arguments.least_score
-        detection(console, arguments.seed, arguments.cluttered, least, arguments.peer_python)
+        shares = f"{good / max(answers, 1):.3f}", f"{good / rings:.3f}"
+        rows.add_row(name, str(answers), str(good), *shares)
+    share = f"{among[1] / max(among[0], 1):.3f}"
+    rows.add_row(
+        "rendezview, any ellipse of any true circle", str(among[0]), str(among[1]), share, ""
+    )
+    name = "rendezview, the ring among the ellipses"
+    rows.add_row(name, "", str(reach), "", f"{reach / rings:.3f}")
+    for name, found_by in opencv_contrib.ellipses(peer, [image for _, image in scenes]).items():
+        answers = sum(bool(ellipses) for ellipses in found_by)
+        pairs = zip(scenes, found_by, strict=True)
+        good = sum(nearest(scene, found) is not None for (scene, _), found in pairs)
+        name = f"{name}, the ring among the ellipses"
+        rows.add_row(name, str(answers), str(good), "", f"{good / rings:.3f}")
+    show(rows, width=150)
+    print(f"{rings} of {count} frames have a ring")

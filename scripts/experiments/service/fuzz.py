@@ -1,17 +1,7 @@
-"""Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
-
-    python -m experiments service-fuzz hubble.rvm [--count 50000] [--seed 0] [--schemathesis]
-
-Frames of all kinds and lines of other sensors, damaged in all ways, by HTTP and by WebSocket; JSON
-that is almost right; raw bytes that are no HTTP; connections that break off. A server error (5xx
-other than 503), an answer that takes more than 10 s, a worker that ends, a session that stays, or
-a service that no longer tracks a good frame is a failure. With --schemathesis (installed apart, as
-it brings a great deal) its own cases are made from the OpenAPI too.
-"""
+"""Malformed frames and messages, by the ten thousand: none may crash, hang or leak."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import socket
 import struct
@@ -21,7 +11,7 @@ import time
 from collections import Counter
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import quote, urlsplit
 
 import cv2
@@ -29,7 +19,7 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from experiments.service.speed import Served
+from experiments.service.serving import Served
 from rendezview.client import Client, ServiceError
 from rendezview.geometry.camera import Camera
 
@@ -282,23 +272,28 @@ class Fuzz:
             session.close()
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("--count", type=int, default=50_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--schemathesis", help="its command, such as .st/bin/schemathesis")
-    parser.add_argument("--examples", type=int, default=100, help="of schemathesis, each route")
-    arguments = parser.parse_args()
-    served = Served(arguments.model)
-    fuzz = Fuzz(served, arguments.seed)
+def run(
+    model: Path, *, count: int = 50000, seed: int = 0,
+    schemathesis: Annotated[str | None, "its command, such as .st/bin/schemathesis"] = None,
+    examples: Annotated[int, "of schemathesis, each route"] = 100,
+) -> None:  # fmt: skip
+    """Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
+
+    Frames of all kinds and lines of other sensors, damaged in all ways, by HTTP and by WebSocket;
+    JSON that is almost right; raw bytes that are no HTTP; connections that break off. A server
+    error (5xx other than 503), an answer that takes more than 10 s, a worker that ends, a session
+    that stays, or a service that no longer tracks a good frame is a failure. With --schemathesis
+    (installed apart, as it brings a great deal) its own cases are made from the OpenAPI too.
+    """
+    served = Served(model)
+    fuzz = Fuzz(served, seed)
     with Client(served.url) as client:
         session = client.open(CAMERA, name="fuzzed", fusion={"ring": RING})
         before = served.resident_mb()
         start = time.monotonic()
-        if arguments.count:
-            fuzz.by_http(arguments.count // 2, "fuzzed")
-            fuzz.by_stream(arguments.count - arguments.count // 2, "fuzzed")
+        if count:
+            fuzz.by_http(count // 2, "fuzzed")
+            fuzz.by_stream(count - count // 2, "fuzzed")
         fuzz.still_tracks()
         spent = time.monotonic() - start
         sessions = [s["id"] for s in client.sessions()]
@@ -311,12 +306,12 @@ def main() -> None:
         after = served.resident_mb()
         session.close()
     code = 0
-    if arguments.schemathesis:
+    if schemathesis:
         code = subprocess.run(
             [
-                arguments.schemathesis, "run", f"{served.url}openapi.json", "--checks",
-                "not_a_server_error", "--max-examples", str(arguments.examples), "--seed",
-                str(arguments.seed), "--request-timeout", "30",
+                schemathesis, "run", f"{served.url}openapi.json", "--checks",
+                "not_a_server_error", "--max-examples", str(examples), "--seed",
+                str(seed), "--request-timeout", "30",
             ],
             check=False,
         ).returncode  # fmt: skip
@@ -325,7 +320,7 @@ def main() -> None:
         fuzz.failures.append(f"sessions stay: {sessions}")
     if restarts:
         fuzz.failures.append(f"{restarts:.0f} workers ended")
-    cases = f"seed {arguments.seed}: {arguments.count} cases in {spent:.0f} s"
+    cases = f"seed {seed}: {count} cases in {spent:.0f} s"
     print(f"{cases}, {len(fuzz.failures)} failures")
     print(", ".join(f"{name}: {count}" for name, count in fuzz.outcomes.most_common()))
     print(f"memory {before:.0f} MB before, {after:.0f} MB after; {restarts:.0f} workers ended")

@@ -1,21 +1,9 @@
-"""Kill the recording service again and again, and count acknowledged poses that are lost.
-
-    python -m experiments service-kill hubble.rvm SCENE [--kills 100] [--seed 0]
-
-Each time a service is started with a log, two clients send frames as fast as they are answered,
-and after a random while the whole process group gets `kill -9`. Then the log is read as it was
-left, and once more after it is mended, by the reader of the `mcap` package. What was answered
-with ``"recorded": true`` must be there, number for number.
-"""
+"""Kill the recording service again and again, and count acknowledged poses that are lost."""
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -26,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 
+from experiments.service.serving import Served
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
@@ -33,23 +22,10 @@ from rendezview.service.log_file import mend
 from rendezview.service.replay import read_log
 
 
-def serve(model: Path, folder: Path, models: Path) -> tuple[subprocess.Popen[str], str]:
-    command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
-    flags = ["--port", "0", "--workers", "1", "--record", str(folder), "--models", str(models)]
-    # The model is in a log before its first pose; written 200 times it only takes time.
-    process = subprocess.Popen(
-        [*command, str(model), *flags],
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        env=os.environ | {"RENDEZVIEW_SERVE_RECORD_MODEL": "false"},
-    )
-    assert process.stderr is not None
-    for line in process.stderr:
-        if "serves at" in line:
-            threading.Thread(target=process.stderr.read, daemon=True).start()
-            return process, line.split("serves at ")[1].strip()
-    raise SystemExit("the service does not start")
+def serve(model: Path, folder: Path, models: Path) -> Served:
+    """A recording service. Its logs are without the model: written 200 times it only takes time."""
+    flags = ("--workers", "1", "--record", str(folder), "--models", str(models))
+    return Served(model, *flags, group=True, record_model="false")
 
 
 def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) -> None:
@@ -80,29 +56,30 @@ def states_of(path: Path) -> dict[int, dict]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
-    rng = np.random.default_rng(arguments.seed)
+def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
+    """Kill the recording service again and again, and count acknowledged poses that are lost.
+
+    Each time a service is started with a log, two clients send frames as fast as they are
+    answered, and after a random while the whole process group gets `kill -9`. Then the log is
+    read as it was left, and once more after it is mended, by the reader of the `mcap` package.
+    What was answered with ``"recorded": true`` must be there, number for number.
+    """
+    rng = np.random.default_rng(seed)
     acknowledged_in_all = lost = unreadable = cut_files = cut_bytes = 0
     with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(1) as starter:
 
-        def start(number: int) -> Future[tuple[subprocess.Popen[str], str]]:
+        def start(number: int) -> Future[Served]:
             folder = Path(work) / f"logs-{number}"
             folder.mkdir()
-            return starter.submit(serve, arguments.model, folder, Path(work) / f"models-{number}")
+            return starter.submit(serve, model, folder, Path(work) / f"models-{number}")
 
         upcoming = start(1)
-        for done in range(1, arguments.kills + 1):
+        for done in range(1, kills + 1):
             folder = Path(work) / f"logs-{done}"
-            process, url = upcoming.result()
+            served = upcoming.result()
             acknowledged: dict[str, list[dict]] = {}
             threads = [
-                threading.Thread(target=send, args=(url, arguments.scene, name, acknowledged))
+                threading.Thread(target=send, args=(served.url, scene, name, acknowledged))
                 for name in ("one", "two")
             ]
             for thread in threads:
@@ -111,9 +88,8 @@ def main() -> None:
             while not any(acknowledged.values()) and time.monotonic() < until:
                 time.sleep(0.01)
             time.sleep(float(rng.uniform(0.0, 1.0)))
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-            if done < arguments.kills:
+            served.kill()
+            if done < kills:
                 upcoming = start(done + 1)  # while the logs of this one are read
             for thread in threads:
                 thread.join()
@@ -144,10 +120,10 @@ def main() -> None:
                 )
             shutil.rmtree(folder)
             shutil.rmtree(Path(work) / f"models-{done}", ignore_errors=True)
-            told_so_far = f"{done} of {arguments.kills}: {acknowledged_in_all} poses, {lost} lost"
+            told_so_far = f"{done} of {kills}: {acknowledged_in_all} poses, {lost} lost"
             print(f"\r{told_so_far}", end="", file=sys.stderr, flush=True)
     print(
-        f"seed {arguments.seed}: {arguments.kills} kills, {acknowledged_in_all} acknowledged "
+        f"seed {seed}: {kills} kills, {acknowledged_in_all} acknowledged "
         f"poses, {lost} lost, {unreadable} logs unreadable; {cut_files} logs ended in half a "
         f"frame ({cut_bytes} bytes cut)"
     )

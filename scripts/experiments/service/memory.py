@@ -1,16 +1,7 @@
-"""Memory of the service's processes over many frames, recording and history on.
-
-    python -m experiments service-memory hubble.rvm SCENE [--frames 100000]
-
-SCENE's frames go to and fro, shrunk (--shrink) so that the count is reached in minutes: what would
-leak, it would leak by the frame. Half of them go by requests, half by a stream, and one in 500 to a
-session that is opened for it and closed. With --history-s (10) the last seconds are full soon, and
-what grows after that is a leak.
-"""
+"""Memory of the service's processes over many frames, recording and history on."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import time
@@ -18,16 +9,11 @@ from pathlib import Path
 
 import cv2
 
-from experiments.service.speed import Loop, Served
+from experiments.service.serving import Loop, Served
 from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 
 _POINTS = 10
-
-
-def resident_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def open_files(pid: int) -> int:
@@ -50,30 +36,30 @@ def shrunk(loop: Loop, by: int) -> Loop:
     return loop
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--frames", type=int, default=100_000)
-    parser.add_argument("--history-s", type=float, default=10.0)
-    parser.add_argument("--shrink", type=int, default=5)
-    arguments = parser.parse_args()
-    loop = shrunk(Loop(arguments.scene), arguments.shrink)
-    os.environ["RENDEZVIEW_SERVE_HISTORY_S"] = str(arguments.history_s)
-    os.environ["RENDEZVIEW_SERVE_RECORD_MODEL"] = "false"
-    # All come from one address, faster than any camera.
-    os.environ["RENDEZVIEW_SERVE_REQUESTS_PER_S"] = "1000000"
+def run(
+    model: Path, scene: Path, *, frames: int = 100000, history_s: float = 10.0, shrink: int = 5
+) -> None:
+    """Memory of the service's processes over many frames, recording and history on.
+
+    SCENE's frames go to and fro, shrunk (--shrink) so that the count is reached in minutes: what
+    would leak, it would leak by the frame. Half of them go by requests, half by a stream, and one
+    in 500 to a session that is opened for it and closed. With --history-s (10) the last seconds
+    are full soon, and what grows after that is a leak.
+    """
+    loop = shrunk(Loop(scene), shrink)
+    # All frames come from one address, faster than any camera.
+    settings = {"history_s": history_s, "record_model": "false", "requests_per_s": 1_000_000}
     with tempfile.TemporaryDirectory() as folder:
-        served = Served(arguments.model, "--workers", "2", "--record", folder)
+        served = Served(model, "--workers", "2", "--record", folder, **settings)
         pids = served.pids()
         names = ["service", *(f"worker {k}" for k in range(1, len(pids)))]
         size = f"{loop.camera.width} × {loop.camera.height} px"
-        print(f"{size}, history {arguments.history_s:g} s, half of the frames by requests")
+        print(f"{size}, history {history_s:g} s, half of the frames by requests")
         print(f"{'frames':>8} {'s':>5} " + " ".join(f"{n + ' MB':>12}" for n in names), "files")
         start_s = time.monotonic()
 
         def tell(done: int) -> None:
-            sizes = " ".join(f"{resident_mb(pid):12.1f}" for pid in pids)
+            sizes = " ".join(f"{mb:12.1f}" for mb in served.each_mb())
             files = [open_files(pid) for pid in pids]
             print(f"{done:8} {time.monotonic() - start_s:5.0f} {sizes}", *files, flush=True)
 
@@ -85,8 +71,8 @@ def main() -> None:
                 with streaming.stream() as stream:
                     found = 0
                     tell(0)
-                    each = max(1, arguments.frames // _POINTS)
-                    for k in range(1, arguments.frames + 1):
+                    each = max(1, frames // _POINTS)
+                    for k in range(1, frames + 1):
                         time_s, image = loop(k)
                         if k % 500 == 0:
                             once = client.open(loop.camera, prior=loop.prior)

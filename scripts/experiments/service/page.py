@@ -1,18 +1,7 @@
-"""When the page is first of use, and how many updates a second it draws.
-
-    python -m experiments service-page hubble.rvm SCENE [--loads 7] [--seconds 30] [--screenshot F]
-
-SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target. A service on a
-free port of this machine gets the scene as a stream of 30 frames a second; a Chromium without a
-window watches it at 1280 × 800. "Of use" is when a camera picture, the word that says how things
-stand and the pose's numbers have been drawn, counted from the start of the navigation, with nothing
-in the browser's cache. Beside the page a plain watcher, without a browser, counts the states that
-the service shows.
-"""
+"""When the page is first of use, and how many updates a second it draws."""
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import itertools
 import os
@@ -27,7 +16,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from experiments.service.speed import Loop, Served
+from experiments.service.serving import Loop, Served
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
 
@@ -89,43 +78,44 @@ def first_use_ms(browser: Browser, url: str) -> float:
     return float(at_ms)
 
 
-def main() -> None:
-    """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--loads", type=int, default=7)
-    parser.add_argument("--seconds", type=int, default=30)
-    parser.add_argument("--screenshot", type=Path)
-    parser.add_argument("--browser", default=shutil.which("chromium"))
-    arguments = parser.parse_args()
-    served = Served(arguments.model, "--workers", "1")
+def run(
+    model: Path, scene: Path, *, loads: int = 7, seconds: int = 30, screenshot: Path | None = None,
+    browser: str | None = shutil.which("chromium"),
+) -> None:  # fmt: skip
+    """When the page is first of use, and how many updates a second it draws.
+
+    SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target. A
+    service on a free port of this machine gets the scene as a stream of 30 frames a second; a
+    Chromium without a window watches it at 1280 × 800. "Of use" is when a camera picture, the
+    word that says how things stand and the pose's numbers have been drawn, counted from the start
+    of the navigation, with nothing in the browser's cache. Beside the page a plain watcher,
+    without a browser, counts the states that the service shows.
+    """
+    served = Served(model, "--workers", "1")
     done = threading.Event()
-    feeder = threading.Thread(
-        target=stream, args=(served.url, Loop(arguments.scene), done), daemon=True
-    )
+    feeder = threading.Thread(target=stream, args=(served.url, Loop(scene), done), daemon=True)
     feeder.start()
     flags = ["--disable-gpu", "--enable-unsafe-swiftshader"]
     if os.geteuid() == 0:
         flags.append("--no-sandbox")
     try:
         with sync_playwright() as play:
-            browser = play.chromium.launch(executable_path=arguments.browser, args=flags)
+            chromium = play.chromium.launch(executable_path=browser, args=flags)
             with Client(served.url) as client:
                 while not any(one["frames"] for one in client.sessions()):
                     time.sleep(0.1)
-            loads = sorted(first_use_ms(browser, served.url) for _ in range(arguments.loads))
+            first_ms = sorted(first_use_ms(chromium, served.url) for _ in range(loads))
             print(f"load of the machine {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores")
             print(
-                f"first useful paint: median {statistics.median(loads):.0f} ms, "
-                f"least {loads[0]:.0f}, most {loads[-1]:.0f} of {len(loads)}"
+                f"first useful paint: median {statistics.median(first_ms):.0f} ms, "
+                f"least {first_ms[0]:.0f}, most {first_ms[-1]:.0f} of {len(first_ms)}"
             )
-            page = browser.new_page(viewport={"width": 1280, "height": 800})
+            page = chromium.new_page(viewport={"width": 1280, "height": 800})
             page.goto(served.url)
             value(page, "rendezview.spaces > 1 ? true : null")
             peer = Peer(served.url)
             counts = []
-            for _ in range(arguments.seconds + 1):
+            for _ in range(seconds + 1):
                 at_ms, drawn, spaces = page.evaluate(
                     "[performance.now(), rendezview.updates, rendezview.spaces]"
                 )
@@ -146,9 +136,9 @@ def main() -> None:
                 f"least {rates[0]:.1f}, most {rates[-1]:.1f}"
             )
             print(f"view in space, drawn by software: {total[1]:.1f} a second")
-            if arguments.screenshot:
-                page.screenshot(path=arguments.screenshot)
-            browser.close()
+            if screenshot:
+                page.screenshot(path=screenshot)
+            chromium.close()
     finally:
         done.set()
         feeder.join(5.0)

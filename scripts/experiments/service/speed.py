@@ -1,99 +1,24 @@
-"""What the service costs over the bare tracker call, and what several clients share.
-
-    python -m experiments service-speed hubble.rvm SCENE [--clients 8] [--frames 100000]
-
-SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target, moving
-little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port of
-this machine; the bare calls run in a process of their own, in turns with the service's, so that
-what else the machine does falls on both.
-"""
+"""What the service costs over the bare tracker call, and what several clients share."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import resource
-import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 
+from experiments.service.serving import Loop, Served
 from rendezview.client import Client, ServiceError
-from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 
 _BLOCK = 50
-
-
-class Loop:
-    """Frames of a scene to and fro, with times that rise."""
-
-    def __init__(self, scene: Path) -> None:
-        sequence = open_sequence(scene)
-        self.camera = sequence.frames[0].camera
-        self.prior = sequence.frames[0].camera_from_target
-        images = [frame.read() for frame in sequence]
-        self.images = images + images[-2:0:-1]
-
-    def __call__(self, k: int) -> tuple[float, np.ndarray]:
-        return k / 30.0, self.images[k % len(self.images)]
-
-
-class Served:
-    """`rendezview serve` as a process."""
-
-    def __init__(self, model: Path, *flags: str) -> None:
-        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
-        self.process = subprocess.Popen(
-            [*command, "serve", str(model), "--port", "0", *flags],
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.url = ""
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            if "serves at" in line:
-                self.url = line.split("serves at")[1].strip()
-                break
-        else:
-            raise SystemExit("the service does not start")
-        threading.Thread(target=self._drain, daemon=True).start()
-
-    def _drain(self) -> None:
-        assert self.process.stderr is not None
-        for _ in self.process.stderr:
-            pass
-
-    def pids(self) -> list[int]:
-        """Of the service and its workers."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [self.process.pid, *map(int, children.read_text().split())]
-
-    def processor_s(self) -> float:
-        """Processor time of the service and its workers."""
-        ticks = 0
-        for pid in self.pids():
-            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-            ticks += int(fields[11]) + int(fields[12])
-        return ticks / os.sysconf("SC_CLK_TCK")
-
-    def resident_mb(self) -> float:
-        """Of the service and its workers."""
-        pages = 0
-        for pid in self.pids():
-            pages += int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-        return pages * resource.getpagesize() / 1e6
-
-    def stop(self) -> None:
-        self.process.send_signal(signal.SIGTERM)
-        self.process.wait(60)
 
 
 def overhead(loop: Loop, model: Path, rounds: int) -> None:
@@ -191,20 +116,10 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
     before, before_ms = one_core(8.0)
     served = Served(model)
     each = -15 if frames == 0 else frames // clients  # below zero: seconds
-    command = [
-        sys.executable,
-        "-m",
-        "experiments",
-        "service-speed",
-        str(model),
-        str(scene),
-        "--client",
-        served.url,
-    ]
+    words = ["service-speed", str(model), str(scene), "--client", served.url]
+    command = [sys.executable, "-m", "experiments", *words, "--frames", str(each)]
     processes = [
-        subprocess.Popen(
-            [*command, "--frames", str(each)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         for _ in range(clients)
     ]
     for process in processes:
@@ -255,22 +170,24 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
     )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("scene", type=Path)
-    parser.add_argument("--clients", type=int, default=8)
-    parser.add_argument("--frames", type=int, default=0, help="of all clients; 0: for 15 s")
-    parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--only", choices=["overhead", "many"])
-    parser.add_argument("--client", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
+def run(
+    model: Path, scene: Path, *, clients: int = 8,
+    frames: Annotated[int, "of all clients; 0: for 15 s"] = 0, rounds: int = 20,
+    only: Literal["overhead", "many"] | None = None, client: str | None = None,
+) -> None:  # fmt: skip
+    """What the service costs over the bare tracker call, and what several clients share.
+
+    SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target, moving
+    little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
+    of this machine; the bare calls run in a process of their own, in turns with the service's, so
+    that what else the machine does falls on both.
+    """
     cv2.setNumThreads(1)
-    if arguments.client:
-        run_client(arguments.client, arguments.scene, arguments.frames, 1)
+    if client:
+        run_client(client, scene, frames, 1)
         return
-    loop = Loop(arguments.scene)
-    if arguments.only != "many":
-        overhead(loop, arguments.model, arguments.rounds)
-    if arguments.only != "overhead":
-        many(loop, arguments.model, arguments.scene, arguments.clients, arguments.frames)
+    loop = Loop(scene)
+    if only != "many":
+        overhead(loop, model, rounds)
+    if only != "overhead":
+        many(loop, model, scene, clients, frames)

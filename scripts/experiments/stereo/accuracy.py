@@ -1,31 +1,16 @@
-"""The stereo LED tracker in its simulated laboratory, as docs/stereo.md reports it.
-
-    python -m experiments stereo-accuracy --part figure8 --seed 11
-    python -m experiments stereo-accuracy --part convergence --seed 12
-    python -m experiments stereo-accuracy --part recovery --seed 13
-    python -m experiments stereo-accuracy --part faults --seed 14
-    python -m experiments stereo-accuracy --part identity --seed 15
-
-figure8: a stage turns by 2° or 0.5° a reading, as in figure 8 of Welch et al. (1991); angle
-read against angle set, slope and scatter about the line, beside the Cramér–Rao bound. The
-photodiode rig is calibrated in the simulation first, never given its truth.
-convergence: one iteration from the last estimate after a step of 2°.
-recovery: the pose from one reading, knowing nothing.
-faults: lights missing, exchanged, or seen by reflection.
-identity: two picture cameras, all lights shining at once, none named.
-"""
+"""The stereo LED tracker in its simulated laboratory, as docs/stereo.md reports it."""
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Literal
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import show
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.stereo import (
@@ -50,21 +35,41 @@ RATE_HZ = 10.0
 AVERAGED = 60  # the paper: "several"; its calibration averages 60
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parts: dict[str, Callable[[argparse.Namespace, Target], None]] = {
-        "figure8": figure8, "convergence": convergence, "recovery": recovery,
-        "faults": faults, "identity": identity,
-    }  # fmt: skip
-    parser.add_argument("--part", choices=parts, required=True)
-    parser.add_argument("--target", default="models_cad/scole")
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--cases", type=int, help="default: 10000; 100 runs; 2000; 500")
-    parser.add_argument("--snr", type=float, default=200.0)
-    arguments = parser.parse_args()
-    print(f"seed {arguments.seed}, signal-to-noise {arguments.snr:g}, target {arguments.target}")
+@dataclass(frozen=True)
+class Job:
+    """What the parts are asked for."""
+
+    seed: int
+    cases: int | None
+    snr: float
+
+    def laboratory(self, target: Target) -> Laboratory:
+        """Cameras without distortion, which nobody has to calibrate."""
+        options = LaboratoryOptions(signal_to_noise=self.snr, distorted=False)
+        return Laboratory(leds_of(target), options, self.seed)
+
+
+def run(
+    *, part: Literal["figure8", "convergence", "recovery", "faults", "identity"],
+    target: str = "models_cad/scole", seed: int = 11,
+    cases: Annotated[int | None, "default: 10000; 100 runs; 2000; 500"] = None,
+    snr: Annotated[float, "signal-to-noise ratio"] = 200.0,
+) -> None:  # fmt: skip
+    """Pose errors of the stereo LED tracker in its simulated laboratory.
+
+    figure8: a stage turns by 2° or 0.5° a reading, as in figure 8 of Welch et al. (1991); measured
+    angle against set angle, slope and scatter about the line, beside the Cramér–Rao bound. The
+    photodiode rig is calibrated in the simulation first.
+    convergence: one iteration from the last estimate after a step of 2°.
+    recovery: the pose from one reading, without a prior.
+    faults: lights missing, exchanged, or reflected.
+    identity: two picture cameras, all lights on at once, none named.
+    """
+    parts = {"figure8": figure8, "convergence": convergence, "recovery": recovery,
+             "faults": faults, "identity": identity}  # fmt: skip
+    print(f"seed {seed}, signal-to-noise {snr:g}, target {target}")
     start = time.perf_counter()
-    parts[arguments.part](arguments, Target.load(arguments.target))
+    parts[part](Job(seed, cases, snr), Target.load(target))
     print(f"{time.perf_counter() - start:.0f} s")
 
 
@@ -93,9 +98,9 @@ def turned_deg(rotations: np.ndarray) -> np.ndarray:
     return np.rad2deg(2.0 * np.arctan2(z, w))
 
 
-def figure8(arguments: argparse.Namespace, target: Target) -> None:
-    runs, seed = arguments.cases or 100, arguments.seed
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=arguments.snr), seed)
+def figure8(job: Job, target: Target) -> None:
+    runs, seed = job.cases or 100, job.seed
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=job.snr), seed)
     rng = np.random.default_rng(seed)
     record = laboratory.calibration(rng)
     rig = calibrate_laboratory(record).rig
@@ -126,7 +131,7 @@ def figure8(arguments: argparse.Namespace, target: Target) -> None:
             scans = AVERAGED if f"{AVERAGED}" in name else 1
             _row(table, step, name, scans, lines, None if "filter" in name else
                  float(np.rad2deg(bound)) / np.sqrt(scans))  # fmt: skip
-        options = PictureOptions(signal_to_noise=arguments.snr)
+        options = PictureOptions(signal_to_noise=job.snr)
         cameras = picture_rig(laboratory, options)
         bound = np.sqrt(
             np.mean([_about_z(picture_bound(cameras, laboratory.leds, p, options)) for p in poses])
@@ -136,7 +141,7 @@ def figure8(arguments: argparse.Namespace, target: Target) -> None:
             for _ in range(max(runs // 10, 1))
         ]
         _row(table, step, "ours, two picture cameras", 1, lines, float(np.rad2deg(bound)))
-    Console(width=110).print(table)
+    show(table, width=110)
 
 
 def _row(
@@ -205,11 +210,10 @@ def random_pose(rng: np.random.Generator, tilt_deg: float) -> Pose:
     return Pose((tilted * turn).as_matrix(), place)
 
 
-def convergence(arguments: argparse.Namespace, target: Target) -> None:
-    cases = arguments.cases or 10_000
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(
-        signal_to_noise=arguments.snr, distorted=False), arguments.seed)  # fmt: skip
-    rng = np.random.default_rng(arguments.seed)
+def convergence(job: Job, target: Target) -> None:
+    cases = job.cases or 10_000
+    laboratory = job.laboratory(target)
+    rng = np.random.default_rng(job.seed)
     rig, leds = laboratory.rig, laboratory.leds
     from_end, from_truth, end_truth, unsolved = [], [], [], 0
     for _ in range(cases):
@@ -241,11 +245,10 @@ def convergence(arguments: argparse.Namespace, target: Target) -> None:
                   f"{np.sqrt((angle**2).mean()):.3f}°, worst {angle.max():.3f}°")  # fmt: skip
 
 
-def recovery(arguments: argparse.Namespace, target: Target) -> None:
-    cases = arguments.cases or 10_000
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(
-        signal_to_noise=arguments.snr, distorted=False), arguments.seed)  # fmt: skip
-    rng = np.random.default_rng(arguments.seed)
+def recovery(job: Job, target: Target) -> None:
+    cases = job.cases or 10_000
+    laboratory = job.laboratory(target)
+    rng = np.random.default_rng(job.seed)
     tracker = StereoTracker.of_target(laboratory.rig, target)
     outcome = {"right": 0, "refused": 0, "wrong": 0}
     spent, yaws = [], []
@@ -276,11 +279,10 @@ def judge(tracker: StereoTracker, sights: Sights, found: Fit | Disagreement, pos
     return "wrong"
 
 
-def faults(arguments: argparse.Namespace, target: Target) -> None:
-    cases = arguments.cases or 2000
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(
-        signal_to_noise=arguments.snr, distorted=False), arguments.seed)  # fmt: skip
-    rng = np.random.default_rng(arguments.seed)
+def faults(job: Job, target: Target) -> None:
+    cases = job.cases or 2000
+    laboratory = job.laboratory(target)
+    rng = np.random.default_rng(job.seed)
     tracker = StereoTracker.of_target(laboratory.rig, target)
     count = len(tracker.leds)
 
@@ -326,14 +328,14 @@ def faults(arguments: argparse.Namespace, target: Target) -> None:
                 outcome[judge(tracker, sights, found, pose)] += 1
             table.add_row(fault.__name__.replace("_", " "), "tracking" if known else "nothing",
                           *(str(n) for n in outcome.values()))  # fmt: skip
-    Console(width=100).print(table)
+    show(table, width=100)
 
 
-def identity(arguments: argparse.Namespace, target: Target) -> None:
-    cases = arguments.cases or 300
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(distorted=False), arguments.seed)
+def identity(job: Job, target: Target) -> None:
+    cases = job.cases or 300
+    laboratory = Laboratory(leds_of(target), LaboratoryOptions(distorted=False), job.seed)
     rig = picture_rig(laboratory, PictureOptions())
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(job.seed)
     sigma_px = 0.05
     table = Table("spots", "right", "refused", "wrong", "median ms")
     for name, hidden, false in (("all six", 0, 0), ("one hidden", 1, 0), ("two false", 0, 2),
@@ -359,4 +361,4 @@ def identity(arguments: argparse.Namespace, target: Target) -> None:
             sights = rig.sights(observation.spots, len(tracker.leds))
             outcome[judge(tracker, sights, observation.fit, pose)] += 1
         table.add_row(name, *(str(n) for n in outcome.values()), f"{np.median(spent):.0f}")
-    Console(width=100).print(table)
+    show(table, width=100)

@@ -1,29 +1,19 @@
-"""Calibration of the stereo LED tracker, as docs/stereo.md reports it.
-
-    python -m experiments stereo-calibration --part laboratory --seed 31
-    RENDEZVIEW_TEST_DATA=folder python -m experiments stereo-calibration --part pictures
-    RENDEZVIEW_TEST_DATA=folder python -m experiments stereo-calibration --part minerva
-
-laboratory: photodiode rigs whose truth is known, calibrated from simulated measurements.
-pictures: OpenCV's thirteen real chessboard pairs, beside OpenCV's own calibration in the same
-run: residuals, and how planar and how far apart the triangulated corners are.
-minerva: the 300 poses of Synthetic-Minerva-II2, from the 16 points of one picture each.
-"""
+"""Calibration of the stereo LED tracker, as docs/stereo.md reports it."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
 import time
 from pathlib import Path
+from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from experiments.frame import show
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -46,16 +36,23 @@ from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 BOARD = Chessboard(9, 6, 0.025)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parts = {"laboratory": laboratory, "pictures": pictures, "minerva": minerva}
-    parser.add_argument("--part", choices=parts, required=True)
-    parser.add_argument("--seed", type=int, default=31)
-    parser.add_argument("--cases", type=int, default=12, help="laboratories")
-    parser.add_argument("--pin-cushion", type=float, default=0.04)
-    arguments = parser.parse_args()
+def run(
+    *, part: Literal["laboratory", "pictures", "minerva"], seed: int = 31,
+    cases: Annotated[int, "laboratories"] = 12, pin_cushion: float = 0.04,
+) -> None:  # fmt: skip
+    """Calibration of the stereo LED tracker.
+
+    laboratory: photodiode rigs whose truth is known, calibrated from simulated measurements.
+    pictures: OpenCV's thirteen real chessboard pairs, beside OpenCV's own calibration: residuals,
+    and how planar and how far apart the triangulated corners are.
+    minerva: the 300 poses of Synthetic-Minerva-II2, from the 16 points of one picture each.
+    The last two need the data in the folder that RENDEZVIEW_TEST_DATA names.
+    """
     start = time.perf_counter()
-    parts[arguments.part](arguments)
+    if part == "laboratory":
+        laboratory(seed, cases, pin_cushion)
+    else:
+        {"pictures": pictures, "minerva": minerva}[part]()
     print(f"{time.perf_counter() - start:.0f} s")
 
 
@@ -66,15 +63,15 @@ def data(name: str) -> Path:
     return Path(folder) / name
 
 
-def laboratory(arguments: argparse.Namespace) -> None:
+def laboratory(seed: int, cases: int, pin_cushion: float) -> None:
     target = Target.load("models_cad/scole")
     leds = np.array([led.position_m for led in target.leds])
-    options = LaboratoryOptions(pin_cushion=arguments.pin_cushion)
+    options = LaboratoryOptions(pin_cushion=pin_cushion)
     scores: dict[str, list[float]] = {}
     response, whole, chi2 = [], [], []
-    for case in range(arguments.cases):
-        truth = Laboratory(leds, options, arguments.seed + case)
-        rng = np.random.default_rng(arguments.seed + case)
+    for case in range(cases):
+        truth = Laboratory(leds, options, seed + case)
+        rng = np.random.default_rng(seed + case)
         record = truth.calibration(rng)
         made = calibrate_laboratory(record)
         for k, one in enumerate(record.cameras):
@@ -97,8 +94,8 @@ def laboratory(arguments: argparse.Namespace) -> None:
         covariance = made.rig.covariance[np.ix_(index, index)]
         whole.append(np.array(z) @ np.linalg.solve(covariance, z) / len(z))
         chi2.append(made.together.chi2 / made.together.spare)
-    print(f"{arguments.cases} laboratories, seeds {arguments.seed} …, pin-cushion "
-          f"{arguments.pin_cushion:g}, signal-to-noise 200, 60 scans")  # fmt: skip
+    print(f"{cases} laboratories, seeds {seed} …, pin-cushion "
+          f"{pin_cushion:g}, signal-to-noise 200, 60 scans")  # fmt: skip
     table = Table("detector, r.m.s. µm", "value")
     for name, value in zip(
         ("best affine map leaves", "cubic (eq. 5) leaves", "quintic leaves",
@@ -106,7 +103,7 @@ def laboratory(arguments: argparse.Namespace) -> None:
         1e6 * np.sqrt(np.mean(np.square(response), axis=0)), strict=True,
     ):  # fmt: skip
         table.add_row(name, f"{value:.2f}")
-    Console(width=100).print(table)
+    show(table, width=100)
     table = Table("parameter", "error / σ, r.m.s.", "worst", "above 3")
     for name, values in scores.items():
         sizes = np.abs(values)
@@ -115,14 +112,14 @@ def laboratory(arguments: argparse.Namespace) -> None:
     every = np.abs(np.concatenate(list(scores.values())))
     table.add_row("all", f"{np.sqrt(np.mean(every**2)):.2f}", f"{every.max():.2f}",
                   f"{(every > 3.0).sum()} of {len(every)}")  # fmt: skip
-    Console(width=100).print(table)
+    show(table, width=100)
     print(
         f"whole error in its covariance, χ²/n: mean {np.mean(whole):.2f}, "
         f"worst {max(whole):.2f}; residual χ²/dof {np.mean(chi2):.3f}"
     )
 
 
-def pictures(_: argparse.Namespace) -> None:
+def pictures() -> None:
     views = read_board_views(picture_pairs(data("opencv_stereo")), BOARD)
     made = calibrate_board(views)
     boards = [BOARD.points_m.astype(np.float32)] * len(views.corners[0])
@@ -146,7 +143,7 @@ def pictures(_: argparse.Namespace) -> None:
     best = min(one[0] for one in stereo.values())
     table.add_row("together", f"{best:.6f}", f"{made.together.rms:.6f}",
                   f"{made.together.rms - best:+.1e}")  # fmt: skip
-    Console(width=100).print(table)
+    show(table, width=100)
     table = Table(
         "corners triangulated by", "off their plane, mm", "pitch − 25 mm, mm", "mean pitch"
     )
@@ -160,7 +157,7 @@ def pictures(_: argparse.Namespace) -> None:
         ("ours, eq. 6 whole", calibrate_board(views, free=INTRINSICS, corrects=True).rig),
     ):
         table.add_row(name, *_board_errors(_our_points(rig, views)))
-    Console(width=110).print(table)
+    show(table, width=110)
 
 
 def _opencv_points(m1, d1, m2, d2, rotation, translation, left, right) -> np.ndarray:
@@ -196,7 +193,7 @@ def _board_errors(boards: list[np.ndarray]) -> tuple[str, str, str]:
     )  # fmt: skip
 
 
-def minerva(_: argparse.Namespace) -> None:
+def minerva() -> None:
     folder = data("minerva2")
     points = np.loadtxt(folder / "MinervaII2_Vertices.txt", delimiter=",")
     frames = json.loads((folder / "Tumble_annotations.json").read_text())

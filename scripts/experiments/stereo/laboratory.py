@@ -1,18 +1,9 @@
-"""Write a simulated laboratory as files for `rendezview stereo calibrate` and `track`.
-
-    python -m experiments stereo-laboratory lab --step 2 --readings 41 --seed 1
-    rendezview stereo calibrate lab/record.json -o lab/rig.json
-    rendezview stereo track lab/rig.json models_cad/scole lab/readings.jsonl -o lab/poses.csv
-
-``record.json`` is the calibration's measurements, ``readings.jsonl`` the currents of a rotary
-stage that turns by ``--step`` degrees a reading, with the true angle beside them in
-``truth.jsonl``.
-"""
+"""Write a simulated laboratory as files for `rendezview stereo calibrate` and `track`."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -23,30 +14,34 @@ from rendezview.sensors.stereo.laboratory_files import save_record
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--target", default="models_cad/scole")
-    parser.add_argument("--step", type=float, default=2.0, help="degrees a reading")
-    parser.add_argument("--readings", type=int, default=41)
-    parser.add_argument("--rate", type=float, default=10.0, help="readings a second")
-    parser.add_argument("--snr", type=float, default=200.0)
-    parser.add_argument("--seed", type=int, default=1)
-    arguments = parser.parse_args()
-    leds = np.array([led.position_m for led in Target.load(arguments.target).leds])
-    options = LaboratoryOptions(signal_to_noise=arguments.snr)
-    laboratory = Laboratory(leds, options, arguments.seed)
-    rng = np.random.default_rng(arguments.seed)
-    make_folder(arguments.folder)
-    save_record(laboratory.calibration(rng), arguments.folder / "record.json")
-    angles = arguments.step * (np.arange(arguments.readings) - arguments.readings // 2)
+def run(
+    folder: Path, *, target: str = "models_cad/scole",
+    step: Annotated[float, "degrees a reading"] = 2.0, readings: int = 41,
+    rate: Annotated[float, "readings a second"] = 10.0, snr: float = 200.0, seed: int = 1,
+) -> None:  # fmt: skip
+    """Write a simulated laboratory as files for `rendezview stereo calibrate` and `track`.
+
+        rendezview stereo calibrate lab/record.json -o lab/rig.json
+        rendezview stereo track lab/rig.json models_cad/scole lab/readings.jsonl -o lab/poses.csv
+
+    ``record.json`` is the calibration's measurements, ``readings.jsonl`` the currents of a rotary
+    stage that turns by ``--step`` degrees a reading, with the true angle beside them in
+    ``truth.jsonl``.
+    """
+    leds = np.array([led.position_m for led in Target.load(target).leds])
+    options = LaboratoryOptions(signal_to_noise=snr)
+    laboratory = Laboratory(leds, options, seed)
+    rng = np.random.default_rng(seed)
+    make_folder(folder)
+    save_record(laboratory.calibration(rng), folder / "record.json")
+    angles = step * (np.arange(readings) - readings // 2)
     poses = laboratory.stage(np.deg2rad(angles))
-    readings = JsonLinesWriter(arguments.folder / "readings.jsonl")
-    truth = JsonLinesWriter(arguments.folder / "truth.jsonl")
-    with readings, truth:
+    currents = JsonLinesWriter(folder / "readings.jsonl")
+    truth = JsonLinesWriter(folder / "truth.jsonl")
+    with currents, truth:
         for k, (pose, light) in enumerate(zip(poses, laboratory.currents(poses, rng), strict=True)):
-            time_s = k / arguments.rate
+            time_s = k / rate
             seen = [[row if np.isfinite(row).all() else None for row in one] for one in light]
-            readings.write({"time_s": time_s, "currents": seen})
+            currents.write({"time_s": time_s, "currents": seen})
             truth.write({"time_s": time_s, "angle_deg": angles[k], "rig_from_target": pose})
-    print(f"seed {arguments.seed}: {arguments.folder}/record.json, readings.jsonl, truth.jsonl")
+    print(f"seed {seed}: {folder}/record.json, readings.jsonl, truth.jsonl")

@@ -1,23 +1,15 @@
-"""Readings a second of the stereo LED tracker, from currents to a pose with covariance.
-
-    python -m experiments stereo-speed --seed 21
-
-One core, best and median of repeated runs in one process; wall clock, and the processor's time
-of this process where the machine is shared. The peer is the paper's solver
-written plainly in numpy (one iteration a reading), in the same run.
-"""
+"""Readings a second of the stereo LED tracker, from currents to a pose with covariance."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from itertools import count
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
+from experiments.frame import show
 from rendezview.io.target import Target
 from rendezview.sensors.stereo import MotionOptions, Rig, StereoTracker, TrackerOptions, reprocess
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
@@ -28,28 +20,30 @@ REPEATS = 25
 LOG_TIMES = 4
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--target", default="models_cad/scole")
-    parser.add_argument("--seed", type=int, default=21)
-    arguments = parser.parse_args()
-    target = Target.load(arguments.target)
-    leds = np.array([led.position_m for led in target.leds])
-    rig, currents = laboratory_run(leds, arguments.seed)
+def run(*, target: str = "models_cad/scole", seed: int = 21) -> None:
+    """Readings a second of the stereo LED tracker, from currents to a pose with covariance.
+
+    One core, best and median of repeated runs in one process; wall clock, and the processor's
+    time of this process where the machine is shared. The peer is the paper's solver written
+    plainly in numpy (one iteration a reading), in the same run.
+    """
+    craft = Target.load(target)
+    leds = np.array([led.position_m for led in craft.leds])
+    rig, currents = laboratory_run(leds, seed)
     log = np.concatenate([currents] * LOG_TIMES)
     table = Table("what", "wall µs, best / median", "CPU µs", "a second (wall)", "(CPU)")
     for name, motion in (("tracker", None), ("tracker with filter", MotionOptions())):
-        follow = following(rig, target, currents, TrackerOptions(motion=motion))
+        follow = following(rig, craft, currents, TrackerOptions(motion=motion))
         _row(table, name, follow, len(currents))
-    tracker = StereoTracker.of_target(rig, target)
+    tracker = StereoTracker.of_target(rig, craft)
     _row(table, "log at once", lambda: reprocess(tracker, log), len(log))
     few = currents[:410]
     _row(table, "plain numpy, one iteration", lambda: plain(rig, leds, few), len(few))
     print(
-        f"seed {arguments.seed}; {READINGS} readings of {len(leds)} lights in {len(rig)} cameras; "
+        f"seed {seed}; {READINGS} readings of {len(leds)} lights in {len(rig)} cameras; "
         f"log of {len(log)}; {reprocess(tracker, log).ok.sum()} of them with a pose"
     )
-    Console(width=100).print(table)
+    show(table, width=100)
 
 
 def laboratory_run(leds: np.ndarray, seed: int) -> tuple[Rig, np.ndarray]:

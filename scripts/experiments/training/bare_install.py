@@ -1,22 +1,14 @@
-"""Check that a plain install flies: no extras, only what `pip install rendezview` brings.
-
-Builds a wheel, installs it into a fresh virtual environment without extras, tracks a scene
-with a model (both made here, with the packages of this interpreter), imports the
-recognition, and looks at what the ground side's commands say. Takes some minutes, most of
-them the download.
-
-    python -m experiments check-bare-install
-"""
+"""Check that a plain install flies: no extras, only what `pip install rendezview` brings."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Annotated
 
 from experiments.frame import ROOT
 
@@ -25,14 +17,17 @@ TRAIN = "client --order 1 --views 300 --held-out 50 --resolution 96 --jobs 1"
 SIMULATE = "client --trajectory circular --frames 5 --jobs 1"
 
 
-def main() -> int:
-    """Run all checks; 0 where every one holds."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--keep", type=Path, help="folder to work in, kept afterwards")
-    arguments = parser.parse_args()
-    if arguments.keep:
-        arguments.keep.mkdir(parents=True, exist_ok=True)
-        return _check(arguments.keep.resolve())
+def run(*, keep: Annotated[Path | None, "folder to work in, kept afterwards"] = None) -> int:
+    """Check that a plain install flies: no extras, only what `pip install rendezview` brings.
+
+    Builds a wheel, installs it into a fresh virtual environment without extras, tracks a scene
+    with a model (both made here, with the packages of this interpreter), imports the recognition,
+    and looks at what the ground side's commands say. Takes some minutes, most of them the
+    download.
+    """
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+        return _check(keep.resolve())
     with tempfile.TemporaryDirectory() as folder:
         return _check(Path(folder))
 

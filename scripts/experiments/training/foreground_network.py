@@ -1,16 +1,9 @@
-"""The network that tells target from bright sky, learned from random spacecraft.
-
-    pip install jax optax onnx
-    python -m experiments foreground-network FRAMES runtime/rendezview/appearance/foreground.onnx
-
-Draws pictures (``simulation/foreground_frames.py``) into FRAMES, learns on all but the first 64,
-and writes the network whenever it has printed how well it does on those. An hour on two cores.
-"""
+"""The network that tells target from bright sky, learned from random spacecraft."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -198,18 +191,22 @@ def write(weights, statistics, path: Path) -> None:
     onnx.save(model, path)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("frames", type=Path)
-    parser.add_argument("network", type=Path, help="ONNX file to write")
-    parser.add_argument("--count", type=int, default=5600)
-    parser.add_argument("--steps", type=int, default=7000, help=f"of {BATCH} pictures")
-    parser.add_argument("--seed", type=int, default=7)
-    arguments = parser.parse_args()
-    pictures, covers = draw(arguments.frames, arguments.count, arguments.seed)
-    rng = np.random.default_rng(arguments.seed)
-    weights, statistics = first_weights(arguments.seed)
-    optimizer = optax.adam(optax.cosine_decay_schedule(4e-3, arguments.steps, 0.02))
+def run(
+    frames: Path, network: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
+    steps: Annotated[int, f"of {BATCH} pictures"] = 7000, seed: int = 7,
+) -> None:  # fmt: skip
+    """The network that tells target from bright sky, learned from random spacecraft.
+
+        pip install jax optax onnx
+
+    Draws pictures (``simulation/foreground_frames.py``) into FRAMES, learns on all but the first
+    64, and writes the network whenever it has printed how well it does on those. An hour on two
+    cores.
+    """
+    pictures, covers = draw(frames, count, seed)
+    rng = np.random.default_rng(seed)
+    weights, statistics = first_weights(seed)
+    optimizer = optax.adam(optax.cosine_decay_schedule(4e-3, steps, 0.02))
     state = optimizer.init(weights)
 
     @jax.jit
@@ -226,12 +223,12 @@ def main() -> None:
         return jnp.sum(seen & truth, (1, 2)) / jnp.sum(seen | truth, (1, 2))
 
     losses = []
-    for k in range(1, arguments.steps + 1):
+    for k in range(1, steps + 1):
         chosen = rng.integers(HELD_OUT, len(pictures), BATCH)
         shown, truth = cut(pictures[chosen], covers[chosen], rng)
         weights, statistics, state, value = step(weights, statistics, state, shown, truth)
         losses.append(float(value))
-        if k % 500 == 0 or k == arguments.steps:
+        if k % 500 == 0 or k == steps:
             held = padded(pictures[:HELD_OUT]), padded(covers[:HELD_OUT]) > 0.5
             seen = np.asarray(overlap(weights, statistics, *held))
             print(
@@ -239,4 +236,4 @@ def main() -> None:
                 f"{np.mean(seen):.3f} mean, {np.median(seen):.3f} median",
                 flush=True,
             )
-            write(weights, statistics, arguments.network)
+            write(weights, statistics, network)

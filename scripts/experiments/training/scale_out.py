@@ -1,20 +1,7 @@
-"""Training and campaigns on several workers: speed, bytes, kills and costs of docs/scale-out.md.
-
-    python -m experiments scale-out speed --model hubble.rvm    # four local workers against one
-    python -m experiments scale-out kill [--runs 10]            # one of four killed in the middle
-    python -m experiments scale-out cost [--full]               # CPU time by nodes, faces, pixels
-
-``speed`` starts a scheduler and workers of one thread each on this machine, lets every worker
-do a little of everything first (it loads compiled code), and then times the same training and the
-same campaign. Wall-clock efficiency is time of one over time of four, over the cores there are;
-"CPU" is the time of one worker over the sum of four, which another load on the machine disturbs
-less: it counts what is computed twice, not waiting. ``cost`` runs in this one process and counts
-its CPU time. ``--full`` trains with the defaults instead of extrapolating them.
-"""
+"""Training and campaigns on several workers: speed, bytes, kills and costs of docs/scale-out.md."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import signal
@@ -24,21 +11,22 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import dask
 import distributed
 import psutil
 
+from experiments.frame import mesh_of
 from experiments.training.speed import split
 from rendezview.evaluation.campaign import CampaignOptions, campaign
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
-from rendezview.training.bundled import find_target
 from rendezview.training.cluster import Cluster
 from rendezview.training.cores import Cores
 from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
 from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.surface_points import SURFACE_ORDER
@@ -58,13 +46,8 @@ KILLED = replace(
 )
 STAGES = {  # of training, and how often the default training does each: views or nodes
     "lattice": 2562, "perspective": 2562, "views": 32_000, "held-out": 4000,
-    "contours": 3 * 2562, "lit": 2562, "surface": 642, "trees": 642, "calibration": 4000,
+    "contours": 3 * 2562, "shadows": 2562, "surface": 642, "trees": 642, "calibration": 4000,
 }  # fmt: skip
-
-
-def mesh_of(target: str) -> Mesh:
-    found = find_target(target)
-    return load_mesh(found.mesh_path, found.unit)
 
 
 @contextmanager
@@ -117,11 +100,11 @@ def load_code(mesh: Mesh, model: ViewModel) -> None:
     run_campaign(model, mesh, 4, Cores(1))
 
 
-def speed(arguments: argparse.Namespace) -> None:
-    mesh, model = mesh_of(arguments.target), ViewModel.load(arguments.model)
+def speed(target: str, model_path: Path, workers: int, frames: int) -> None:
+    (_, mesh), model = mesh_of(target), ViewModel.load(model_path)
     works = {
         "training": lambda w: run_training(mesh, MEDIUM, w),
-        "campaign": lambda w: run_campaign(model, mesh, arguments.frames, w),
+        "campaign": lambda w: run_campaign(model, mesh, frames, w),
     }
     cores = os.cpu_count() or 1
     wall: dict[tuple[str, int], float] = {}
@@ -129,7 +112,7 @@ def speed(arguments: argparse.Namespace) -> None:
     results: dict[str, set[bytes]] = {name: set() for name in works}
     print("| work | workers | wall s | CPU s of workers | of this process | others meanwhile |")
     print("|---|---:|---:|---:|---:|---:|")
-    for count in (1, arguments.workers):
+    for count in (1, workers):
         with local_cluster(count) as (local, cluster):
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
                 client.run(load_code, mesh, model)  # in every worker
@@ -147,25 +130,25 @@ def speed(arguments: argparse.Namespace) -> None:
                 )
     for name, work in works.items():
         results[name].add(work(Cores(-1, processes=name == "campaign")))
-        one, many = (name, 1), (name, arguments.workers)
+        one, many = (name, 1), (name, workers)
         ratio = wall[one] / wall[many]
         print(
             f"{name}: {ratio:.2f} × as fast on {cores} cores, {ratio / cores:.2f} of the cores; "
-            f"CPU {cpu[one] / cpu[many]:.2f}; bytes of one worker, {arguments.workers} workers "
+            f"CPU {cpu[one] / cpu[many]:.2f}; bytes of one worker, {workers} workers "
             f"and no cluster {'identical' if len(results[name]) == 1 else 'DIFFERENT'}"
         )
 
 
-def kill(arguments: argparse.Namespace) -> None:
-    mesh = mesh_of(arguments.target)
+def kill(target: str, workers: int, runs: int, seed: int) -> None:
+    _, mesh = mesh_of(target)
     expected = run_training(mesh, KILLED, Cores(-1))
     passed = 0
-    with local_cluster(arguments.workers) as (local, cluster):
-        for run in range(arguments.runs):
-            rng = random.Random(1000 * arguments.seed + run)
-            stage, after = rng.choice(["views", "contours", "lit"]), rng.randint(1, 2)
+    with local_cluster(workers) as (local, cluster):
+        for run in range(runs):
+            rng = random.Random(1000 * seed + run)
+            stage, after = rng.choice(["views", "contours", "shadows"]), rng.randint(1, 2)
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
-                client.wait_for_workers(arguments.workers, timeout=300)  # the nanny's new one
+                client.wait_for_workers(workers, timeout=300)  # the nanny's new one
             victim = rng.choice(sorted(pids(local)))
             killed = []
 
@@ -194,7 +177,7 @@ def kill(arguments: argparse.Namespace) -> None:
                 f"{'identical' if same else 'DIFFERENT'}, {time.perf_counter() - start:.1f} s",
                 flush=True,
             )
-    print(f"killed and identical: {passed} of {arguments.runs}")
+    print(f"killed and identical: {passed} of {runs}")
 
 
 def stage_cpu(mesh: Mesh, options: TrainingOptions) -> tuple[dict[str, float], float, int]:
@@ -216,12 +199,12 @@ def stage_cpu(mesh: Mesh, options: TrainingOptions) -> tuple[dict[str, float], f
     return stages, total - sum(stages.values()), size
 
 
-def cost(arguments: argparse.Namespace) -> None:
-    mesh = mesh_of(arguments.target)
+def cost(target: str, full: bool) -> None:
+    _, mesh = mesh_of(target)
     stage_cpu(mesh, TINY)  # loads compiled code
-    base = TrainingOptions() if arguments.full else SMALL
+    base = TrainingOptions() if full else SMALL
     cases = {f"order {base.order}, {len(mesh.faces)} triangles": (mesh, base)}
-    if not arguments.full:
+    if not full:
         cases["order 2"] = (mesh, replace(base, order=2))
         finer = split(mesh, 4 * len(mesh.faces))
         cases[f"{len(finer.faces)} triangles"] = (finer, base)
@@ -252,7 +235,7 @@ def cost(arguments: argparse.Namespace) -> None:
     counts = {
         "lattice": lattice, "perspective": lattice, "views": options.perturbed_views,
         "held-out": options.held_out_views, "contours": lattice * len(options.contour_radii),
-        "lit": lattice, "surface": len(Geodesic.of_order(SURFACE_ORDER).nodes), "trees": nodes,
+        "shadows": lattice, "surface": len(Geodesic.of_order(SURFACE_ORDER).nodes), "trees": nodes,
         "calibration": options.held_out_views,
     }  # fmt: skip
     print("| stage | times in a default training | CPU ms each | CPU s |")
@@ -274,17 +257,30 @@ def cost(arguments: argparse.Namespace) -> None:
     print(f"one process that asks keeps {sum_s / rest_s:.0f} cores at work")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=["speed", "kill", "cost"])
-    parser.add_argument("--target", default="hubble")
-    parser.add_argument("--model", type=Path, help="speed: a trained model of the target")
-    parser.add_argument("--workers", type=int, default=4)
-    parser.add_argument("--frames", type=int, default=192, help="speed: of the campaign")
-    parser.add_argument("--runs", type=int, default=10, help="kill")
-    parser.add_argument("--seed", type=int, default=1, help="kill: which, when")
-    parser.add_argument("--full", action="store_true", help="cost: the default training itself")
-    arguments = parser.parse_args()
-    if arguments.part == "speed" and arguments.model is None:
-        parser.error("speed needs --model")
-    {"speed": speed, "kill": kill, "cost": cost}[arguments.part](arguments)
+def run(
+    part: Literal["speed", "kill", "cost"],
+    *, target: str = "hubble",
+    model: Annotated[Path | None, "speed: a trained model of the target"] = None,
+    workers: int = 4, frames: Annotated[int, "speed: of the campaign"] = 192,
+    runs: Annotated[int, "kill"] = 10, seed: Annotated[int, "kill: which, when"] = 1,
+    full: Annotated[bool, "cost: the default training itself"] = False,
+) -> None:  # fmt: skip
+    """Training and campaigns on several workers: speed, bytes, kills and costs.
+
+    speed: starts a scheduler and workers of one thread each on this machine, lets every worker
+    load its compiled code, and times the same training and the same campaign. Efficiency is the
+    time of one worker over the time of several, over the number of cores. "CPU" is the CPU time
+    of one worker over the sum of several: it counts what is computed twice, not waiting, so other
+    load disturbs it less.
+    kill: one worker is killed in the middle of a training; the bytes must be the same.
+    cost: CPU time by stage, in this one process; --full trains with the defaults instead of
+    extrapolating to them.
+    """
+    if part == "speed":
+        if model is None:
+            raise SystemExit("speed needs --model")
+        speed(target, model, workers, frames)
+    elif part == "kill":
+        kill(target, workers, runs, seed)
+    else:
+        cost(target, full)

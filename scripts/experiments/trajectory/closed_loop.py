@@ -1,20 +1,10 @@
-"""Closed loop, docs/trajectory.md: frames, recognition, fit and correction, or none of it.
-
-    python -m experiments closed-loop MODEL TARGET [--kinds circular spiral vbar] [--seeds 0 20]
-
-Each flight lasts 1200 s, a frame every 10 s (640 × 480, 53° across, drawn at the true pose by our
-own simulator, Sun behind the camera). Mean motion 0.0011 rad/s. The first frame's attitude is given
-to 20°. circular: one turn at 3.6 target radii in the plane of the orbit; spiral: one turn from 5 to
-3.6 radii; vbar: from 6 to 3.6 radii along the orbital velocity, with three hops. A star tracker
-tells the chaser's own attitude to 0.02°. The same errors are flown without corrections. Printed:
-root mean square distance to the plan, and the ratio.
-"""
+"""Closed loop, docs/trajectory.md: frames, recognition, fit and correction, or none of it."""
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -104,24 +94,28 @@ def flights(
     return corrected, alone
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path)
-    parser.add_argument("target", help="mesh, target.toml, or hubble, client, scole")
-    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
-    parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
-    parser.add_argument("--nodes", action="store_true", help="on nodes alone, no refinement")
-    parser.add_argument(
-        "--by-target", action="store_true", help="no star tracker: the target's attitude instead"
-    )
-    args = parser.parse_args()
-    model = ViewModel.load(args.model)
-    found = find_target(args.target)
+def run(
+    model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
+    kinds: list[str] = KINDS, seeds: tuple[int, int] = (0, 20),
+    nodes: Annotated[bool, "on nodes alone, no refinement"] = False,
+    by_target: Annotated[bool, "no star tracker: the target's attitude instead"] = False,
+) -> None:  # fmt: skip
+    """Closed loop, docs/trajectory.md: frames, recognition, fit and correction, or none of it.
+
+    Each flight lasts 1200 s, a frame every 10 s (640 × 480, 53° across, drawn at the true pose by
+    our own simulator, Sun behind the camera). Mean motion 0.0011 rad/s. The first frame's
+    attitude is given to 20°. circular: one turn at 3.6 target radii in the plane of the orbit;
+    spiral: one turn from 5 to 3.6 radii; vbar: from 6 to 3.6 radii along the orbital velocity,
+    with three hops. A star tracker tells the chaser's own attitude to 0.02°. The same errors are
+    flown without corrections. Printed: root mean square distance to the plan, and the ratio.
+    """
+    views = ViewModel.load(model)
+    found = find_target(target)
     mesh = load_mesh(found.mesh_path, found.unit)
-    for kind in args.kinds:
+    for kind in kinds:
         ratios = []
-        for seed in range(*args.seeds):
-            corrected, alone = flights(model, mesh, kind, seed, not args.nodes, not args.by_target)
+        for seed in range(*seeds):
+            corrected, alone = flights(views, mesh, kind, seed, not nodes, not by_target)
             ratios.append(alone.rms_m / corrected.rms_m)
             print(
                 f"{kind} seed {seed}: {corrected.rms_m:.3f} m corrected, {alone.rms_m:.2f} m not, "

@@ -1,24 +1,11 @@
-"""The observations on which docs/trajectory.md judges segments: frames drawn, then recognised.
-
-    python -m experiments trajectory-frames SIGHTINGS MODEL TARGET circular --seeds 0 20
-
-SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100 frames,
-2 s apart: 1024 × 768, 53° across, the Sun behind the camera (``--sun-phase`` says otherwise),
-noise, blur and pointing jitter as ``rendezview simulate`` has them, attitude of the path random.
-Two trackers see each frame: one with refinement, one that has the trees alone. A file that is
-there already is left as it is.
-
-circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to 5
-radii, with three hops of 3 % of the distance. spin, tumble: camera fixed at 3.5 radii, the target
-turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
-"""
+"""The observations on which docs/trajectory.md judges segments: frames drawn, then recognised."""
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -157,23 +144,32 @@ def observations(
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("model", type=Path)
-    parser.add_argument("target", help="mesh, target.toml, or hubble, client, scole")
-    parser.add_argument("kinds", nargs="+", choices=KINDS)
-    parser.add_argument("--seeds", nargs=2, type=int, default=(0, 20), metavar=("FIRST", "END"))
-    parser.add_argument("--sun-phase", type=float, default=0.0, help="degrees")
-    args = parser.parse_args()
-    args.folder.mkdir(parents=True, exist_ok=True)
-    model = ViewModel.load(args.model)
-    for seed in range(*args.seeds):
-        for kind in args.kinds:
-            path = args.folder / f"{model.name}-{kind}-{seed}.npz"
+def run(
+    folder: Path, model: Path,
+    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], kinds: list[str], *,
+    seeds: tuple[int, int] = (0, 20), sun_phase: Annotated[float, "degrees"] = 0.0,
+) -> None:  # fmt: skip
+    """The observations on which docs/trajectory.md judges segments: frames drawn, then recognised.
+
+    SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100
+    frames, 2 s apart: 1024 × 768, 53° across, the Sun behind the camera (``--sun-phase`` says
+    otherwise), noise, blur and pointing jitter as ``rendezview simulate`` has them, attitude of
+    the path random. Two trackers see each frame: one with refinement, one that has the trees
+    alone. A file that is there already is left as it is.
+
+    circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6
+    to 5 radii, with three hops of 3 % of the distance. spin, tumble: camera fixed at 3.5 radii,
+    the target
+    turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    views = ViewModel.load(model)
+    for seed in range(*seeds):
+        for kind in kinds:
+            path = folder / f"{views.name}-{kind}-{seed}.npz"
             if path.exists():
                 continue
-            arrays = observations(model, args.target, kind, seed, math.radians(args.sun_phase))
+            arrays = observations(views, target, kind, seed, math.radians(sun_phase))
             np.savez_compressed(path, **arrays)
             print(
                 f"{path.name}: {len(arrays['pose_frame'])} poses, "

@@ -1,18 +1,7 @@
-"""Speed of a segment fit, docs/trajectory.md: ours beside scipy's and nlopt's simplex.
-
-    pip install nlopt
-    python -m experiments trajectory-speed [--repeats 30] [--seed 0]
-
-100 points of a circle of 1 rad (0.1 % noise, a tenth of them outliers) and of a free relative
-orbit. Simplexes are given one start (the truth, off by 2 %), one compiled cost and one tolerance;
-printed are the best of the repeats, and how far each answer lies from Gauss–Newton's, in standard
-deviations. For
-the orbit Gauss–Newton is the linear least-squares answer, made robust.
-"""
+"""Speed of a segment fit, docs/trajectory.md: ours beside scipy's and nlopt's simplex."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -139,10 +128,7 @@ def problem(shape: Shape, seed: int) -> Problem:
         answer, _ = gauss_newton(code, start, scales, data, weights, CUT, 20)
         return answer, 0
 
-    ways: dict[str, Way] = {
-        "simplex, ours": ours,
-        "simplex, scipy": scipys,
-    }
+    ways: dict[str, Way] = {"simplex, ours": ours, "simplex, scipy": scipys}
     if nlopt is not None:
         ways["simplex, nlopt"] = nlopts
     ways["Gauss–Newton, ours"] = newtons
@@ -173,28 +159,34 @@ def followed(seed: int, spin: bool) -> list[float]:
     return spent[POINTS:]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
+def run(*, repeats: int = 30, seed: int = 0) -> None:
+    """Speed of a segment fit, docs/trajectory.md: ours beside scipy's and nlopt's simplex.
+
+        pip install nlopt
+
+    100 points of a circle of 1 rad (0.1 % noise, a tenth of them outliers) and of a free relative
+    orbit. Simplexes are given one start (the truth, off by 2 %), one compiled cost and one
+    tolerance; printed are the best of the repeats, and how far each answer lies from
+    Gauss–Newton's, in standard deviations. For the orbit Gauss–Newton is the linear least-squares
+    answer, made robust.
+    """
     print("| segment | way | ms | evaluations | off Gauss–Newton, σ |")
     print("|---|---|---|---|---|")
     for shape in (Shape.CIRCULAR, Shape.ORBIT):
-        fit = problem(shape, args.seed)
+        fit = problem(shape, seed)
         for name, run in fit.ways.items():
             run()
-            spent, answer, count = timed(run, args.repeats)
+            spent, answer, count = timed(run, repeats)
             gap = fit.gap(answer)
             print(f"| {shape} | {name} | {spent:.2f} | {count or '–'} | {gap:.2f} |")
         for name, previous in (
             ("whole fit, cold", None),
             ("whole fit, from the last one", fit.best),
         ):
-            spent, _, count = timed(partial(fit.whole, previous), args.repeats)
+            spent, _, count = timed(partial(fit.whole, previous), repeats)
             print(f"| {shape} | {name} | {spent:.2f} | {count} | |")
     for spin, words in ((False, "segment"), (True, "segment and spin")):
-        spent = followed(args.seed, spin)
+        spent = followed(seed, spin)
         print(
             f"each frame in a follower, {words}: median {np.median(spent):.2f} ms, "
             f"least {min(spent):.2f}"

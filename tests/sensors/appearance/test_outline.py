@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from rendezview.sensors.appearance.outline.signature import vector_area
 from rendezview.sensors.appearance.outline.silhouette import (
     Silhouette,
     SilhouetteOptions,
@@ -14,7 +15,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
     outer_borders,
     outlines_of_mask,
 )
-from rendezview.sensors.appearance.outline.tracing import crack_outline, vector_area
+from rendezview.sensors.appearance.outline.tracing import crack_outline
 
 
 def mask_of(rows: list[str]) -> np.ndarray:

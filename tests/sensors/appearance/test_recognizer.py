@@ -262,7 +262,7 @@ def test_a_roll_of_the_camera_rolls_the_pose_and_nothing_else(tiny_model, camera
 def test_a_wrong_prior_is_not_answered_by_a_pose_far_from_it(tiny_model, camera, bumpy_mesh, draw):
     rng = np.random.default_rng(11)
     recognizer = Recognizer(tiny_model, camera)
-    options = recognizer.matcher.options
+    options = recognizer.outline.matcher.options
     reach = options.prior_error_rad + (options.margin_edges + 3.0) * (
         tiny_model.geodesic.mean_edge_rad
     )

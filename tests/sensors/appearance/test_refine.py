@@ -15,7 +15,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
-from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner, Sky
+from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 from rendezview.simulation import (
     Earth,
@@ -264,7 +265,7 @@ def test_the_trees_of_a_sure_first_pose_are_asked_around_it(refining_model, bump
             continue
         centred = observation.signature.centred_from_camera @ observation.pose.rotation
         cosines = refining_model.geodesic.nodes[observation.active_nodes] @ -centred[2]
-        options = recognizer.matcher.options
+        options = recognizer.outline.matcher.options
         reach = (options.margin_edges + 2.0) * refining_model.geodesic.mean_edge_rad
         assert np.all(cosines >= np.cos(reach) - 1e-9)
         assert set(observation.stage_ms) >= {"silhouette", "signature", "refine", "trees"}

@@ -12,11 +12,12 @@ from rendezview.sensors.appearance.outline.signature import (
     UNIT,
     Signature,
     quantised,
+    radial_maxima,
     rolled,
+    spokes_of,
     twist,
 )
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of
 from rendezview.training.projection import Window
 from rendezview.training.rasterizer import NumbaRenderer
 

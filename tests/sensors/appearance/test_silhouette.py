@@ -14,8 +14,8 @@ from rendezview.sensors.appearance.outline.silhouette import (
     SilhouetteOptions,
     Threshold,
     find_silhouette,
-    sky_level,
 )
+from rendezview.sensors.appearance.sky import sky_level
 from rendezview.sensors.observation import Status
 
 BOX = (60, 40, 99, 69)  # left, top, right, bottom

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, TrackerOptions, ViewModel
-from rendezview.sensors.appearance.edges.refinement import Refiner, Sky
+from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.edges.search import SearchOptions
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
@@ -108,7 +109,7 @@ def test_a_pose_that_a_search_bore_out_is_kept_with_less_support_for_a_while(
     recognizer = Recognizer(refining_model, camera)
     assert recognizer.search is not None
     recognizer.search.options = SearchOptions(inlier_ratio=2.0)  # no single pose is confident
-    tracker = Tracker(recognizer, pose, TrackerOptions(vouched_frames=3))
+    tracker = Tracker(recognizer, pose, TrackerOptions(confirmed_frames=3))
     observations = [tracker.update(float(k), image) for k in range(9)]
     assert [s.found.single for s in observations] == [*2 * [False, True, True, True], False]
     assert all(s.pose.angle_to(pose) < np.deg2rad(1.0) for s in observations)

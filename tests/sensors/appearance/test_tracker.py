@@ -22,24 +22,31 @@ from rendezview.sensors.observation import Status
 
 
 class Script:
-    """A recognizer that answers as told and keeps the priors it was asked with."""
+    """A recognizer that gives prepared answers and keeps the priors it gets."""
 
     def __init__(self) -> None:
         self.priors: list[Pose | None] = []
         self.reach_deg: list[float] = []
         self.answer: Pose | None = None
-        self.matcher = SimpleNamespace(options=MatchOptions())
+        self.prior_error_rad = MatchOptions().prior_error_rad
         self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
         self.search = None
 
     def recognize(
-        self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
+        self,
+        image,
+        prior=None,
+        prior_error_rad=None,
+        sun_camera=None,
+        enough_inliers=1.0,
+        *,
+        time_s,
     ) -> AppearanceObservation:
         self.priors.append(prior)
         self.reach_deg.append(round(np.rad2deg(prior_error_rad), 6))
         if self.answer is None:
-            return AppearanceObservation(Status.EMPTY, "nothing")
-        return AppearanceObservation(Status.OK, pose=self.answer)
+            return AppearanceObservation(Status.EMPTY, "nothing", time_s=time_s)
+        return AppearanceObservation(Status.OK, pose=self.answer, time_s=time_s)
 
 
 A, B = (Pose(np.eye(3), [0.0, 0.0, z]) for z in (5.0, 6.0))
@@ -161,7 +168,7 @@ def test_a_frame_of_the_wrong_size_leaves_the_prior(tiny_model, camera):
 
 
 class Rivals(Script):
-    """A recognizer that finds a pose near each prior, with the merits it is told."""
+    """A recognizer that finds a pose near each prior, with prepared merits."""
 
     def __init__(self, merits: dict[int, list[float]]) -> None:
         super().__init__()
@@ -172,7 +179,14 @@ class Rivals(Script):
         self.merits = merits
 
     def recognize(
-        self, image, prior=None, prior_error_rad=None, sun_camera=None, enough_support=1.0
+        self,
+        image,
+        prior=None,
+        prior_error_rad=None,
+        sun_camera=None,
+        enough_inliers=1.0,
+        *,
+        time_s,
     ) -> AppearanceObservation:
         if prior is None:
             both = tuple(self.poses.values())
@@ -183,7 +197,7 @@ class Rivals(Script):
                 margin=0.0,
                 confidence=0.9,
             )
-            return AppearanceObservation(Status.AMBIGUOUS, "two", found=found)
+            return AppearanceObservation(Status.AMBIGUOUS, "two", found=found, time_s=time_s)
         key = min(self.poses, key=lambda k: self.poses[k].angle_to(prior))
         pose = self.poses[key]
         found = SimpleNamespace(
@@ -194,7 +208,7 @@ class Rivals(Script):
             merit=self.merits[key].pop(0),
             confidence=0.9,
         )
-        return AppearanceObservation(Status.OK, pose=pose, found=found)
+        return AppearanceObservation(Status.OK, pose=pose, found=found, time_s=time_s)
 
 
 def test_two_poses_are_followed_until_one_leads():

@@ -9,7 +9,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.reflectors import (
-    Calibration,
+    ClosedFormCalibration,
     SixNumbers,
     calibrate,
     closed_form,
@@ -176,7 +176,7 @@ def test_calibration_brings_the_closed_form_within_a_percent_and_a_degree(
 
     fitted = calibrate(paper_camera, three, run(0, 200))
     fitted.save(tmp_path / "c.json")
-    assert Calibration.load(tmp_path / "c.json") == fitted
+    assert ClosedFormCalibration.load(tmp_path / "c.json") == fitted
 
     def errors(constants):
         return np.array(
@@ -195,7 +195,7 @@ def test_calibration_brings_the_closed_form_within_a_percent_and_a_degree(
 def test_calibration_files_and_runs_that_cannot_work_are_told(three, paper_camera, five, tmp_path):
     (tmp_path / "c.json").write_text(json.dumps({"c5_m": 0.1, "c99": 1}))
     with pytest.raises(RendezviewError, match="c99: "):
-        Calibration.load(tmp_path / "c.json")
+        ClosedFormCalibration.load(tmp_path / "c.json")
     with pytest.raises(RendezviewError, match="needs 12 readings"):
         calibrate(paper_camera, three, [])
     spots = predict_spots(paper_camera, three, pose_of(SIX, three))

@@ -39,7 +39,7 @@ def test_every_edge_of_a_ring_is_found_to_a_hundredth_of_a_pixel(make, ring_came
         scene, image = make([1, seed], width_px=(220.0, 380.0), tilt_rad=(0.0, 0.8))
         found = detector.detect(image)
         assert len(found.edges) >= 3
-        assert len({edge.family for edge in found.edges[:3]}) == 1
+        assert len({edge.group for edge in found.edges[:3]}) == 1
         for shape in truths(scene):
             worst.append(min(np.abs(e.ellipse.shape - shape).max() for e in found.edges))
     assert np.median(worst) < 0.02

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from rendezview.estimation.edge_profile import step_basis, step_filters
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
-from rendezview.sensors.ring.steps import step_basis, step_filters, step_support
-from rendezview.sensors.ring.support import COLUMNS, OFFSET, WEIGHT
+from rendezview.sensors.ring.samples import COLUMNS, OFFSET, WEIGHT
+from rendezview.sensors.ring.steps import sample_steps
 
 BLUR_PX = 0.85  # of the picture: reading it between pixels adds the rest
 SHAPE = np.array([101.3, 99.6, 60.2, 0.0, 60.2])
@@ -26,14 +27,14 @@ def places(gap_px, near_grey, far_grey, windows=None):
     lens = np.append(lens_vector(Camera(200, 200, 200.0, 200.0, 99.5, 99.5)), 0.0)
     samples = np.zeros((400, COLUMNS))
     filters = step_filters(0.9)[:windows]
-    count = step_support(
+    count = sample_steps(
         image, lens, SHAPE, 1.0, 0.0, 2.0, filters, step_basis(0.9), 0.9, np.empty((0, 5)), samples
     )
     weights = np.maximum(samples[:count, WEIGHT], 0.0)
     return float(np.average(samples[:count, OFFSET], weights=weights)), int((weights > 0.0).sum())
 
 
-def test_a_lone_edge_is_where_it_is():
+def test_a_single_edge_is_where_it_is():
     mean_px, count = places(50.0, 60.0, 60.0)
     assert abs(mean_px) < 0.02
     assert count > 350

@@ -10,13 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.stereo import rotation_of, yaw_pitch_roll
 from rendezview.sensors.stereo.agreement import iterate
-from rendezview.sensors.stereo.collinearity import (
-    cholesky_solve,
-    invert,
-    normal_equations,
-    rotation_vector,
-    turn,
-)
+from rendezview.sensors.stereo.collinearity import normal_equations
 from rendezview.simulation.led_laboratory import Laboratory
 
 POSE = Pose(rotation_of(0.7, 0.2, -0.1), [0.05, -0.08, 0.3])
@@ -83,32 +77,6 @@ def test_one_iteration_after_two_degrees_is_within_one_of_the_end(laboratory: La
         end = iterate(rig, leds, sights, before.rotation, before.translation_m)
         turned = Rotation.from_matrix(once.rotation @ end.rotation.T).magnitude()
         assert np.rad2deg(turned) < 1.0
-
-
-def test_turn_and_rotation_vector_are_scipys(laboratory: Laboratory):
-    rng = np.random.default_rng(4)
-    for size in (1e-9, 1e-4, 1.0, np.pi - 1e-4, np.pi):
-        axis = rng.normal(size=3)
-        vector = axis / np.linalg.norm(axis) * size
-        turned, back = np.empty((3, 3)), np.empty(3)
-        turn(np.append(vector, [0, 0, 0]), np.eye(3), turned)
-        assert turned == pytest.approx(Rotation.from_rotvec(vector).as_matrix(), abs=1e-14)
-        rotation_vector(turned, back)
-        again = Rotation.from_rotvec(back).as_matrix()
-        assert again == pytest.approx(turned, abs=1e-7)
-
-
-def test_small_solvers_are_numpys():
-    rng = np.random.default_rng(5)
-    root = rng.normal(size=(6, 6))
-    matrix, vector = root @ root.T + np.eye(6), rng.normal(size=6)
-    lower, solution, inverse = np.zeros((6, 6)), np.empty(6), np.empty((6, 6))
-    assert cholesky_solve(matrix, vector, lower, solution)
-    assert solution == pytest.approx(np.linalg.solve(matrix, vector))
-    assert invert(matrix, lower, inverse)
-    assert inverse == pytest.approx(np.linalg.inv(matrix))
-    assert not cholesky_solve(-matrix, vector, lower, solution)
-    assert not invert(-matrix, lower, inverse)
 
 
 @pytest.mark.parametrize("angles", [(0.3, -0.4, 0.5), (-3.0, 1.5, 2.9), (1.0, -1.2, -2.0)])

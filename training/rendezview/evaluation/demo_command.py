@@ -63,7 +63,7 @@ def demo(
                 perturbed_views=_VIEWS,
                 held_out_views=2000,
                 contour_radii=_SHELLS,
-                lit_views=False,  # the Sun stands behind the camera
+                shadowed_silhouettes=False,  # the Sun stands behind the camera
                 seed=seed,
             ),
             camera=camera,

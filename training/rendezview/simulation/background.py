@@ -1,4 +1,4 @@
-"""What is behind the target: black sky, stars, and the Earth in the same sunlight.
+"""The background of the target: black sky, stars, and the Earth in the same sunlight.
 
 Radiance is in units of a white Lambert surface that faces the Sun, as for the target.
 """
@@ -24,8 +24,8 @@ from rendezview.training.zbuffer import Float32s
 class Earth:
     """A sphere with procedural clouds, sea and land. Eclipse is not modelled."""
 
-    angular_radius_rad: float = 1.22  # seen from 400 km: arcsin(6378 / 6778) = 70.2°
-    turn_rad_s: float = 1.13e-3  # ground that passes below: one turn an orbit of 92.6 min
+    angular_radius_rad: float = 1.22  # rad; from 400 km altitude: arcsin(6378 / 6778) = 70.2°
+    turn_rad_s: float = 1.13e-3  # rad/s of the ground below: one turn per orbit of 92.6 min
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -40,9 +40,9 @@ class Earth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stars:
-    """Stars over the whole sky, far brighter than an exposure for sunlit metal would show."""
+    """Stars over the whole sky, much brighter than in an exposure for sunlit metal."""
 
-    count: int = 8000  # about 40 in a frame 30° by 23°
+    count: int = 8000  # stars; about 40 in a frame of 30° × 23°
     brightest: float = 1.0  # radiance × pixels of the brightest ones
     seed: int = 0
 
@@ -56,23 +56,25 @@ class Stars:
 def star_radiance(camera: Camera, camera_from_sky: npt.ArrayLike, stars: Stars) -> Float32s:
     """Radiance (H, W) of the stars, ``camera_from_sky`` a (3, 3) rotation.
 
-    Each star's light is shared bilinearly by the four pixels around its place,
-    so that the centroid is exact.
+    The light of each star is distributed bilinearly over the four pixels around it, so that the
+    centroid is exact.
     """
     rng = np.random.default_rng(stars.seed)
     directions = rng.standard_normal((stars.count, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    # N stars are brighter than L, N ∝ L^-1.25: near what the sky shows (-1.2 to -1.5).
+    # N ∝ L^-1.25 stars are brighter than L; the real sky has exponents of -1.2 to -1.5.
     light = stars.brightest * np.minimum(1.0, (rng.random(stars.count) * 100.0 + 1.0) ** -0.8)
-    seen = directions @ np.asarray(camera_from_sky, dtype=np.float64).T
-    # Distortion polynomials fold far outside the frame: only stars near it are projected.
+    in_camera = directions @ np.asarray(camera_from_sky, dtype=np.float64).T
+    # Distortion polynomials fold far outside the frame, so only stars near it are projected.
     rays = pixel_rays(camera)
     edge = 1.05 * np.hypot(rays[..., 0], rays[..., 1]).max()
-    ahead = (seen[:, 2] > 0.0) & (np.hypot(seen[:, 0], seen[:, 1]) < edge * seen[:, 2])
+    ahead = (in_camera[:, 2] > 0.0) & (
+        np.hypot(in_camera[:, 0], in_camera[:, 1]) < edge * in_camera[:, 2]
+    )
     sky = np.zeros((camera.height, camera.width), np.float32)
     if not ahead.any():
         return sky
-    points_px = np.asarray(camera.project(seen[ahead]))
+    points_px = np.asarray(camera.project(in_camera[ahead]))
     corner = np.floor(points_px).astype(np.int64)
     part = points_px - corner
     for down in (0, 1):
@@ -91,13 +93,12 @@ def earth_radiance(
     earth: Earth,
     ground_from_camera: npt.ArrayLike | None = None,
 ) -> tuple[Float32s, Float32s]:
-    """Radiance of the Earth and the share of light it lets through, both (H, W).
+    """Radiance of the Earth and the transmitted share of background light, both (H, W).
 
     Args:
         earth_direction_camera: (3,) unit, from the camera to the Earth's centre.
         sun_direction_camera: (3,) unit, towards the Sun.
-        ground_from_camera: (3, 3) rotation that says which ground is below;
-            the camera frame itself when it is None.
+        ground_from_camera: (3, 3) rotation that selects the visible ground; ``None``: the identity.
     """
     turn = np.eye(3) if ground_from_camera is None else np.asarray(ground_from_camera, np.float64)
     offset = np.random.default_rng(earth.seed).uniform(-50.0, 50.0, 3)
@@ -125,8 +126,8 @@ def ground_rotation(direction: Array, angle_rad: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _lattice(i, j, k):  # type: ignore[no-untyped-def]
-    """A number in [0, 1) that looks random, of three integers (an integer hash)."""
+def _lattice(i: int, j: int, k: int) -> float:
+    """A pseudo-random number in [0, 1) from three integers (an integer hash)."""
     h = np.uint32(i * 374761393 + j * 668265263 + k * 1274126177)
     h = np.uint32((h ^ (h >> np.uint32(13))) * np.uint32(1103515245))
     h = np.uint32((h ^ (h >> np.uint32(15))) * np.uint32(2654435761))
@@ -134,8 +135,8 @@ def _lattice(i, j, k):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _noise(x, y, z):  # type: ignore[no-untyped-def]
-    """Value noise in [0, 1): lattice numbers, smoothly interpolated."""
+def _noise(x: float, y: float, z: float) -> float:
+    """Value noise in [0, 1): lattice numbers with smooth interpolation."""
     i, j, k = math.floor(x), math.floor(y), math.floor(z)
     u, v, w = x - i, y - j, z - k
     u, v, w = u * u * (3 - 2 * u), v * v * (3 - 2 * v), w * w * (3 - 2 * w)
@@ -150,8 +151,8 @@ def _noise(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fractal(x, y, z, frequency, footprint):  # type: ignore[no-untyped-def]
-    """Octaves of noise about 0, none finer than the pixel's footprint on the ground."""
+def _fractal(x: float, y: float, z: float, frequency: float, footprint: float) -> float:
+    """Octaves of noise around 0, none finer than the pixel's footprint on the ground."""
     total, weight = 0.0, 0.5
     for _ in range(13):
         if frequency * footprint > 0.4:
@@ -163,22 +164,47 @@ def _fractal(x, y, z, frequency, footprint):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _step(x, low, high):  # type: ignore[no-untyped-def]
+def _step(x: float, low: float, high: float) -> float:
+    """Smooth step from 0 at ``low`` to 1 at ``high``."""
     t = min(max((x - low) / (high - low), 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
 @njit(cache=True, nogil=True)
-def _paint_earth(  # type: ignore[no-untyped-def]
-    rays, centre, sun, distance, pixel, turn, offset, radiance, clear
-):
-    """Ray against a unit sphere at ``distance`` along ``centre``, pixel by pixel."""
-    air = 0.0016  # height over which the limb's glow fades by e, in Earth radii (10 km)
+def _ground_albedo(x: float, y: float, z: float, footprint: float, slant: float) -> float:
+    """Albedo of clouds, land, sea and haze at a place of the unit sphere.
+
+    Args:
+        footprint: of the pixel on the ground, Earth radii.
+        slant: cosine between the line of sight and the vertical.
+    """
+    # A slow displacement field stretches the clouds like weather.
+    bend = 0.08 * _fractal(x, y, z, 6.0, max(footprint, 0.02))
+    x, y, z = x + bend, y - bend, z + bend
+    cover = _fractal(x, y, z, 4.0, max(footprint, 0.01))
+    cloud = _step(0.8 * _fractal(x, y, z, 30.0, footprint) + 0.8 * cover, -0.06, 0.18)
+    height = _fractal(x + 31.0, y, z, 2.0, max(footprint, 0.001))
+    land = _step(height, 0.0, 0.01)
+    ground = (1.0 - land) * 0.05 + land * (
+        0.2 + 0.4 * _fractal(x, y, z, 90.0, max(footprint, 5e-4))
+    )
+    albedo = (1.0 - cloud) * ground + cloud * 0.8
+    haze = min(0.05 / slant, 0.3)
+    return albedo * (1.0 - haze) + haze * 0.9
+
+
+@njit(cache=True, nogil=True)
+def _paint_earth(
+    rays: Array, centre: Array, sun: Array, distance: float, pixel: float, turn: Array,
+    offset: Array, radiance: Float32s, clear: Float32s,
+) -> None:  # fmt: skip
+    """Intersect each pixel's ray with a unit sphere at ``distance`` along ``centre``."""
+    air = 0.0016  # Earth radii (10 km); height over which the limb's glow falls by 1/e
     for row in range(rays.shape[0]):
         for column in range(rays.shape[1]):
             d = rays[row, column] / np.sqrt(np.sum(rays[row, column] ** 2))
             along = distance * np.sum(d * centre)
-            # Distance² of the ray from the centre; below 1 it meets the ground.
+            # Squared distance of the ray from the centre; below 1 it hits the ground.
             nearest_2 = distance * distance - along * along
             if along <= 0.0:
                 continue
@@ -205,17 +231,5 @@ def _paint_earth(  # type: ignore[no-untyped-def]
                 y += turn[1, k] * up[k]
                 z += turn[2, k] * up[k]
             x, y, z = x + offset[0], y + offset[1], z + offset[2]
-            # Clouds are drawn out by a slow field of displacement, like weather.
-            bend = 0.08 * _fractal(x, y, z, 6.0, max(footprint, 0.02))
-            x, y, z = x + bend, y - bend, z + bend
-            cover = _fractal(x, y, z, 4.0, max(footprint, 0.01))
-            cloud = _step(0.8 * _fractal(x, y, z, 30.0, footprint) + 0.8 * cover, -0.06, 0.18)
-            height = _fractal(x + 31.0, y, z, 2.0, max(footprint, 0.001))
-            land = _step(height, 0.0, 0.01)
-            ground = (1.0 - land) * 0.05 + land * (
-                0.2 + 0.4 * _fractal(x, y, z, 90.0, max(footprint, 5e-4))
-            )
-            albedo = (1.0 - cloud) * ground + cloud * 0.8
-            haze = min(0.05 / slant, 0.3)
-            albedo = albedo * (1.0 - haze) + haze * 0.9
+            albedo = _ground_albedo(x, y, z, footprint, slant)
             radiance[row, column] = max(albedo, 0.0) * max(daylight, 0.03 * (daylight + 0.05))

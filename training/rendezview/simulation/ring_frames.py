@@ -1,9 +1,8 @@
-"""Frames of a docking ring among other round things, with the truth of every circle in them.
+"""Frames of a docking ring among other round objects, with the truth of every circle.
 
-Everything is a flat plate in space: ring edges, nozzle, dish and tank are annuli, the bus and its
-panels rectangles, what stands in the way a sector of a disc. A pixel that an edge crosses is the
-mean of 8 × 8 rays, each followed through all plates from the nearest painted last, so that the
-truth is exact to a hundredth of a pixel; then come the optics' blur and the detector's noise
+Every object is a flat plate in space. Ring edges, nozzle, dish and tank are annuli, the bus and its
+panels are rectangles, obstacles are sectors of a disc. A pixel that an edge crosses is the mean of
+8 × 8 rays, so the truth is exact to a hundredth of a pixel. Blur and noise follow
 (`sensor.expose`).
 """
 
@@ -23,14 +22,14 @@ from rendezview.simulation.sensor import SensorOptions, expose
 GreyImage = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
 
-_SAMPLES = 8  # rays across a pixel that an edge crosses
+_SAMPLES = 8  # rays per side of a pixel that an edge crosses
 _ANNULUS, _RECTANGLE = 0.0, 1.0
 _TAU = 2.0 * math.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plate:
-    """A flat thing in the camera frame: an annular sector, or a rectangle, of one grey level."""
+    """A flat object in the camera frame: an annular sector or a rectangle of one grey level."""
 
     centre_m: Array  # (3,)
     axis: Array  # (3,) unit, towards the camera
@@ -60,27 +59,27 @@ class RingScene:
     plates: tuple[Plate, ...]
     circles: tuple[Circle, ...]
     sky_grey: float = 12.0
-    visible_arc_rad: float = _TAU  # of the ring, bar the picture's border
+    visible_arc_rad: float = _TAU  # of the ring, without regard to the picture's border
 
     @property
     def ring(self) -> Circle | None:
-        """The ring's outer edge, whose radius is "the" radius; None without a ring."""
+        """The ring's outer edge, which defines its radius; None without a ring."""
         rings = [circle for circle in self.circles if circle.is_ring]
         return max(rings, key=lambda circle: circle.radius_m) if rings else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RingSceneOptions:
-    """How a random scene is drawn; pairs are the least and the largest."""
+    """Distributions of a random scene; pairs are lower and upper bounds."""
 
     radius_m: float = 0.6
     width_px: tuple[float, float] = (150.0, 380.0)  # of the ring's outer edge
     tilt_rad: tuple[float, float] = (0.0, math.radians(60.0))
-    off_axis: float = 0.6  # the ring's centre lies within this share of the free room
+    off_axis: float = 0.6  # share of the free room in which the ring's centre lies
     edges: tuple[float, ...] = (1.0, 0.93, 0.85)  # radii of the ring's edges, the first 1
     contrast_grey: tuple[float, float] = (60.0, 140.0)
-    arc_rad: tuple[float, float] = (_TAU, _TAU)  # what an obstacle leaves of the ring
-    border: float = 0.0  # share of scenes whose ring is cut by the picture's border
+    arc_rad: tuple[float, float] = (_TAU, _TAU)  # visible arc behind an obstacle
+    border: float = 0.0  # share of scenes whose ring the picture's border cuts
     clutter: int = 0  # nozzles, dishes and tanks
     without_ring: float = 0.0  # share of scenes that have clutter only
     body: bool = True
@@ -89,7 +88,7 @@ class RingSceneOptions:
 def random_scene(
     camera: Camera, rng: np.random.Generator, options: RingSceneOptions | None = None
 ) -> RingScene:
-    """A ring on a bus face, seen somewhere, with clutter round and inside it."""
+    """A ring on a bus face at a random place, with clutter around and inside it."""
     o = options or RingSceneOptions()
     width_px = math.exp(rng.uniform(*np.log(o.width_px)))
     depth = 2.0 * camera.fx * o.radius_m / width_px
@@ -98,7 +97,7 @@ def random_scene(
     offset = o.off_axis * rng.uniform(-1.0, 1.0, 2) * np.maximum(room, 0.0)
     if rng.random() < o.border:
         side = int(rng.integers(2))
-        over = rng.uniform(-0.25, 0.3) * width_px  # how far the ring's centre is inside the border
+        over = rng.uniform(-0.25, 0.3) * width_px  # px inside the border
         offset[side] = (0.5 * (camera.width, camera.height)[side] - abs(over)) * rng.choice([-1, 1])
     u, v = np.add(offset, (0.5 * (camera.width - 1), 0.5 * (camera.height - 1)))
     centre = depth * np.append(camera.rays(np.array([[u, v]]))[0, :2], 1.0)
@@ -120,7 +119,7 @@ def random_scene(
             plates.append(Plate(beside, axis, across, float(rng.uniform(20, 90)),
                                 half_sides_m=(1.3 * r, 0.5 * r)))  # fmt: skip
     for _ in range(o.clutter):
-        plate = _round_thing(centre, axis, r, camera, depth, rng)
+        plate = _round_object(centre, axis, r, camera, depth, rng)
         plates.append(plate)
         circles += [
             Circle(plate.centre_m, plate.axis, radius, False)
@@ -131,7 +130,7 @@ def random_scene(
         grey = body_grey
         contrasts = [float(rng.uniform(*o.contrast_grey)) for _ in o.edges]
         for k, ratio in enumerate(o.edges):
-            # Bright end frame, darker step, dark inside: every edge has its contrast.
+            # Bright end frame, darker step, dark inside: every edge has contrast.
             step = contrasts[k] if k % 2 == 0 else -contrasts[k]
             grey = grey + step if 0.0 < grey + step < 250.0 else grey - step
             grey = float(np.clip(grey, 4.0, 250.0))
@@ -141,7 +140,7 @@ def random_scene(
                       shade=(shade[0], shade[1]))
             )  # fmt: skip
             circles.append(Circle(centre, axis, ratio * r, True))
-        if o.clutter and rng.random() < 0.7:  # the nozzle inside, deeper and a little aside
+        if o.clutter and rng.random() < 0.7:  # the nozzle inside, deeper and off centre
             plate = _nozzle(centre, axis, r * min(o.edges), grey, rng)
             plates.append(plate)
             circles.append(Circle(plate.centre_m, plate.axis, plate.radii_m[1], False))
@@ -195,10 +194,10 @@ def _across(axis: Array, angle_rad: float) -> Array:
     )
 
 
-def _round_thing(
+def _round_object(
     centre: Array, axis: Array, r: float, camera: Camera, depth: float, rng: np.random.Generator
 ) -> Plate:
-    """A dish (any attitude, beside the ring) or a tank's end on the bus."""
+    """A dish beside the ring at any attitude, or the end of a tank on the bus."""
     place = centre + _across(axis, rng.uniform(0, _TAU)) * r * rng.uniform(1.1, 2.4)
     place = place - rng.uniform(-0.1, 0.2) * r * axis
     tilt = rng.uniform(0.0, 1.2)
@@ -220,7 +219,7 @@ def _nozzle(
 
 
 def _row(plate: Plate) -> list[float]:
-    """A plate as the compiled loop reads it: the homography from rays to its plane, and sizes."""
+    """A plate as a row of the compiled loop: homography from rays to its plane, and sizes."""
     basis = np.column_stack([plate.across, np.cross(plate.axis, plate.across), plate.centre_m])
     homography = np.linalg.inv(basis)
     kind = _ANNULUS if plate.half_sides_m is None else _RECTANGLE
@@ -229,8 +228,8 @@ def _row(plate: Plate) -> list[float]:
 
 
 @njit(cache=True, nogil=True)
-def _plate_at(table, x, y):  # type: ignore[no-untyped-def]
-    """Number of the plate that a ray meets first, -1 for the sky."""
+def _plate_at(table: Array, x: float, y: float) -> int:
+    """Number of the first plate that a ray hits, −1 for the sky."""
     for j in range(table.shape[0] - 1, -1, -1):
         t = table[j]
         w = t[6] * x + t[7] * y + t[8]
@@ -251,17 +250,19 @@ def _plate_at(table, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _grey(table, j, x, y, sky):  # type: ignore[no-untyped-def]
+def _grey(table: Array, j: int, x: float, y: float, sky: float) -> float:
+    """Grey level of plate ``j`` where a ray hits it, or of the sky."""
     if j < 0:
         return sky
     t = table[j]
     w = t[6] * x + t[7] * y + t[8]
     a, b = (t[0] * x + t[1] * y + t[2]) / w, (t[3] * x + t[4] * y + t[5]) / w
-    return max(0.0, t[14] + t[15] * a + t[16] * b)
+    return float(max(0.0, t[14] + t[15] * a + t[16] * b))
 
 
 @njit(cache=True, nogil=True)
-def _paint(rays, table, sky, out):  # type: ignore[no-untyped-def]
+def _paint(rays: Array, table: Array, sky: float, out: Float32s) -> None:
+    """Grey levels of all pixels; pixels whose four quarters hit different plates are averaged."""
     height, width = out.shape
     for row in range(height):
         for column in range(width):

@@ -1,4 +1,4 @@
-"""Hard shadows: a map of the surfaces nearest to the Sun, and looking things up in it."""
+"""Hard shadows: a shadow map, which holds the surfaces nearest to the Sun."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
-_MARGIN_TEXELS = 2.0  # so that the texels beside every point are on the map
+_MARGIN_TEXELS = 2.0  # texels around the map, so that every lookup finds its neighbours
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShadowMap:
     """Nearest surface to the Sun on a grid across its direction."""
 
-    nearness: Float32s  # (h, w) metres sunward of the origin's plane; 0 where there is nothing
+    nearness: Float32s  # (h, w) metres sunward of the origin's plane; 0: empty
     owner: Int32s  # (h, w) the face there
     axes: Array  # (3, 3) rows right, down, sunward in the camera frame
     origin_m: Array  # (3,) camera-frame point of sample (0, 0) at nearness 0
@@ -34,18 +34,18 @@ def shadow_map(
     vertices: Array,
     faces: Int32s,
     sun: Array,
-    seen: tuple[Float32s, Int32s],
+    visible: tuple[Float32s, Int32s],
     intrinsics: tuple[float, float, float, float],
     lit: Array,
     texels_max: int,
 ) -> ShadowMap:
-    """Map of all that may shade what the camera sees, in the camera frame.
+    """Map of everything that may shade the visible surfaces, in the camera frame.
 
-    It spans just the visible sunlit points, seen from the Sun, so that a close-up
-    is as sharp as a distant view: whatever shades a point has the same place on it.
+    It spans the visible sunlit points only, so that a close-up is as sharp as a distant view. A
+    point and the surface that shades it have the same place on the map.
 
     Args:
-        seen: nearness (1/z) and owner of the samples of the picture.
+        visible: nearness (1/z) and owner of the samples of the picture.
         intrinsics: fx, fy, cx, cy of those samples.
         lit: (F,) cosine of the Sun's incidence on each face, 0 for a dark one.
         texels_max: limit of either side; texels are otherwise as small as samples.
@@ -53,7 +53,7 @@ def shadow_map(
     across = np.cross(sun, np.eye(3)[np.argmin(np.abs(sun))])
     across /= np.linalg.norm(across)
     axes = np.stack([across, np.cross(sun, across), sun])
-    bounds = _visible_bounds(*seen, *intrinsics, lit, axes)
+    bounds = _visible_bounds(*visible, *intrinsics, lit, axes)
     left, top, right, bottom, z_min = bounds
     if not left <= right:
         return ShadowMap.empty()
@@ -64,7 +64,7 @@ def shadow_map(
         math.ceil(side / texel_m + 2.0 * _MARGIN_TEXELS) for side in (right - left, bottom - top)
     )
     on_map = vertices @ axes.T
-    # Nearness must be positive on the whole target, whatever its place.
+    # Nearness must be positive on the whole target, wherever it is.
     depth_m = on_map[:, 2].min() - 0.01 * max(float(np.ptp(on_map[:, 2])), texel_m)
     corner = np.array([left, top, depth_m]) - np.array([1.0, 1.0, 0.0]) * _MARGIN_TEXELS * texel_m
     on_map -= corner
@@ -75,7 +75,10 @@ def shadow_map(
 
 
 @njit(cache=True, nogil=True)
-def _visible_bounds(nearness, owner, fx, fy, cx, cy, lit, axes):  # type: ignore[no-untyped-def]
+def _visible_bounds(
+    nearness: Float32s, owner: Int32s, fx: float, fy: float, cx: float, cy: float, lit: Array,
+    axes: Array,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Extent of the visible sunlit samples across the Sun's direction, and their least z."""
     left, top, z_min = math.inf, math.inf, math.inf
     right, bottom = -math.inf, -math.inf

@@ -22,7 +22,7 @@ from rendezview.sensors.appearance.model import ViewModel
 from rendezview.training.bundled import find_target
 from rendezview.training.job import provenance, train
 from rendezview.training.mesh import load_mesh
-from rendezview.training.options import TrainingOptions
+from rendezview.training.options import OLD_NAMES, TrainingOptions
 from rendezview.training.shard_executor import ClusterError, ShardExecutor
 from rendezview.training.stages import Progress
 from rendezview.training.symmetries import find_symmetries
@@ -107,22 +107,21 @@ def _entries(file: _File, path: Path) -> Iterator[Entry]:
             where = str(path.parent / where)
         own = target.name or Path(where if Path(where).name != "target.toml" else where[:-12]).stem
         name = "-".join(part for part in (own, shells.name, light.name) if part)
-        told = (
-            file.options | target.options | (shells.model_extra or {}) | (light.model_extra or {})
-        )
+        given = [file.options, target.options, shells.model_extra or {}, light.model_extra or {}]
+        merged = {OLD_NAMES.get(k, k): v for options in given for k, v in options.items()}
         camera = None if target.camera is None else path.parent / target.camera
-        yield Entry(name, where, target.unit, camera, _options(told, f"{path}: {name}"))
+        yield Entry(name, where, target.unit, camera, _options(merged, f"{path}: {name}"))
 
 
-def _options(told: dict[str, Any], where: str) -> TrainingOptions:
+def _options(given: dict[str, Any], where: str) -> TrainingOptions:
     known = {f.name for f in dataclasses.fields(TrainingOptions)}
-    for name in told:
+    for name in given:
         if name not in known:
             raise RendezviewError(
                 f"{where}: there is no training option {name}; there are {', '.join(sorted(known))}"
             )
     try:
-        return TypeAdapter(TrainingOptions).validate_python(told)
+        return TypeAdapter(TrainingOptions).validate_python(given)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))

@@ -1,7 +1,7 @@
-"""Contour points of a view: where edges of the target stand in the picture.
+"""Contour points of a view: places of the target's edges in the picture.
 
-Of all crossings of an edge (``crossings.py``) a fixed number is kept, spread evenly, each with how
-far the picture is free to either side and the surfaces beside it.
+A fixed number of the edge crossings (``crossings.py``) is kept, evenly spread. Each has its free
+length to either side and the profile of surfaces beside it.
 """
 
 from __future__ import annotations
@@ -30,16 +30,21 @@ from rendezview.training.crossings import (
     face_normals,
 )
 from rendezview.training.drawn_view import draw_view
-from rendezview.training.edge_profiles import strips
+from rendezview.training.edge_profiles import edge_profiles
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.surface_palette import packed_surfaces
+from rendezview.training.zbuffer import Float32s
 
-_BORDER_PX = 4.0  # around the target in the picture
-_THIN_PX = 2.0  # a shorter run makes a bad edge, …
-_CLEAR_RADII = 3.0 / 196.0  # … so much more of the target's radius one as good as any
-_FREE_RADII = 64.0 / 196.0  # how far the free run along the normal is looked for
-_INNER_SHARE = 0.25  # of the points, for steps and creases inside the outline
+_BORDER_PX = 4.0  # px around the target in the picture
+_THIN_PX = 2.0  # px; an edge with a shorter free run is unreliable
+_CLEAR_RADII = 3.0 / 196.0  # target radii beyond _THIN_PX; from there an edge is fully reliable
+_FREE_RADII = 64.0 / 196.0  # target radii; length along the normal in which a free run ends
+_INNER_SHARE = 0.25  # share of the points for steps and creases inside the outline
+_CANDIDATES = 4  # candidates per kept point, for which free runs are measured
+_LEAST_RELIABILITY = 0.02  # weight of an unreliable edge: chosen only where there is no other
+_CELL_PX = 4.0  # px; cells of the space-filling curve
+_OWN_LINE_PX = 2.5  # px; nearer, the marks of an edge's own line block the search
 
 
 def contour_points(
@@ -54,11 +59,11 @@ def contour_points(
 
     Args:
         beside: of ``faces_beside(mesh)``.
-        options: for the number of points and the resolution at which the view is drawn.
+        options: gives the number of points and the resolution of the drawn view.
 
     Returns:
-        The fields of `Contours` for this one view, but instead of
-        ``strip`` the ``surfaces`` (N, SURFACES, 4) for ``surface_palette``.
+        The fields of `Contours` for this view, with the ``surfaces`` (N, SURFACES, 4) for
+        ``surface_palette`` instead of ``strip``.
     """
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
@@ -83,24 +88,24 @@ def contour_points(
     _mark(crossings, edges)
     count = options.contour_points
     inner = round(_INNER_SHARE * count)
-    # Runs are looked for at four times as many points as are kept.
-    crossings = crossings[_chosen(crossings, 4 * (count - inner), 4 * inner)]
+    candidates = _chosen(crossings, _CANDIDATES * (count - inner), _CANDIDATES * inner)
+    crossings = crossings[candidates]
     radius_px = 0.5 * size - _BORDER_PX
     runs_px = _free_runs(crossings, focal, edges, nearness, step_m, _FREE_RADII * radius_px)
-    # A body thinner than the blur shows its edges displaced: such edges only where need be.
+    # The edges of a body thinner than the blur appear displaced.
     clear = (runs_px.min(axis=1) - _THIN_PX) / (_CLEAR_RADII * radius_px)
-    crossings[:, LENGTH] *= np.clip(clear, 0.02, 1.0)
+    crossings[:, LENGTH] *= np.clip(clear, _LEAST_RELIABILITY, 1.0)
     chosen = _chosen(crossings, count - inner, inner)
     kept = crossings[chosen]
     runs_m = runs_px[chosen] * (kept[:, 4] / focal)[:, None]
     radius_m = geometry.target_radius_m
-    towards, colour, starts = strips(kept, view, beside, normals, albedo, radius_px)
+    normal, colour, starts = edge_profiles(kept, view, beside, normals, albedo, radius_px)
     points = kept[:, 2:5]
     begins = _inwards(kept, starts[..., 0] * radius_px / focal)
     inside, deeper = _from_points(points, kept[:, 5:8], begins, starts[..., 1])
     starts = np.stack([packed_start(inside / radius_m), deeper / (radius_m * DEPTH_UNIT)], axis=-1)
     place = (points - np.array([0.0, 0.0, range_m])) @ view.rotation
-    surfaces = packed_surfaces(towards @ view.rotation, colour)
+    surfaces = packed_surfaces(normal @ view.rotation, colour)
     return {
         "point": _packed(place / (radius_m * POINT_UNIT), count, np.int16),
         "tangent": _packed(kept[:, 5:8] @ view.rotation / DIRECTION_UNIT, count, np.int8),
@@ -112,7 +117,7 @@ def contour_points(
 
 
 def _inwards(crossings: Array, shift: Array) -> Array:
-    """(N, K, 3) rays, z = 1, that lie normalised (N, K) inwards of N crossings in the picture."""
+    """(N, K, 3) rays, z = 1, at normalised distances (N, K) inwards of N crossings."""
     x, y = crossings[:, 2] / crossings[:, 4], crossings[:, 3] / crossings[:, 4]
     tx, ty = crossings[:, 5] - x * crossings[:, 7], crossings[:, 6] - y * crossings[:, 7]
     length = np.maximum(np.hypot(tx, ty), 1e-30)
@@ -122,13 +127,13 @@ def _inwards(crossings: Array, shift: Array) -> Array:
 
 
 def _from_points(points: Array, along: Array, rays: Array, z: Array) -> tuple[Array, Array]:
-    """(N, K) how far inwards of N points, across the ray to each, and how much deeper, m.
+    """(N, K) distances inwards of N points, across the ray to each, and extra depths, metres.
 
     The inverse of ``strip_fit.begins_at``.
 
     Args:
-        points: (N, 3), camera frame, and ``along``: (N, 3) unit, the edge there.
-        rays: (N, K, 3) to the places, and ``z``: (N, K) of them, 0 where it is that of the point.
+        points: (N, 3), camera frame, and ``along``: (N, 3) unit, the direction of the edge.
+        rays: (N, K, 3) to the places, and ``z``: (N, K), their depths; 0 means that of the point.
     """
     outwards = np.cross(along, points)
     outwards /= np.maximum(np.linalg.norm(outwards, axis=1), 1e-30)[:, None]
@@ -145,14 +150,14 @@ def _from_points(points: Array, along: Array, rays: Array, z: Array) -> tuple[Ar
 def _packed(
     values: npt.NDArray[Any], count: int, dtype: type[np.integer[Any]], fill: int = 0
 ) -> npt.NDArray[Any]:
-    """Whole numbers, filled up to ``count`` rows."""
+    """The values rounded to integers, padded to ``count`` rows."""
     packed = np.full((count, *values.shape[1:]), fill, dtype=dtype)
     packed[: len(values)] = np.rint(values)
     return packed
 
 
 def _chosen(crossings: Array, outline: int, inner: int) -> npt.NDArray[np.intp]:
-    """Points spread evenly over the length of the edges: the outline's first, then the others."""
+    """Points evenly spread over the length of the edges: first the outline, then the others."""
     inside = crossings[:, KIND] > OUTLINE
     return np.concatenate(
         [
@@ -163,27 +168,27 @@ def _chosen(crossings: Array, outline: int, inner: int) -> npt.NDArray[np.intp]:
 
 
 def _spread(crossings: Array, candidates: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
-    """``count`` of the candidates at equal steps of length along a curve that fills the picture."""
+    """``count`` of the candidates, at equal steps of length along a space-filling curve."""
     if len(candidates) <= count:
         return candidates
     x, y = crossings[candidates, 0], crossings[candidates, 1]
     order = candidates[np.argsort(_morton(x, y), kind="stable")]
     length = np.cumsum(crossings[order, LENGTH])
     found = order[:0]
-    # Those that stand for more than a step are met again: then the steps are too long.
+    # A candidate longer than a step is hit twice, so more steps may be needed.
     for steps in range(count, 4 * count, max(1, count // 20)):
         places = (np.arange(steps) + 0.5) / steps * length[-1]
-        met = np.unique(order[np.searchsorted(length, places)])
-        if len(met) > count:
+        hit = np.unique(order[np.searchsorted(length, places)])
+        if len(hit) > count:
             break
-        found = met
+        found = hit
     return found
 
 
 def _morton(x: Array, y: Array) -> npt.NDArray[np.int64]:
-    """Place on the Z-order curve over cells of 4 × 4 pixels."""
+    """Place on the Z-order curve over square cells."""
     code = np.zeros(len(x), dtype=np.int64)
-    a, b = (x / 4.0).astype(np.int64), (y / 4.0).astype(np.int64)
+    a, b = (x / _CELL_PX).astype(np.int64), (y / _CELL_PX).astype(np.int64)
     for bit in range(12):
         code |= ((a >> bit) & 1) << (2 * bit)
         code |= ((b >> bit) & 1) << (2 * bit + 1)
@@ -191,23 +196,31 @@ def _morton(x: Array, y: Array) -> npt.NDArray[np.int64]:
 
 
 @njit(cache=True, nogil=True)
-def _mark(crossings, edges):  # type: ignore[no-untyped-def]
+def _mark(crossings: Array, edges: npt.NDArray[np.bool_]) -> None:
+    """Set the pixels of all crossings."""
     for k in range(crossings.shape[0]):
         edges[int(np.rint(crossings[k, 1])), int(np.rint(crossings[k, 0]))] = True
 
 
 @njit(cache=True, nogil=True)
-def _free_runs(points, focal, edges, nearness, step, most):  # type: ignore[no-untyped-def]
+def _free_runs(
+    points: Array,
+    focal: float,
+    edges: npt.NDArray[np.bool_],
+    nearness: Float32s,
+    step: float,
+    most: float,
+) -> Array:
     """(N, 2) pixels along the image normal to the next edge, inwards and outwards.
 
-    Nearer than 2.5 pixels the marks of an edge's own line are in the way: there a run ends
-    where the body does, or where another begins.
+    The first pixels hold the marks of the edge's own line. There a run ends where the body ends,
+    or where another begins.
     """
     height, width = edges.shape
     runs = np.empty((points.shape[0], 2))
     for k in range(points.shape[0]):
         x, y, z = points[k, 2], points[k, 3], points[k, 4]
-        # Picture of the tangent: d(x/z, y/z)
+        # The tangent in the picture: d(x/z, y/z)
         tx = points[k, 5] - x / z * points[k, 7]
         ty = points[k, 6] - y / z * points[k, 7]
         length = np.sqrt(tx * tx + ty * ty) + 1e-30
@@ -221,7 +234,7 @@ def _free_runs(points, focal, edges, nearness, step, most):  # type: ignore[no-u
                 if not (0 <= row < height and 0 <= column < width):
                     run = most
                     break
-                if run >= 2.5:
+                if run >= _OWN_LINE_PX:
                     if edges[row, column]:
                         break
                 elif way == 0:
@@ -229,6 +242,6 @@ def _free_runs(points, focal, edges, nearness, step, most):  # type: ignore[no-u
                         break
                 elif points[k, 8] == 0.0 and nearness[row, column] > 0.0:
                     break
-                run += 0.25 if run < 2.5 else 0.5
+                run += 0.25 if run < _OWN_LINE_PX else 0.5
             runs[k, way] = run
     return runs

@@ -1,10 +1,9 @@
-"""Crossings of a view's edges with the lines between pixel centres, exactly.
+"""Exact crossings of a view's edges with the lines between pixel centres.
 
-A picture of the nearest surface tells which triangle is seen at every pixel. Between two
-neighbouring pixels of which one shows the sky, a far surface or another facet there is an
-edge, and it is an edge of one of the triangles seen there: its crossing with the line
-between the two pixel centres is computed from the triangle, not from the pixels. So the
-points are exact in space although the picture has a few hundred pixels a side.
+A z-buffer holds the visible triangle of every pixel. Where two neighbouring pixels show different
+surfaces (target and sky, near and far, two facets), an edge of a visible triangle runs between
+them. The crossing of that edge with the line between the two pixel centres is computed from the
+triangle. The points are therefore exact in space, although the picture has few pixels.
 """
 
 from __future__ import annotations
@@ -15,18 +14,22 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.training.mesh import Mesh
+from rendezview.training.zbuffer import Float32s, Int32s
 
-STEP_RADII = 0.02  # of the target's radius: so much deeper lies another surface
-_CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle give a crease
-_FAINT_COLOUR = 0.12  # as do facets whose albedo differs by more
+STEP_RADII = 0.02  # target radii; a surface that much deeper is another surface
+_CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle form a crease
+_FAINT_COLOUR = 0.12  # albedo; facets that differ by more form a crease, too
+_ROWS = 4096  # crossings; first size of the table, which doubles when it is full
+_OUTLINE, _STEP, _CREASE = 0, 1, 2  # kinds of edges: against the sky, in depth, in normal or albedo
 # Columns of a crossing: u v, point (3), tangent (3), then
-KIND, LENGTH = 8, 9  # length of the outline that it stands for, pixels
+KIND, LENGTH = 8, 9  # kind of the edge; length of the outline that it represents, px
+_COLUMNS = 10
 
 
 def faces_beside(mesh: Mesh) -> npt.NDArray[np.int32]:
     """(F, 3) the face on the other side of each edge (vertex k to k + 1), −1 where there is none.
 
-    Where more than two faces meet at an edge, any other one.
+    Where more than two faces meet at an edge, the result is any other one of them.
     """
     _, welded = np.unique(mesh.vertices_m, axis=0, return_inverse=True)
     faces = welded.reshape(-1)[mesh.faces]
@@ -41,7 +44,7 @@ def faces_beside(mesh: Mesh) -> npt.NDArray[np.int32]:
 
 
 def face_normals(vertices: Array, faces: npt.NDArray[np.int32]) -> Array:
-    """Unit normals (F, 3), towards the camera; towards it straight where a face has no area."""
+    """Unit normals (F, 3) towards the camera; (0, 0, −1) for a face without area."""
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
@@ -52,21 +55,29 @@ def face_normals(vertices: Array, faces: npt.NDArray[np.int32]) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def depth_on(vertices, faces, face, normals, rx, ry):  # type: ignore[no-untyped-def]
-    """z where the ray (rx, ry, 1) meets the plane of a face; 0 where it runs along it."""
+def depth_on(
+    vertices: Array, faces: Int32s, face: int, normals: Array, rx: float, ry: float
+) -> float:
+    """Depth z where the ray (rx, ry, 1) meets the plane of a face; 0 for a parallel ray."""
     a = faces[face, 0]
     normal = normals[face]
     down = normal[0] * rx + normal[1] * ry + normal[2]
     if abs(down) < 1e-9:
         return 0.0
-    return (
+    meeting = (
         normal[0] * vertices[a, 0] + normal[1] * vertices[a, 1] + normal[2] * vertices[a, 2]
     ) / down
+    return float(meeting)
 
 
 @njit(cache=True, nogil=True)
-def _exit(points, faces, face, px, py, dx, dy):  # type: ignore[no-untyped-def]
-    """Interval [enter, leave] of p + s d inside a projected face, and the edge of the exit."""
+def line_in_face(
+    points: Array, faces: Int32s, face: int, px: float, py: float, dx: float, dy: float
+) -> tuple[float, float, int]:
+    """Interval [enter, leave] of p + s d inside a projected face, and the edge it leaves through.
+
+    A face seen edge-on, or a line that misses it, gives the empty interval (1, 0) and edge −1.
+    """
     enter, leave, edge = -1e9, 1e9, -1
     p, q, r = points[faces[face, 0]], points[faces[face, 1]], points[faces[face, 2]]
     area = (q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])
@@ -91,12 +102,123 @@ def _exit(points, faces, face, px, py, dx, dy):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def edge_crossings(  # type: ignore[no-untyped-def]
-    vertices, points, faces, normals, beside, albedo, focal, middle, nearness, owner, step
-):
-    """Every edge between neighbouring pixels: (M, 10) rows."""
+def _edge_kind(
+    vertices: Array, faces: Int32s, normals: Array, albedo: Array, focal: float, middle: float,
+    nearness: Float32s, owner: Int32s, step: float, x: int, y: int, dx: int, dy: int,
+) -> int:  # fmt: skip
+    """Kind of the edge between pixel (x, y) and its neighbour at (dx, dy); −1: no edge.
+
+    A step belongs to its nearer pixel. A crease is counted once, from its left or upper pixel.
+    """
+    face, beyond = owner[y, x], owner[y + dy, x + dx]
+    if beyond < 0:
+        return _OUTLINE
+    rx, ry = (x + dx - middle) / focal, (y + dy - middle) / focal
+    z_here = depth_on(vertices, faces, face, normals, rx, ry)
+    z_there = 1.0 / nearness[y + dy, x + dx]
+    z_own = 1.0 / nearness[y, x]
+    if z_there - z_own > step and (z_here <= 0.0 or z_there - z_here > step):
+        return _STEP
+    if dx + dy > 0 and abs(z_there - z_own) < step:
+        n, m = normals[face], normals[beyond]
+        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
+        paint = abs(albedo[face] - albedo[beyond])
+        if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
+            return -1
+        return _CREASE
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _followed(
+    vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, focal: float,
+    middle: float, nearness: Float32s, owner: Int32s, step: float, x: int, y: int, dx: int, dy: int,
+    face: int, leave: float, edge: int,
+) -> tuple[int, float, int]:  # fmt: skip
+    """Follow the line over adjoining visible triangles of the same surface, to the last of them.
+
+    Returns:
+        The last face, where the line leaves it, and through which edge.
+    """
+    last = face
+    again = True
+    while again and leave < 1.0:
+        again = False
+        # The face across the edge comes first: a facet seen edge-on owns no pixel.
+        for around in range(10):
+            if around == 0:
+                near = beside[last, edge]
+            else:
+                near = owner[y + (around - 1) // 3 - 1, x + (around - 1) % 3 - 1]
+            if near < 0 or near == last:
+                continue
+            e, f, g = line_in_face(points, faces, near, x, y, dx, dy)
+            if g < 0 or e > leave + 1e-3 or f <= leave + 1e-6:
+                continue
+            rx = (x + dx * leave - middle) / focal
+            ry = (y + dy * leave - middle) / focal
+            z = depth_on(vertices, faces, near, normals, rx, ry)
+            if abs(z - 1.0 / nearness[y, x]) > step:  # another surface
+                continue
+            last, leave, edge, again = near, f, g, True
+    return last, leave, edge
+
+
+@njit(cache=True, nogil=True)
+def _write_crossing(
+    row: Array, vertices: Array, a: int, b: int, u: float, v: float, dx: int, dy: int, focal: float,
+    middle: float, kind: int,
+) -> bool:  # fmt: skip
+    """Fill the row of a crossing at pixel (u, v) on the edge from vertex a to b; False: no length.
+
+    The depth is that of the edge itself: the edge and the ray meet in the picture.
+    """
+    rx, ry = (u - middle) / focal, (v - middle) / focal
+    ax, ay = vertices[a, 0] / vertices[a, 2], vertices[a, 1] / vertices[a, 2]
+    bx, by = vertices[b, 0] / vertices[b, 2], vertices[b, 1] / vertices[b, 2]
+    along = ((rx - ax) * (bx - ax) + (ry - ay) * (by - ay)) / (
+        (bx - ax) ** 2 + (by - ay) ** 2 + 1e-30
+    )
+    along = min(max(along, 0.0), 1.0)
+    w = (1.0 - along) / vertices[a, 2] + along / vertices[b, 2]
+    tx, ty = bx - ax, by - ay
+    length = np.sqrt(tx * tx + ty * ty)
+    if length < 1e-12:
+        return False
+    # The outward image normal is (t_y, −t_x).
+    facing = (ty * dx - tx * dy) / length
+    sign = 1.0 if facing > 0.0 else -1.0
+    z = 1.0 / w
+    row[0], row[1] = u, v
+    row[2], row[3], row[4] = rx * z, ry * z, z
+    total = 0.0
+    for k in range(3):
+        row[5 + k] = sign * (vertices[b, k] - vertices[a, k])
+        total += row[5 + k] ** 2
+    total = np.sqrt(total)
+    for k in range(3):
+        row[5 + k] /= total
+    row[KIND] = kind
+    row[LENGTH] = abs(facing)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def edge_crossings(
+    vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, albedo: Array,
+    focal: float, middle: float, nearness: Float32s, owner: Int32s, step: float,
+) -> Array:  # fmt: skip
+    """Every edge between neighbouring pixels: (M, 10) rows.
+
+    Args:
+        vertices: (V, 3), camera frame, and ``points``: (V, 2), their pixels.
+        faces: (F, 3), with ``normals`` (F, 3), ``beside`` (F, 3) and ``albedo`` (F,).
+        focal: px, and ``middle``: px, of both axes.
+        nearness: (H, W) 1/z, and ``owner``: (H, W) visible face, −1 for the sky.
+        step: m; a surface that much deeper is another surface.
+    """
     height, width = owner.shape
-    rows = np.empty((4096, 10))
+    rows = np.empty((_ROWS, _COLUMNS))
     count = 0
     for y in range(1, height - 1):
         for x in range(1, width - 1):
@@ -104,90 +226,32 @@ def edge_crossings(  # type: ignore[no-untyped-def]
             if face < 0:
                 continue
             for side in range(4):
-                dx = (1, 0, -1, 0)[side]
-                dy = (0, 1, 0, -1)[side]
-                beyond = owner[y + dy, x + dx]
-                if beyond == face:
+                dx, dy = (1, 0, -1, 0)[side], (0, 1, 0, -1)[side]
+                if owner[y + dy, x + dx] == face:
                     continue
-                kind = 0
-                if beyond >= 0:
-                    rx, ry = (x + dx - middle) / focal, (y + dy - middle) / focal
-                    z_here = depth_on(vertices, faces, face, normals, rx, ry)
-                    z_there = 1.0 / nearness[y + dy, x + dx]
-                    z_own = 1.0 / nearness[y, x]
-                    if z_there - z_own > step and (z_here <= 0.0 or z_there - z_here > step):
-                        kind = 1
-                    elif side < 2 and abs(z_there - z_own) < step:
-                        n, m = normals[face], normals[beyond]
-                        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
-                        paint = abs(albedo[face] - albedo[beyond])
-                        if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
-                            continue
-                        kind = 2
-                    else:
-                        continue
-                enter, leave, edge = _exit(points, faces, face, x, y, dx, dy)
-                last = face
+                kind = _edge_kind(
+                    vertices, faces, normals, albedo, focal, middle, nearness, owner, step,
+                    x, y, dx, dy,
+                )  # fmt: skip
+                if kind < 0:
+                    continue
+                enter, leave, edge = line_in_face(points, faces, face, x, y, dx, dy)
                 if edge < 0 or enter > 0.5 or leave < -0.5:
                     continue
-                if kind < 2:
-                    # Go on over near triangles that are seen next to this one.
-                    again = True
-                    while again and leave < 1.0:
-                        again = False
-                        # first over the edge itself: a facet seen edge-on owns no pixel
-                        for around in range(10):
-                            if around == 0:
-                                near = beside[last, edge]
-                            else:
-                                near = owner[y + (around - 1) // 3 - 1, x + (around - 1) % 3 - 1]
-                            if near < 0 or near == last:
-                                continue
-                            e, f, g = _exit(points, faces, near, x, y, dx, dy)
-                            if g < 0 or e > leave + 1e-3 or f <= leave + 1e-6:
-                                continue
-                            # … on the same surface
-                            rx = (x + dx * leave - middle) / focal
-                            ry = (y + dy * leave - middle) / focal
-                            z = depth_on(vertices, faces, near, normals, rx, ry)
-                            if abs(z - 1.0 / nearness[y, x]) > step:
-                                continue
-                            last, leave, edge, again = near, f, g, True
+                last = face
+                if kind != _CREASE:
+                    last, leave, edge = _followed(
+                        vertices, points, faces, normals, beside, focal, middle, nearness, owner,
+                        step, x, y, dx, dy, face, leave, edge,
+                    )  # fmt: skip
                 if leave < -0.01 or leave > 1.01:
                     continue
-                a, b = faces[last, edge], faces[last, (edge + 1) % 3]
-                rx, ry = (x + dx * leave - middle) / focal, (y + dy * leave - middle) / focal
-                # Depth on the edge itself: the two lines in space meet in the picture.
-                ax, ay = vertices[a, 0] / vertices[a, 2], vertices[a, 1] / vertices[a, 2]
-                bx, by = vertices[b, 0] / vertices[b, 2], vertices[b, 1] / vertices[b, 2]
-                along = ((rx - ax) * (bx - ax) + (ry - ay) * (by - ay)) / (
-                    (bx - ax) ** 2 + (by - ay) ** 2 + 1e-30
-                )
-                along = min(max(along, 0.0), 1.0)
-                w = (1.0 - along) / vertices[a, 2] + along / vertices[b, 2]
-                tx, ty = bx - ax, by - ay
-                length = np.sqrt(tx * tx + ty * ty)
-                if length < 1e-12:
-                    continue
-                # The outward image normal is (t_y, −t_x).
-                facing = (ty * dx - tx * dy) / length
-                sign = 1.0 if facing > 0.0 else -1.0
                 if count == rows.shape[0]:
-                    grown = np.empty((2 * count, 10))
+                    grown = np.empty((2 * count, _COLUMNS))
                     grown[:count] = rows
                     rows = grown
-                row = rows[count]
-                z = 1.0 / w
-                row[0], row[1] = x + dx * leave, y + dy * leave
-                row[2], row[3], row[4] = rx * z, ry * z, z
-                total = 0.0
-                for k in range(3):
-                    row[5 + k] = sign * (vertices[b, k] - vertices[a, k])
-                    total += row[5 + k] ** 2
-                total = np.sqrt(total)
-                for k in range(3):
-                    row[5 + k] /= total
-                row[8] = kind
-                row[9] = abs(facing)
-                count += 1
+                a, b = faces[last, edge], faces[last, (edge + 1) % 3]
+                u, v = x + dx * leave, y + dy * leave
+                if _write_crossing(rows[count], vertices, a, b, u, v, dx, dy, focal, middle, kind):
+                    count += 1
     return rows[:count]

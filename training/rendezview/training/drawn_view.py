@@ -1,4 +1,4 @@
-"""The mesh drawn at once from a direction: what every look at a view of the sphere starts with."""
+"""A z-buffered view of the mesh from one direction."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def draw_view(
     size_px: int,
     border_px: float,
 ) -> DrawnView:
-    """Draw the target from a unit direction (3,), its sphere touching a border of ``border_px``."""
+    """Draw the target from a unit direction (3,); its sphere ends ``border_px`` from the border."""
     rotation = look_from(direction)
     vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
     focal = (0.5 * size_px - border_px) / np.tan(np.arcsin(geometry.target_radius_m / range_m))

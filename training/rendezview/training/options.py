@@ -1,9 +1,10 @@
-"""What training can be told, and the values it takes by itself."""
+"""Options of training, and the geometry of the training views."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
@@ -14,44 +15,50 @@ from rendezview.geometry.pose import Array
 from rendezview.training.mesh import Mesh
 from rendezview.training.renderers import Renderer
 
+# Options whose name in files is older than the one in code.
+_FILE_NAMES = {"shadowed_silhouettes": "lit_views"}
+OLD_NAMES = {old: new for new, old in _FILE_NAMES.items()}  # accepted in files
+
 
 class Neighbourhood(StrEnum):
-    """How the paper's 19 in-views and 54 out-views of a node are read (its figure 3)."""
+    """Interpretation of the paper's 19 in-views and 54 out-views of a node (its figure 3)."""
 
-    DISC = "disc"  # the 54 nearest after the 19: a disc of 2.18 edges
-    RINGS = "rings"  # the lattice's rings at 2 and 2.5 edges: 24 + 30
-    ALL = "all"  # every point of the lattice out to 3 edges
+    DISC = "disc"  # out-views: the 54 nearest after the in-views, a disc of 2.18 edges
+    RINGS = "rings"  # out-views: the lattice's rings at 2 and 2.5 edges, 24 + 30 views
+    ALL = "all"  # out-views: every other lattice point within 3 edges
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions:
-    """Training of one view model. The defaults are the robust ones; see ``paper``."""
+    """Options of training one view model. The defaults are robust; ``paper`` gives the paper's."""
 
-    order: int = 3  # 642 nodes, the paper's compromise
-    bins: int = 360
-    smooth_bins: int = 9  # noise of the outline, structure thinner than 2 % of the turn
-    component_step: int = 4  # smoothed neighbours say the same: trees look at every fourth bin
-    resolution_px: int = 512  # of the lattice's views, filled by the sphere's picture
-    sphere_radius_m: float | None = None  # None: the camera's field of view decides
+    order: int = 3  # of the geodesic sphere; 3 has 642 nodes. Source: the paper's choice
+    bins: int = 360  # readings of a signature
+    smooth_bins: int = 9  # bins; averages outline noise and structure thinner than 2 % of a turn
+    component_step: int = 4  # bins; smoothed neighbours are alike, so trees use every fourth
+    resolution_px: int = 512  # px; width of the lattice's views, which the bounding sphere fills
+    sphere_radius_m: float | None = None  # None: set by the camera's field of view
     renderer: Renderer = Renderer.NUMBA
     neighbourhood: Neighbourhood = Neighbourhood.DISC  # of the paper's training
-    perturbed_views: int = 32_000  # random views as a real camera has them; 0: the paper's 73
+    perturbed_views: int = 32_000  # random views as a real camera sees them; 0: the paper's 73
     clean_fraction: float = 0.25  # of the perturbed views: without noise, at the sphere radius
-    held_out_views: int = 4_000  # the same, never trained on: the accuracy that is reported
-    range_radii: tuple[float, float] = (1.0, 3.0)  # of the perturbed views
-    roll_error_rad: float = float(np.deg2rad(1.0))  # one σ, in training on perturbed views
-    noise_sigma_grey: float = 3.0  # of perturbed frames whose target has 80 … 200 grey levels
-    label_edges: float = 1.15  # in-views lie within: between the lattice's 1 and 1.32
-    reach_edges: float = 3.3  # every perturbed view within is a sample of the node …
-    far_edges: float = 6.0  # … and out to here only
-    far_fraction: float = 0.2  # that share of them: it keeps far nodes off
-    contour_points: int = 158  # a view, for refinement; 0: none, and no refinement
-    contour_radii: tuple[float, ...] = (1.0, 1.5, 3.0)  # shells, in sphere radii
-    contour_resolution_px: int = 800  # of the views that show which edges are seen
-    lit_views: bool = True  # what the Sun lights from each side, for first poses in hard light
-    surface_points: int = 4096  # whose light and shadow is known, for telling poses; 0: none
-    min_samples_split: int = 4  # the paper's "too few samples"
-    min_gain: float = 1e-3  # the paper's least entropy gain, nats per sample of the tree
+    held_out_views: int = 4_000  # perturbed views for the reported accuracy, never trained on
+    range_radii: tuple[float, float] = (1.0, 3.0)  # sphere radii; ranges of the perturbed views
+    roll_error_rad: float = float(np.deg2rad(1.0))  # rad, one σ, in training on perturbed views
+    noise_sigma_grey: float = 3.0  # grey levels, one σ; the target has 80 to 200
+    label_edges: float = 1.15  # edges; in-views are closer. Between the lattice's 1 and 1.32
+    reach_edges: float = 3.3  # edges; every closer perturbed view is a sample of the node
+    far_edges: float = 6.0  # edges; up to this distance, only far_fraction of the views are samples
+    far_fraction: float = 0.2  # of the views beyond reach_edges; they keep distant nodes inactive
+    contour_points: int = 158  # per view, for refinement; 0: no refinement
+    contour_radii: tuple[float, ...] = (1.0, 1.5, 3.0)  # sphere radii; distances of the shells
+    contour_resolution_px: int = 800  # px; width of the views that decide which edges are visible
+    shadowed_silhouettes: bool = (
+        True  # sunlit parts per Sun direction, for first poses in hard light
+    )
+    surface_points: int = 4096  # with visibility per direction, for shading checks; 0: none
+    min_samples_split: int = 4  # samples; the paper's rule "too few samples"
+    min_gain: float = 1e-3  # nats per sample of the tree; the paper's least entropy gain
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -88,8 +95,15 @@ class TrainingOptions:
                     f"training option {name} = {getattr(self, name)} is out of range"
                 )
 
+    def as_record(self) -> dict[str, Any]:
+        """The options as a model's provenance stores them, under the names of the file format."""
+        return {
+            _FILE_NAMES.get(f.name, f.name): list(v) if isinstance(v, tuple) else v
+            for f, v in ((f, getattr(self, f.name)) for f in fields(self))
+        }
+
     def paper(self) -> TrainingOptions:
-        """The paper's own training: 73 clean views a node, every raw bin a component."""
+        """The paper's own training: 73 clean views per node, every raw bin a component."""
         return replace(
             self,
             perturbed_views=0,
@@ -97,40 +111,42 @@ class TrainingOptions:
             component_step=1,
             label_edges=1.0,
             contour_points=0,
-            lit_views=False,
+            shadowed_silhouettes=False,
             surface_points=0,
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewGeometry:
-    """Where the cameras of the sphere stand and how they see."""
+    """Positions and focal lengths of the training cameras."""
 
     centre_m: Array  # (3,) of the target's bounding sphere, target frame
     target_radius_m: float
     sphere_radius_m: float
     resolution_px: int
     focal_px: float  # of the lattice's views: the bounding sphere fills the picture
-    flight_focal_px: float  # of the perturbed views: what the flight camera has
-    flight_half_px: float  # from its boresight to the nearest border
+    flight_focal_px: float  # of the perturbed views: that of the flight camera
+    flight_half_px: float  # from the flight camera's boresight to the nearest border
 
 
-DEFAULT_RADII = 3.0  # sphere radius over target radius where no camera says otherwise
-_LEAST_RADII = 1.25  # closer, perspective hides more than it shows
-_FILL = 0.95  # of the picture
+DEFAULT_RADII = 3.0  # target radii; sphere radius without a camera
+_LEAST_RADII = 1.25  # target radii; closer, perspective hides most of the target
+_FILL = 0.95  # share of the picture that the target fills at the sphere radius
+_LEAST_SPHERE_RADII = 1.05  # target radii; least sphere radius that an option may give
+_LEAST_SHELL_RADII = 1.02  # target radii; least distance of a shell
 
 
 def view_geometry(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> ViewGeometry:
-    """The sphere of views: as told, or so that the target just fills the camera's picture.
+    """The sphere of views: its radius as given, or such that the target fills the picture.
 
     Raises:
-        RendezviewError: the sphere does not enclose the target, or the camera does not
-            decide one.
+        RendezviewError: the sphere does not enclose the target, or the camera does not determine
+            its radius.
     """
     centre_m, target_radius_m = mesh.bounding_sphere
     if options.sphere_radius_m is not None:
         radius_m = options.sphere_radius_m
-        if radius_m <= 1.05 * target_radius_m:
+        if radius_m <= _LEAST_SPHERE_RADII * target_radius_m:
             raise RendezviewError(
                 f"a sphere of {radius_m:.3g} m does not enclose the target, whose own radius is "
                 f"{target_radius_m:.3g} m: give at least {_LEAST_RADII * target_radius_m:.3g} m"
@@ -138,18 +154,21 @@ def view_geometry(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -
     elif camera is not None:
         if camera.half_fov_rad == 0.0:
             raise RendezviewError(
-                "the camera's boresight lies outside its picture, so its field of view says "
-                "nothing of the sphere: give the sphere radius"
+                "the camera's boresight lies outside its picture, so its field of view does not "
+                "determine the sphere: give the sphere radius"
             )
         radii = 1.0 / np.sin(_FILL * camera.half_fov_rad)
         radius_m = float(max(radii, _LEAST_RADII)) * target_radius_m
     else:
         radius_m = DEFAULT_RADII * target_radius_m
-    if options.contour_points and options.contour_radii[0] * radius_m <= 1.02 * target_radius_m:
+    if (
+        options.contour_points
+        and options.contour_radii[0] * radius_m <= _LEAST_SHELL_RADII * target_radius_m
+    ):
         raise RendezviewError(
             f"a shell of {options.contour_radii[0] * radius_m:.3g} m does not enclose the target, "
             f"whose own radius is {target_radius_m:.3g} m: the least shell is "
-            f"{1.02 * target_radius_m / radius_m:.2f} sphere radii"
+            f"{_LEAST_SHELL_RADII * target_radius_m / radius_m:.2f} sphere radii"
         )
     tangent = np.tan(np.arcsin(target_radius_m / radius_m))
     focal_px = (0.5 * options.resolution_px - 4.0) / tangent

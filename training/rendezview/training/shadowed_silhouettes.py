@@ -1,4 +1,4 @@
-"""Silhouettes of the parts of the target that the Sun lights, for first poses in hard light."""
+"""Shadowed silhouettes: outlines of the sunlit parts of the target, for poses in hard light."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
-from rendezview.training.zbuffer import draw_parallel, empty_buffers
+from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
-_SUN_ORDER = 1  # 42 directions, 32° apart
-_MAP_TEXELS = 256
-_PICTURE_PX = 128
-_BORDER_PX = 2.0
-_RANGE_RADII = 1.5  # sphere radii: between the nearest and the far views
-_PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # less is the whole silhouette
-_LEAST_COSINE = 0.06  # of the Sun's incidence: flatter, a face stays below the threshold
-_LEAST_SHARE = 0.08  # of the silhouette that must be lit
-_LEAST_OUTLINE = 10  # points; less is a speck
-_SMOOTH_BINS = 3
+_SUN_ORDER = 1  # of the sphere of Sun directions: 42 of them, 32° apart
+_MAP_TEXELS = 256  # width of a shadow map
+_PICTURE_PX = 128  # px; width of the drawn view
+_BORDER_PX = 2.0  # px around the target in the picture
+_RANGE_RADII = 1.5  # sphere radii; between the nearest and the far views
+_PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # below, nearly the whole silhouette is lit
+_LEAST_COSINE = 0.06  # of the Sun's incidence; a flatter face stays below the threshold
+_LEAST_SHARE = 0.08  # of the silhouette; a smaller lit part is left out
+_LEAST_OUTLINE = 10  # points; a shorter outline is a speck
+_SMOOTH_BINS = 3  # bins of a signature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,13 +38,13 @@ class SunMaps:
 
     suns: Array  # (S, 3)
     axes: Array  # (S, 3, 3) rows right, down, sunward
-    corner: Array  # (S, 3) on those axes: of sample (0, 0) at nearness 0
+    corner: Array  # (S, 3) on those axes: place of sample (0, 0) at nearness 0
     texel_m: Array  # (S,)
     nearness: npt.NDArray[np.float32]  # (S, M, M)
 
 
 def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
-    """What every Sun sees of the target, view centre at the origin."""
+    """Shadow maps for all Sun directions, with the view centre at the origin."""
     suns = Geodesic.of_order(_SUN_ORDER).nodes
     vertices = mesh.vertices_m - geometry.centre_m
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
@@ -66,13 +66,17 @@ def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
     return SunMaps(suns, np.stack(axes), corner, np.full(count, texel), np.stack(nearness))
 
 
-def lit_views(
+def shadowed_silhouettes(
     mesh: Mesh, maps: SunMaps, geometry: ViewGeometry, view: int, direction: Array
 ) -> dict[str, npt.NDArray[Any]]:
-    """Lit silhouettes seen from a unit direction (3,), the lattice's number ``view``.
+    """Shadowed silhouettes of one view, for all Sun directions.
+
+    Args:
+        view: number of the view in the lattice.
+        direction: (3,) unit, from the view centre to the camera.
 
     Returns:
-        The fields of `ShadowedSilhouettes` but ``suns``.
+        The fields of `ShadowedSilhouettes` except ``suns``.
     """
     range_m = _RANGE_RADII * geometry.sphere_radius_m
     drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX)
@@ -131,11 +135,12 @@ def _rays(points_px: Array, focal: float, middle: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _light(  # type: ignore[no-untyped-def]
-    nearness, owner, focal, middle, range_m, rotation, incidence, axes, corner, texel_m, sunward,
-    mask,
-):  # fmt: skip
-    """Mask of the pixels that the Sun reaches: faces turned to it that nothing shades."""
+def _light(
+    nearness: Float32s, owner: Int32s, focal: float, middle: float, range_m: float,
+    rotation: Array, incidence: Array, axes: Array, corner: Array, texel_m: float,
+    sunward: Float32s, mask: npt.NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Mask of the sunlit pixels: their faces look towards the Sun, and nothing shades them."""
     side = sunward.shape[0]
     slack = 3.0 * texel_m
     for i in range(owner.shape[0]):
@@ -154,7 +159,7 @@ def _light(  # type: ignore[no-untyped-def]
             v = axes[1, 0] * p0 + axes[1, 1] * p1 + axes[1, 2] * p2 - corner[1]
             w = axes[2, 0] * p0 + axes[2, 1] * p1 + axes[2, 2] * p2 - corner[2]
             column, row = int(np.rint(u / texel_m)), int(np.rint(v / texel_m))
-            # A sloping face stands out of its own texel by the slope.
+            # A sloping face rises above its own texel by the slope.
             free = w + slack + texel_m / max(incidence[face], 0.1)
             on_map = 0 <= column < side and 0 <= row < side
             if not (on_map and sunward[row, column] > free):

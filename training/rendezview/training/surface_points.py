@@ -1,4 +1,4 @@
-"""Points on the surface of the target, and from which sides each is seen."""
+"""Points on the surface of the target, and the directions from which each is visible."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from rendezview.training.crossings import face_normals
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.zbuffer import Int32s
 
 SURFACE_ORDER = 3  # of the sphere of directions: 642, whatever the order of the trees
-_CANDIDATES = 8  # times as many points as are kept: much of a mesh is never seen
-_AFAR_RADII = 100.0  # perspective has gone
-_BORDER_PX = 4.0  # around the target in the picture
+_CANDIDATES = 8  # candidates per kept point: much of a mesh is visible from nowhere
+_AFAR_RADII = 100.0  # target radii; perspective is negligible from there
+_BORDER_PX = 4.0  # px around the target in the picture
 _STREAM = 6  # of random numbers
 
 
 def candidate_points(
     mesh: Mesh, geometry: ViewGeometry, options: TrainingOptions
 ) -> tuple[Array, npt.NDArray[np.int32]]:
-    """Random points, as many to every square metre: (N, 3) from the view centre, faces (N,)."""
+    """Random points, evenly over the surface: (N, 3) from the view centre, and faces (N,)."""
     rng = np.random.default_rng([options.seed, _STREAM])
     corners = (mesh.vertices_m - geometry.centre_m)[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -36,7 +37,7 @@ def candidate_points(
     return a[face] + s * (b - a)[face] + t * (c - a)[face], face
 
 
-def seen_points(
+def visible_points(
     mesh: Mesh,
     geometry: ViewGeometry,
     points: Array,
@@ -44,14 +45,14 @@ def seen_points(
     direction: Array,
     options: TrainingOptions,
 ) -> npt.NDArray[np.uint8]:
-    """(N / 8,) bits, the first point the lowest: which of the points are seen from afar."""
+    """(N / 8,) bits, lowest first: which of the points are visible from a distant camera."""
     range_m = _AFAR_RADII * geometry.target_radius_m
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
     places = points @ view.rotation.T + np.array([0.0, 0.0, range_m])
-    seen = np.zeros(len(points), dtype=np.bool_)
-    _look_up(places, faces, view.focal, view.middle, view.owner, seen)
-    return np.packbits(seen, bitorder="little")
+    visible = np.zeros(len(points), dtype=np.bool_)
+    _look_up(places, faces, view.focal, view.middle, view.owner, visible)
+    return np.packbits(visible, bitorder="little")
 
 
 def chosen_surface(
@@ -59,11 +60,15 @@ def chosen_surface(
     geometry: ViewGeometry,
     points: Array,
     faces: npt.NDArray[np.int32],
-    seen: npt.NDArray[np.uint8],
+    visible: npt.NDArray[np.uint8],
     options: TrainingOptions,
 ) -> Surface:
-    """The first of the points that are seen from anywhere. ``seen`` (S, N / 8), see there."""
-    bits = np.unpackbits(seen, axis=1, count=len(points), bitorder="little")
+    """The first of the points that are visible from anywhere.
+
+    Args:
+        visible: (S, N / 8) of ``visible_points``, for S directions.
+    """
+    bits = np.unpackbits(visible, axis=1, count=len(points), bitorder="little")
     kept = np.flatnonzero(bits.any(axis=0))[: options.surface_points]
     normals = face_normals(mesh.vertices_m, np.ascontiguousarray(mesh.faces, dtype=np.int32))
     place = points[kept] / (geometry.target_radius_m * POINT_UNIT)
@@ -76,11 +81,18 @@ def chosen_surface(
 
 
 @njit(cache=True, nogil=True)
-def _look_up(places, faces, focal, middle, owner, seen):  # type: ignore[no-untyped-def]
-    """A point is seen where its face is drawn on its pixel, or next to it: faces are small."""
+def _look_up(
+    places: Array,
+    faces: Int32s,
+    focal: float,
+    middle: float,
+    owner: Int32s,
+    visible: npt.NDArray[np.bool_],
+) -> None:
+    """A point is visible if its face owns its pixel or one of the eight around it."""
     for k in range(places.shape[0]):
         x, y, z = places[k]
         column, row = int(x / z * focal + middle + 0.5), int(y / z * focal + middle + 0.5)
         for i in range(-1, 2):
             for j in range(-1, 2):
-                seen[k] |= owner[row + i, column + j] == faces[k]
+                visible[k] |= owner[row + i, column + j] == faces[k]

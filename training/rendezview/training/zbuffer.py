@@ -1,10 +1,9 @@
-"""Triangles into a buffer of the nearest surface: the inner loops of the shaded renderer.
+"""A z-buffer: draws triangles into a buffer of the nearest surface.
 
-A sample is one element of the buffers; sample (row, column) lies at the point
-``(column, row)`` of the plane the triangles are drawn on. A sample belongs to a
-triangle by the half-open rule (left and top edges in, right and bottom edges
-out), and both triangles of a shared edge compute it from the same end points in
-the same order, so a closed surface has no holes and no sample drawn twice.
+A sample is one element of the buffers. Sample (row, column) lies at ``(column, row)`` of the plane
+on which the triangles are drawn. A triangle covers samples by the half-open rule: left and top
+edges belong to it, right and bottom edges do not. Both triangles of a shared edge compute the edge
+from the same end points in the same order, so a closed surface has no holes and no double samples.
 """
 
 from __future__ import annotations
@@ -19,18 +18,19 @@ Float32s = npt.NDArray[np.float32]
 Int32s = npt.NDArray[np.int32]
 Float64s = npt.NDArray[np.float64]
 
-NOBODY = -1  # owner of a sample that no triangle covers
+NOBODY = -1  # owner of a sample that no triangle covers. Source: by construction
 
-# Of two coplanar faces (doubled sheets are common in CAD) the first one wins,
-# instead of a moiré of both: the later one must be nearer by more than rounding.
+# Ratio by which a later face must be nearer. CAD models often have doubled sheets: the first of two
+# coplanar faces wins, instead of a moiré of both. Source: rounding of float32
 _NEARER = np.float32(1.0 + 2e-6)
 
 
 @njit(cache=True, nogil=True)
-def fill_triangle(  # type: ignore[no-untyped-def]
-    x0, y0, w0, x1, y1, w1, x2, y2, w2, face, nearness, owner
-):
-    """Draw one triangle where its ``w`` > 0, linear over the plane, beats ``nearness``."""
+def fill_triangle(
+    x0: float, y0: float, w0: float, x1: float, y1: float, w1: float, x2: float, y2: float,
+    w2: float, face: int, nearness: Float32s, owner: Int32s,
+) -> None:  # fmt: skip
+    """Draw one triangle where its ``w`` > 0, linear over the plane, exceeds ``nearness``."""
     if y1 < y0:
         x0, y0, w0, x1, y1, w1 = x1, y1, w1, x0, y0, w0
     if y2 < y0:
@@ -43,7 +43,7 @@ def fill_triangle(  # type: ignore[no-untyped-def]
         return
     w_per_x = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
     w_per_y = ((w2 - w0) * (x1 - x0) - (w1 - w0) * (x2 - x0)) / area
-    # A sliver's gradient is huge: its samples stay between its corners all the same.
+    # The gradient of a sliver is huge: its samples are clamped to the values at its corners.
     w_low, w_high = min(w0, w1, w2), max(w0, w1, w2)
     first_row = math.ceil(max(0.0, y0))
     last_row = math.ceil(min(float(height), y2)) - 1
@@ -67,13 +67,14 @@ def fill_triangle(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def draw_perspective(  # type: ignore[no-untyped-def]
-    vertices, faces, fx, fy, cx, cy, near, nearness, owner
-):
+def draw_perspective(
+    vertices: Float64s, faces: Int32s, fx: float, fy: float, cx: float, cy: float, near: float,
+    nearness: Float32s, owner: Int32s,
+) -> None:  # fmt: skip
     """Draw triangles of the camera frame, clipped at ``z = near``; ``w`` is 1/z.
 
-    1/z is linear in the picture, so depth is perspective-correct. ``fx … cy``
-    are those of the sample plane.
+    1/z is linear in the picture, so depth is perspective-correct. ``fx`` to ``cy`` are intrinsics
+    of the sample plane.
     """
     corner = np.empty((3, 3))
     polygon = np.empty((4, 3))
@@ -86,7 +87,7 @@ def draw_perspective(  # type: ignore[no-untyped-def]
                 in_front += 1
         if in_front == 0:
             continue
-        # Sutherland–Hodgman against the one plane: three or four corners remain.
+        # Sutherland–Hodgman clipping at one plane: three or four corners remain.
         count = 0
         for k in range(3):
             following = (k + 1) % 3
@@ -114,8 +115,8 @@ def draw_perspective(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def draw_parallel(vertices, faces, nearness, owner):  # type: ignore[no-untyped-def]
-    """Draw triangles whose vertices are (x, y, w) on the sample plane already."""
+def draw_parallel(vertices: Float64s, faces: Int32s, nearness: Float32s, owner: Int32s) -> None:
+    """Draw triangles whose vertices are (x, y, w) on the sample plane."""
     for face in range(faces.shape[0]):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         fill_triangle(
@@ -127,5 +128,5 @@ def draw_parallel(vertices, faces, nearness, owner):  # type: ignore[no-untyped-
 
 
 def empty_buffers(height: int, width: int) -> tuple[Float32s, Int32s]:
-    """``nearness`` (0 = infinitely far) and ``owner`` buffers with nothing drawn."""
+    """Empty ``nearness`` (0 is infinitely far) and ``owner`` buffers."""
     return np.zeros((height, width), np.float32), np.full((height, width), NOBODY, np.int32)

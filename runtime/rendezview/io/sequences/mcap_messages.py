@@ -18,7 +18,7 @@ from rendezview.io.sequences.ros_messages import CALIBRATIONS, PICTURES, message
 
 _FOXGLOVE = ("foxglove.RawImage", "foxglove.CompressedImage", "foxglove.CameraCalibration")
 _NEEDED = "pip install 'rendezview[{}]'"
-_MOST_RECORD = 4_000_000_000  # longer ones are no records but damage
+_MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
 _Decoder = Callable[[str, int, bytes], Message]
 
 

@@ -1,6 +1,7 @@
 """Recognition of views by their radial signatures (Cleghorn & Sternberg 1991)."""
 
 from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import (
     Cleaning,
     Silhouette,
@@ -8,7 +9,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
     Threshold,
 )
 from rendezview.sensors.appearance.outline.votes import Match, MatchOptions
-from rendezview.sensors.appearance.recognizer import AppearanceObservation, Recognizer
+from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""A whole sequence through the tracker, frame by frame, with nothing lost on the way."""
+"""A whole sequence through the tracker, one observation for each frame."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
-from rendezview.sensors.appearance.recognizer import AppearanceObservation, Recognizer
+from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
 from rendezview.sensors.observation import Status
 
@@ -35,15 +36,15 @@ def follow(
     Args:
         model: of the target.
         sequence: frames; without times they count as one second apart.
-        prior: camera_from_target of the first frame, right to about 20°; ``None`` to look
-            everywhere.
-        independent: every frame on its own, no prior and no memory.
+        prior: camera_from_target of the first frame, right to about 20°; ``None``: all
+            attitudes are searched.
+        independent: each frame on its own, no prior and no memory.
         silhouette: how to find the target.
         options: of the tracker.
         sun_camera: (3,) towards the Sun, camera frame, if it is known.
         refine: move poses onto the edges, if the model has contour points.
 
-    A frame that cannot be read gives the status ``UNREADABLE``, and the next goes on.
+    A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
 
     Raises:
         RendezviewError: the times of the frames do not rise.
@@ -62,10 +63,10 @@ def follow(
         try:
             image = frame.read()
         except RendezviewError as error:
-            yield frame, AppearanceObservation(Status.UNREADABLE, str(error))
+            yield frame, AppearanceObservation(Status.UNREADABLE, str(error), time_s=time_s)
             continue
         if independent:
-            yield frame, recognizer.recognize(image, sun_camera=sun_camera)
+            yield frame, recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
             continue
         if not time_s > last_s:
             raise RendezviewError(
@@ -78,7 +79,7 @@ def follow(
 
 
 def result_row(scene_id: int, frame: Frame, observation: AppearanceObservation) -> ResultRow | None:
-    """One frame as it stands in the results; ``None`` without a pose."""
+    """One frame as a row of the results; ``None`` without a pose."""
     if observation.pose is None:
         return None
     spent_s = 1e-3 * sum(observation.stage_ms.values())
@@ -88,36 +89,10 @@ def result_row(scene_id: int, frame: Frame, observation: AppearanceObservation) 
 
 
 def record(frame: Frame, observation: AppearanceObservation) -> dict[str, Any]:
-    """One frame as it stands in a log of JSON lines."""
-    return {
-        "im_id": frame.im_id,
-        "image": frame.name,
-        "time_s": frame.time_s,
-        "status": str(observation.status),
-        "reason": observation.reason,
-        "pose": observation.pose,
-        "covariance": observation.covariance,
-        "score": observation.score,
-        "confidence": observation.confidence,
-        "candidates": list(observation.candidates),
-        "refinement": _refinement(observation),
-        "on_nodes": observation.active_nodes,
-        "weights": observation.weights,
-        "points_m": observation.points_m,
-        "stage_ms": observation.stage_ms,
-    }
-
-
-def _refinement(observation: AppearanceObservation) -> dict[str, float] | None:
-    """How the best refined pose stands, given or not."""
-    if observation.found is None:
-        return None
-    best = observation.found.best
-    return {
-        "outline": best.outline,
-        "inner": best.inner,
-        "seen": best.visible,
-        "residual_px": best.residual_px,
-        "excess": observation.found.overshoot,
-        "margin": observation.found.margin,
-    }
+    """One frame as a line of a JSON log."""
+    # A frame without a time is tracked as one second after the last, but logged without.
+    return (
+        {"im_id": frame.im_id, "image": frame.name}
+        | observation.record()
+        | {"time_s": frame.time_s}
+    )

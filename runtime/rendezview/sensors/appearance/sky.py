@@ -1,70 +1,66 @@
-"""The sky behind the target: its level, its noise, and what stands out of both."""
+"""The sky behind the target: its grey level, its noise, and whether it is dark."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-Picture = npt.NDArray[np.uint8]
-_MANY = 1000  # windows along two borders
-MOST_AVERAGED_PX = 15  # the sum of 15 × 15 levels still fits 16 bits
+from rendezview.geometry.pose import Array
+from rendezview.io.grey_frame import Picture, grain
+
+_DARK_SKY_GREY = 60.0  # grey levels; a sky above this level is bright
+_SCATTER_GREY = 3.0  # grey levels; the border may vary by this much beyond the noise
+_GRAIN_ROWS = 64  # rows; on so many the noise of neighbouring pixels is measured
+_OVERLAPPING_BELOW_PX = 1000  # px; in a smaller frame (width + height) windows overlap
+_ONE_SIGMA_BELOW = 0.1587  # quantile of a normal distribution. Source: by construction
+_HALF_SIGMA_ABOVE = 0.6915  # quantile of a normal distribution. Source: by construction
+
+
+@dataclass(frozen=True, slots=True)
+class Sky:
+    """Level and noise of what lies behind the target."""
+
+    level_grey: float
+    noise_grey: float  # one σ, of neighbouring pixels
+    dark: bool  # black sky: whatever is brighter is the target
+    sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
+
+    @classmethod
+    def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
+        """Measure the sky along the border and on a sparse grid."""
+        level, spread = sky_level(image)
+        noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
+        border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+        bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
+        dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
+        return cls(level, noise, dark, sun_camera)
+
+    @property
+    def vector(self) -> Array:
+        """(6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown."""
+        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
+        return np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
 
 
 def sky_level(image: Picture, averaged_px: int = 1) -> tuple[float, float]:
-    """Median and spread (one σ, from the darker half) of the grey levels along the border.
+    """Median and spread (one σ) of the grey levels along the border of a frame.
 
-    Of means over ``averaged_px`` squared pixels, if that is more than one. The spread is
-    that of the brighter half where the darker one is cut off at black. A silhouette that
-    touches the border is refused anyway, so what is seen there is sky.
+    The spread comes from the darker half; where that half is cut off at black, from the
+    brighter half. A silhouette that touches the border is refused later, so the border is sky.
+
+    Args:
+        image: (H, W) frame.
+        averaged_px: side of the square windows whose means are taken instead of pixels.
     """
-    level, spread = _ring_statistics(image, averaged_px)
+    level, spread = _border_statistics(image, averaged_px)
     return float(level), float(spread)
 
 
-def mean_above(image: Picture, level_grey: float, averaged_px: int) -> Picture:
-    """(H, W) mask, 255 where the mean over ``averaged_px`` squared pixels is above a level.
-
-    The picture is read once. At its border the outermost pixels are repeated.
-    """
-    mask = np.empty(image.shape, dtype=np.uint8)
-    _mean_above(image, int(np.floor(level_grey * averaged_px**2)), averaged_px, mask)
-    return mask
-
-
 @njit(cache=True, nogil=True)
-def _mean_above(image: Picture, limit: int, side: int, mask: Picture) -> None:
-    height, width = image.shape
-    half = side // 2
-    limit16 = np.uint16(max(0, min(limit, 65535)))
-    padded = np.zeros(width + 2 * half, dtype=np.uint16)
-    columns = padded[half : half + width]  # sums over the rows of the window
-    total = np.empty(width, dtype=np.uint16)
-    for k in range(-half - 1, half):  # of the window one row above the first
-        row = image[min(max(k, 0), height - 1)]
-        for x in range(width):
-            columns[x] += row[x]
-    for y in range(height):
-        enters = image[min(y + half, height - 1)]
-        leaves = image[max(y - half - 1, 0)]
-        for x in range(width):
-            columns[x] = columns[x] + np.uint16(enters[x]) - np.uint16(leaves[x])
-        padded[:half] = columns[0]
-        padded[half + width :] = columns[width - 1]
-        before, after = padded[:width], padded[2 * half :]
-        for x in range(width):
-            total[x] = before[x] + after[x]
-        for k in range(1, side - 1):
-            shifted = padded[k : k + width]
-            for x in range(width):
-                total[x] += shifted[x]
-        out = mask[y]
-        for x in range(width):
-            out[x] = 255 if total[x] > limit16 else 0
-
-
-@njit(cache=True, nogil=True)
-def _ring_statistics(image: Picture, side: int) -> tuple[float, float]:
+def _border_statistics(image: Picture, side: int) -> tuple[float, float]:
     height, width = image.shape
     counts = np.zeros(256, dtype=np.int64)
     if side == 1 or side >= min(height, width):
@@ -76,25 +72,24 @@ def _ring_statistics(image: Picture, side: int) -> tuple[float, float]:
                 counts[image[y, k]] += 1
                 counts[image[y, width - 1 - k]] += 1
     else:
-        # windows side by side are enough where there are many
-        step = side if width + height > _MANY else 1
+        step = side if width + height > _OVERLAPPING_BELOW_PX else 1
         for x in range(0, width - side + 1, step):
-            counts[_mean(image, 0, x, side)] += 1
-            counts[_mean(image, height - side, x, side)] += 1
+            counts[_window_mean(image, 0, x, side)] += 1
+            counts[_window_mean(image, height - side, x, side)] += 1
         for y in range(0, height - side + 1, step):
-            counts[_mean(image, y, 0, side)] += 1
-            counts[_mean(image, y, width - side, side)] += 1
+            counts[_window_mean(image, y, 0, side)] += 1
+            counts[_window_mean(image, y, width - side, side)] += 1
     level = _quantile(counts, 0.5)
-    # 15.87 % quantile: one σ below the median of Gaussian noise
-    below = _quantile(counts, 0.1587)
+    below = _quantile(counts, _ONE_SIGMA_BELOW)
     if below > 0.5:
         return level, level - below
-    # A black sky, its noise cut off at 0: half a σ above the median, at the 69.15 % quantile.
-    return level, max(level - below, 2.0 * (_quantile(counts, 0.6915) - level))
+    # The noise of a black sky is cut off at 0: measure it above the median.
+    return level, max(level - below, 2.0 * (_quantile(counts, _HALF_SIGMA_ABOVE) - level))
 
 
 @njit(cache=True, nogil=True)
-def _mean(image: Picture, top: int, left: int, side: int) -> int:
+def _window_mean(image: Picture, top: int, left: int, side: int) -> int:
+    """Rounded mean of a square window."""
     total = 0
     for y in range(top, top + side):
         for x in range(left, left + side):
@@ -104,7 +99,7 @@ def _mean(image: Picture, top: int, left: int, side: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _quantile(counts: npt.NDArray[np.int64], share: float) -> float:
-    """Grey level below which a share of the counts lies, within its bin by proportion."""
+    """Grey level below which a share of the counts (256,) lies, interpolated within its level."""
     wanted = share * counts.sum()
     seen, grey = 0, 0
     while seen + counts[grey] <= wanted:

@@ -2,40 +2,57 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
+from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.recognizer import AppearanceObservation, Recognizer
+from rendezview.sensors.appearance.observation import AppearanceObservation
+from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.observation import Status
 
-_SAME_RAD = np.deg2rad(3.0)  # attitudes nearer than this are the same answer
+_SAME_RAD = np.deg2rad(3.0)  # rad; rivals nearer than this are the same answer
+_NEAREST_RADII = 0.1  # target radii; a centre predicted nearer than this is not used
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerOptions:
     """When to let go of the last pose."""
 
-    widening_rad: float = np.deg2rad(10.0)  # of the search, each frame without a pose
-    widest_rad: float = np.deg2rad(60.0)  # a view from the other side is farther off
-    longest_outage_s: float = 60.0  # after that the last pose says nothing: look everywhere
-    longest_prediction_s: float = 10.0  # rates are held for so long, then the pose stands still
-    anew_after: int = 2  # frames without a pose, then all attitudes are searched too
-    anew_confidence: float = 0.9  # of a pose found anew: more than one near a prediction needs
-    vouched_frames: int = 15  # for which a pose stands that was the best of a search around it …
-    vouched_share: float = 0.9  # … with so much of the support that it had there
-    decided_by: float = 0.1  # merit by which one of two rivals must lead, summed over frames
+    widening_rad: float = np.deg2rad(10.0)  # rad, of the search, for each frame without a pose
+    widest_rad: float = np.deg2rad(60.0)  # rad; a view from the other side is farther off
+    longest_outage_s: float = 60.0  # s; after that all attitudes are searched
+    longest_prediction_s: float = 10.0  # s; rates are held so long, then the pose stands still
+    restart_after: int = 2  # frames without a pose; then all attitudes are searched too
+    restart_confidence: float = 0.9  # 0 … 1; a restart needs more than a pose near a prediction
+    confirmed_frames: int = 15  # frames; a pose that a search confirmed is accepted so long …
+    confirmed_share: float = 0.9  # … while it keeps this share of the confirmed inlier ratio
+    decisive_lead: float = 0.1  # merit, summed over frames; by this much one of two rivals leads
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motion:
+    """The last pose and the rates between the last two."""
+
+    pose: Pose
+    time_s: float | None  # None: a first prior, before the first frame
+    turn_rad_s: Array  # (3,) camera frame
+    move_m_s: Array  # (3,) of the view centre, camera frame
+
+    @property
+    def moves(self) -> bool:
+        return bool(self.turn_rad_s.any() or self.move_m_s.any())
 
 
 class Tracker:
-    """Follows one target through the frames of one camera, in order of time.
+    """Tracks one target through the frames of one camera, in order of time.
 
-    The prediction is of constant velocity on SE(3): the attitude turns on at its rate and
-    the view centre moves on. Where a first frame leaves two poses, both are followed until
-    one leads.
+    The prediction is of constant velocity: attitude and view centre keep their rates. Where a
+    first frame leaves two poses, both are tracked until one leads. Threads may share an
+    instance: their frames are processed one after the other.
     """
 
     def __init__(
@@ -44,43 +61,45 @@ class Tracker:
         prior: Pose | None = None,
         options: TrackerOptions | None = None,
     ) -> None:
+        """A tracker that has seen no frame yet.
+
+        Args:
+            recognizer: of the target, in the frames of the camera.
+            prior: camera_from_target of the first frame; ``None``: all attitudes are searched.
+            options: when to let go of the last pose.
+        """
         self.recognizer = recognizer
         self.options = options or TrackerOptions()
-        self._pose = prior
-        self._time_s: float | None = None  # of the last pose
-        self._turn_rad_s = np.zeros(3)
-        self._move_m_s = np.zeros(3)  # of the view centre
+        self._motion = None if prior is None else _Motion(prior, None, np.zeros(3), np.zeros(3))
         self._last_time_s = -np.inf
         self._misses = 0
         self._rivals: list[tuple[Pose, float]] = []
-        self._vouched = (0.0, 0)  # support in the last search, frames since
+        self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
+        self._lock = threading.Lock()
 
     @property
     def prior(self) -> Pose | None:
-        """camera_from_target of the last frame that gave a pose, or the one given at the start."""
-        return self._pose
+        """camera_from_target of the last frame with a pose, or the one given at the start."""
+        return None if self._motion is None else self._motion.pose
 
     @property
     def rates(self) -> tuple[Array, Array] | None:
         """Turn (3,) rad/s and velocity (3,) m/s of the view centre, camera frame, of two poses."""
-        if self._time_s is None or not (self._turn_rad_s.any() or self._move_m_s.any()):
+        motion = self._motion
+        if motion is None or not motion.moves:
             return None
-        return self._turn_rad_s, self._move_m_s
+        return motion.turn_rad_s, motion.move_m_s
 
     def predicted(self, time_s: float) -> Pose | None:
         """camera_from_target expected at a time."""
-        if self._pose is None or self._time_s is None:
-            return self._pose
-        if not (self._turn_rad_s.any() or self._move_m_s.any()):
-            return self._pose
-        ahead_s = min(time_s - self._time_s, self.options.longest_prediction_s)
-        centre_m = self.recognizer.model.centre_m
-        rotation = Rotation.from_rotvec(self._turn_rad_s * ahead_s).as_matrix()
-        rotation = rotation @ self._pose.rotation
-        centre = self._pose.apply(centre_m) + self._move_m_s * ahead_s
-        if centre[2] < 0.1 * self.recognizer.model.target_radius_m:
-            return self._pose
-        return Pose(rotation, centre - rotation @ centre_m)
+        motion, model = self._motion, self.recognizer.model
+        if motion is None or motion.time_s is None or not motion.moves:
+            return None if motion is None else motion.pose
+        ahead_s = min(time_s - motion.time_s, self.options.longest_prediction_s)
+        rates = np.concatenate([motion.turn_rad_s, motion.move_m_s])
+        pose = extrapolate(motion.pose, rates, ahead_s, model.centre_m)
+        near = pose.apply(model.centre_m)[2] < _NEAREST_RADII * model.target_radius_m
+        return motion.pose if near else pose
 
     def update(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
@@ -88,96 +107,92 @@ class Tracker:
         """Look at the next frame.
 
         Args:
+            time_s: when the frame was taken.
+            image: (H, W) uint8 grey levels, of the camera's size.
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
 
         Raises:
-            ValueError: the time is not finite or not later than the frame's before.
+            ValueError: the time is not finite, or not later than that of the frame before.
             RendezviewError: the image does not fit the camera.
         """
-        if not (np.isfinite(time_s) and time_s > self._last_time_s):
-            raise ValueError(
-                f"frames must come in order of time: {time_s} s after {self._last_time_s} s"
-            )
-        self._last_time_s = time_s
-        if self._time_s is None:
-            self._time_s = time_s  # a first prior is of the first frame's time
-        if time_s - self._time_s > self.options.longest_outage_s:
-            self._pose = None
-        observation = self._look(time_s, image, sun_camera)
-        if observation.pose is None:
-            self._misses += 1
-        else:
-            self._follow(observation.pose, time_s)
-            self._vouch(observation)
-        return observation
+        with self._lock:
+            if not (np.isfinite(time_s) and time_s > self._last_time_s):
+                raise ValueError(
+                    f"frames must come in order of time: {time_s} s after {self._last_time_s} s"
+                )
+            self._last_time_s = time_s
+            self._age(time_s)
+            if self._motion is None and self._rivals:
+                observation = self._decide(time_s, image, sun_camera)
+            else:
+                observation = self._look(time_s, image, sun_camera)
+            if observation.pose is None:
+                self._misses += 1
+            else:
+                self._follow(observation, observation.pose, time_s)
+            return observation
+
+    def _age(self, time_s: float) -> None:
+        """Date a first prior by the first frame, and forget a pose that is too old."""
+        if self._motion is None:
+            return
+        since_s = self._motion.time_s
+        if since_s is None:
+            self._motion = replace(self._motion, time_s=time_s)
+        elif time_s - since_s > self.options.longest_outage_s:
+            self._motion = None
 
     def _look(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
     ) -> AppearanceObservation:
-        if self._pose is None and self._rivals:
-            return self._decide(image, sun_camera)
-        error_rad = min(
-            self.recognizer.matcher.options.prior_error_rad
-            + self._misses * self.options.widening_rad,
-            self.options.widest_rad,
-        )
+        """Near the prediction, and everywhere after a few frames without a pose."""
+        options = self.options
         prior = self.predicted(time_s)
-        observation = self.recognizer.recognize(
-            image, prior, error_rad, sun_camera, self._enough_support()
+        error_rad = min(
+            self.recognizer.prior_error_rad + self._misses * options.widening_rad,
+            options.widest_rad,
         )
-        refines = self.recognizer.search is not None
-        if (
-            refines
-            and prior is not None
-            and observation.pose is None
-            and self._misses >= self.options.anew_after
-        ):
-            anew = self.recognizer.recognize(image, None, None, sun_camera)
-            if anew.pose is not None and (anew.confidence or 0.0) >= self.options.anew_confidence:
-                self._time_s = None  # a new start: no rate across it
-                return anew
-        if observation.status is Status.AMBIGUOUS and self._pose is None:
+        observation = self.recognizer.recognize(
+            image, prior, error_rad, sun_camera, self._enough_inliers(), time_s=time_s
+        )
+        late = prior is not None and self._misses >= options.restart_after
+        if late and observation.pose is None and self.recognizer.search is not None:
+            again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
+            if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:
+                self._motion = None  # a restart: no rates from the pose before
+                return again
+        if observation.status is Status.AMBIGUOUS and self._motion is None:
             self._rivals = [(pose, 0.0) for pose in observation.candidates]
         return observation
 
-    def _vouch(self, observation: AppearanceObservation) -> None:
-        """Remember what support the pose has where it was the best of several."""
-        found = observation.found
-        if found is None:
-            self._vouched = (0.0, 0)
-        elif found.single:
-            self._vouched = (self._vouched[0], self._vouched[1] + 1)
-        else:
-            self._vouched = (found.best.inlier_ratio, 0)
-
-    def _enough_support(self) -> float:
-        """For the pose next to the prediction: less than usual, if a search bore it out lately."""
-        support, frames = self._vouched
-        if self._misses or support == 0.0 or frames >= self.options.vouched_frames:
+    def _enough_inliers(self) -> float:
+        """Inlier ratio that the pose next to the prediction needs: less after a confirmation."""
+        inliers, frames = self._confirmed
+        if self._misses or inliers == 0.0 or frames >= self.options.confirmed_frames:
             return 1.0
-        return self.options.vouched_share * support
+        return self.options.confirmed_share * inliers
 
     def _decide(
-        self, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
+        self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None
     ) -> AppearanceObservation:
-        """Both rivals against the next frame; the answer when one leads."""
+        """Compare all rivals with the next frame; a pose is given when one leads."""
         looks = []
         for pose, merit in self._rivals:
-            observation = self.recognizer.recognize(image, pose, None, sun_camera)
+            observation = self.recognizer.recognize(image, pose, None, sun_camera, time_s=time_s)
             found = observation.found
             if found is not None:
                 looks.append((merit + found.merit, observation, found.best.pose))
         looks.sort(key=lambda look: -look[0])
-        # Rivals that end at one pose are one.
+        # Rivals that converge to one pose are one.
         for k in range(len(looks) - 1, 0, -1):
             if any(looks[k][2].angle_to(look[2]) < _SAME_RAD for look in looks[:k]):
                 del looks[k]
         if not looks:
             self._rivals = []
-            return self.recognizer.recognize(image, None, None, sun_camera)
+            return self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
         best = looks[0]
         lead = best[0] - looks[1][0] if len(looks) > 1 else np.inf
-        if lead >= self.options.decided_by and best[1].pose is not None:
+        if lead >= self.options.decisive_lead and best[1].pose is not None:
             self._rivals = []
             return best[1]
         self._rivals = [(pose, merit) for merit, _, pose in looks]
@@ -189,14 +204,19 @@ class Tracker:
             covariance=None,
         )
 
-    def _follow(self, pose: Pose, time_s: float) -> None:
-        """Take a pose over, and the rates since the last one."""
-        if self._pose is not None and self._time_s is not None and time_s > self._time_s:
-            since_s = time_s - self._time_s
+    def _follow(self, observation: AppearanceObservation, pose: Pose, time_s: float) -> None:
+        """Take a pose over, the rates since the last one, and how well it is confirmed."""
+        last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
+        if last is not None and last.time_s is not None and time_s > last.time_s:
             centre_m: Array = self.recognizer.model.centre_m
-            turn = Rotation.from_matrix(pose.rotation @ self._pose.rotation.T).as_rotvec()
-            self._turn_rad_s = turn / since_s
-            self._move_m_s = (pose.apply(centre_m) - self._pose.apply(centre_m)) / since_s
+            rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
+            turn_rad_s, move_m_s = rates[:3], rates[3:]
+        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
+        self._misses, self._rivals = 0, []
+        found = observation.found
+        if found is None:
+            self._confirmed = (0.0, 0)
+        elif found.single:  # no search: the confirmation grows older
+            self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)
         else:
-            self._turn_rad_s, self._move_m_s = np.zeros(3), np.zeros(3)
-        self._pose, self._time_s, self._misses, self._rivals = pose, time_s, 0, []
+            self._confirmed = (found.best.inlier_ratio, 0)

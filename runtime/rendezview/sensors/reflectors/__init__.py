@@ -2,7 +2,7 @@
 
 from rendezview.sensors.reflectors.acquisition import Acquirer, AcquisitionOptions
 from rendezview.sensors.reflectors.cameras import RangedCamera, SwitchingSensor
-from rendezview.sensors.reflectors.closed_form import Calibration, calibrate, closed_form
+from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration, calibrate, closed_form
 from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions
 from rendezview.sensors.reflectors.discs import predict_spots
 from rendezview.sensors.reflectors.observation import ReflectorObservation
@@ -16,14 +16,14 @@ from rendezview.sensors.reflectors.pattern import (
 )
 from rendezview.sensors.reflectors.refinement import refine
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
-from rendezview.sensors.reflectors.spots import Centroid, Spots, find_spots
+from rendezview.sensors.reflectors.spots import Centroid, SpotTable, find_spots
 from rendezview.sensors.reflectors.track import TrackingOptions
 
 __all__ = [
     "Acquirer",
     "AcquisitionOptions",
-    "Calibration",
     "Centroid",
+    "ClosedFormCalibration",
     "LitDark",
     "Opening",
     "RangedCamera",
@@ -31,7 +31,7 @@ __all__ = [
     "ReflectorPattern",
     "ReflectorSensor",
     "SixNumbers",
-    "Spots",
+    "SpotTable",
     "SwitchingSensor",
     "ThresholdOptions",
     "TrackingOptions",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from rendezview.sensors.reflectors.spots import (
     SHAPE,
     SIZE,
     TOP,
-    Spots,
+    SpotTable,
 )
 from rendezview.sensors.reflectors.triplets import hourglass_of, search
 
@@ -101,7 +102,7 @@ class Acquirer:
     """Looks for the groups of a target in the spots of one camera.
 
     ``constellation`` holds the reflectors of all groups; numbers of reflectors are its own.
-    One thread at a time: the work space is kept.
+    Threads may share an instance: their searches run one after the other.
     """
 
     def __init__(
@@ -126,9 +127,10 @@ class Acquirer:
             p.name: np.argsort([g != p.name for g in self._groups], kind="stable") for p in patterns
         }
         self._lens = camera_numbers(camera, self.options.blur_px)
-        self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # work space
+        self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # scratch
+        self._lock = threading.Lock()  # of the scratch
 
-    def acquire(self, spots: Spots, prior: Pose | None = None) -> Acquisition:
+    def acquire(self, spots: SpotTable, prior: Pose | None = None) -> Acquisition:
         """Find the target.
 
         Args:
@@ -147,7 +149,8 @@ class Acquirer:
                 Status.NO_SPOTS,
                 f"{len(spots)} spots, {len(usable)} of them round and whole; three are needed",
             )
-        rows, scores, poses, crowded = self._candidates(spots, usable, prior)
+        with self._lock:
+            rows, scores, poses, crowded = self._candidates(spots, usable, prior)
         if crowded:
             return Acquisition(
                 Status.CROWDED,
@@ -192,7 +195,7 @@ class Acquirer:
             first += len(pattern)
         return ready
 
-    def _usable(self, spots: Spots) -> npt.NDArray[np.int64]:
+    def _usable(self, spots: SpotTable) -> npt.NDArray[np.int64]:
         """Spots that are round and do not touch the border."""
         table = spots.table
         whole = (
@@ -205,7 +208,7 @@ class Acquirer:
         return np.flatnonzero(whole & round_ & (table[:, AMPLITUDE] > 0.0))
 
     def _candidates(
-        self, spots: Spots, usable: npt.NDArray[np.int64], prior: Pose | None
+        self, spots: SpotTable, usable: npt.NDArray[np.int64], prior: Pose | None
     ) -> tuple[npt.NDArray[np.int64], Array, Array, bool]:
         """(K, 4) triangle, left, centre, right; (K,) χ²; (K, 12) poses; whether there are too many.
 
@@ -265,7 +268,7 @@ class Acquirer:
 
     def _choose(
         self,
-        spots: Spots,
+        spots: SpotTable,
         usable: npt.NDArray[np.int64],
         rows: npt.NDArray[np.int64],
         scores: Array,
@@ -340,7 +343,7 @@ class Acquirer:
 
     def _matches(
         self,
-        spots: Spots,
+        spots: SpotTable,
         usable: npt.NDArray[np.int64],
         triangle: _Triangle,
         three: npt.NDArray[np.int64],

@@ -38,7 +38,7 @@ _LEAST_READINGS = 12  # of a calibration: three unknowns a regression
 
 
 @checked_dataclass(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))
-class Calibration:
+class ClosedFormCalibration:
     """Constants of the closed form. The paper's C5 … C9, and those of yaw and pitch, for which
     it asks a calibration too without printing one; they need terms that fade with range.
     """
@@ -58,7 +58,7 @@ class Calibration:
     pitch_offset_rad: FiniteFloat = 0.0
 
     @classmethod
-    def load(cls, path: StrPath) -> Calibration:
+    def load(cls, path: StrPath) -> ClosedFormCalibration:
         """Read a calibration file (JSON).
 
         Raises:
@@ -71,7 +71,9 @@ class Calibration:
         atomic_write_text(path, _ADAPTER.dump_json(self, indent=2).decode() + "\n")
 
 
-_ADAPTER: TypeAdapter[Calibration] = TypeAdapter(Annotated[Calibration, "calibration"])
+_ADAPTER: TypeAdapter[ClosedFormCalibration] = TypeAdapter(
+    Annotated[ClosedFormCalibration, "calibration"]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ def closed_form(
     camera: Camera,
     pattern: ReflectorPattern,
     spots_px: npt.ArrayLike,
-    calibration: Calibration | None = None,
+    calibration: ClosedFormCalibration | None = None,
 ) -> SixNumbers | None:
     """Six numbers from the centroids of left, centre and right reflector, (3, 2) px.
 
@@ -99,7 +101,7 @@ def closed_form(
     Raises:
         ValueError: not three finite spots, or another pattern.
     """
-    constants = calibration or Calibration()
+    constants = calibration or ClosedFormCalibration()
     length, post = base_and_post(pattern)
     view, angles = _view(camera, spots_px)
     raw = _raw(angles, length, post, constants)
@@ -118,7 +120,7 @@ def calibrate(
     camera: Camera,
     pattern: ReflectorPattern,
     readings: Iterable[tuple[npt.ArrayLike, SixNumbers]],
-) -> Calibration:
+) -> ClosedFormCalibration:
     """Fit the constants to readings: (3, 2) centroids of left, centre, right, and the truth.
 
     In the paper's order: yaw first, pitch by the calibrated yaw, range by both, then azimuth and
@@ -131,7 +133,7 @@ def calibrate(
     kept = []
     for spots, truth in readings:
         view, angles = _view(camera, spots)
-        raw = _raw(angles, length, post, Calibration())
+        raw = _raw(angles, length, post, ClosedFormCalibration())
         if raw is not None:
             kept.append((view, angles, truth))
     if len(kept) < _LEAST_READINGS:
@@ -139,7 +141,7 @@ def calibrate(
             f"a calibration needs {_LEAST_READINGS} readings with all three reflectors and their "
             f"truth, this run has {len(kept)}: record more"
         )
-    fitted = Calibration()
+    fitted = ClosedFormCalibration()
     for name in ("yaw", "pitch"):
         raws = [_must(_raw(angles, length, post, fitted)) for _, angles, _ in kept]
         measured = np.array([getattr(raw, name) for raw in raws])
@@ -152,12 +154,12 @@ def calibrate(
         values = dict(
             zip((f"{name}_{t}" for t in terms), _regress(design, true, name), strict=True)
         )
-        fitted = Calibration(**asdict(fitted) | values)
+        fitted = ClosedFormCalibration(**asdict(fitted) | values)
     raws = [_must(_raw(angles, length, post, fitted)) for _, angles, _ in kept]
     ranges = np.array(
         [truth.range_m - raw.range_m for raw, (_, _, truth) in zip(raws, kept, strict=True)]
     )
-    fitted = Calibration(**asdict(fitted) | {"c5_m": float(ranges.mean())})
+    fitted = ClosedFormCalibration(**asdict(fitted) | {"c5_m": float(ranges.mean())})
     bearings = np.array(
         [
             _bearing(view, angles, _must(_raw(angles, length, post, fitted)), length)
@@ -170,7 +172,9 @@ def calibrate(
         for k, name in enumerate(("azimuth", "elevation"))
     ]
     (c6, c7), (c8, c9) = lines
-    return Calibration(**asdict(fitted) | {"c6": c6, "c7_rad": c7, "c8": c8, "c9_rad": c9})
+    return ClosedFormCalibration(
+        **asdict(fitted) | {"c6": c6, "c7_rad": c7, "c8": c8, "c9_rad": c9}
+    )
 
 
 def base_and_post(pattern: ReflectorPattern) -> tuple[float, float]:
@@ -225,7 +229,9 @@ def _view(camera: Camera, spots_px: npt.ArrayLike) -> tuple[Array, Array]:
     return view, np.column_stack([np.arctan2(x, z), np.arctan2(y, z)])
 
 
-def _raw(angles: Array, length: float, post: float, constants: Calibration) -> _Raw | None:
+def _raw(
+    angles: Array, length: float, post: float, constants: ClosedFormCalibration
+) -> _Raw | None:
     """Roll, yaw, pitch, range by the appendix, calibrated as it says."""
     left, centre, right = angles
     base = right - left

@@ -45,7 +45,7 @@ def judge(  # type: ignore[no-untyped-def]
     rays = np.empty((3, 3))
     rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
     size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
-    shine, model = np.empty(3), np.empty(9)
+    model = np.empty(9)
     log_size, log_peak = np.log(sizes), np.log(peaks)
     screened = quick and _model(points, normals, diameters, model)
     for n in range(triplets.shape[0]):
@@ -64,35 +64,47 @@ def judge(  # type: ignore[no-untyped-def]
         if k < 0:
             continue
         rotation, translation = rotations[k], translations[k]
-        chi = 0.0
-        for i in range(3):
-            x, y, z = placed(rotation, translation, points, i)
-            far = math.sqrt(x * x + y * y + z * z)
-            if far < window[0] or far > window[1]:
-                chi = np.inf
-                break
-            nx, ny, nz = turned(rotation, normals, i)
-            facing = -(nx * x + ny * y + nz * z) / far
-            if facing < least_facing:
-                chi = np.inf
-                break
-            radius = disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-            s = triplets[n, i]
-            expected = expected_size(blur_px, radius)
-            error = (log_size[s] - math.log(expected)) / size_sigma
-            chi += error * error
-            # Illumination falls with range², and blur thins a small disc.
-            shine[i] = log_peak[s] + 2.0 * math.log(far * expected / radius)
-        if not chi <= score_limit:
+        scores[n] = _score(
+            rotation, translation, points, normals, diameters, triplets[n], log_size, log_peak,
+            focal_px, blur_px, tolerances, window, score_limit,
+        )  # fmt: skip
+        if scores[n] == np.inf:
             continue
-        # Beam and return fall smoothly across the target: the middle shines like the mean.
-        uneven = (shine[0] - shine[2]) / beam_sigma
-        bright = (shine[1] - 0.5 * (shine[0] + shine[2])) / peak_sigma
-        scores[n] = chi + uneven * uneven + bright * bright
         for i in range(3):
             for j in range(3):
                 poses[n, 3 * i + j] = rotation[i, j]
             poses[n, 9 + i] = translation[i]
+
+
+@njit(cache=True, nogil=True)
+def _score(  # type: ignore[no-untyped-def]
+    rotation, translation, points, normals, diameters, triplet, log_size, log_peak, focal_px,
+    blur_px, tolerances, window, score_limit,
+):  # fmt: skip
+    """χ² of sizes and brightnesses of a triplet at a pose; ∞ where the pose is refused."""
+    size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
+    shine, chi = np.empty(3), 0.0
+    for i in range(3):
+        x, y, z = placed(rotation, translation, points, i)
+        far = math.sqrt(x * x + y * y + z * z)
+        if far < window[0] or far > window[1]:
+            return np.inf
+        nx, ny, nz = turned(rotation, normals, i)
+        if -(nx * x + ny * y + nz * z) / far < least_facing:
+            return np.inf
+        radius = disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+        s = triplet[i]
+        expected = expected_size(blur_px, radius)
+        error = (log_size[s] - math.log(expected)) / size_sigma
+        chi += error * error
+        # Illumination falls with range², and blur thins a small disc.
+        shine[i] = log_peak[s] + 2.0 * math.log(far * expected / radius)
+    if not chi <= score_limit:
+        return np.inf
+    # Beam and return fall smoothly across the target: the middle shines like the mean.
+    uneven = (shine[0] - shine[2]) / beam_sigma
+    bright = (shine[1] - 0.5 * (shine[0] + shine[2])) / peak_sigma
+    return chi + uneven * uneven + bright * bright
 
 
 @njit(cache=True, nogil=True)
@@ -141,80 +153,32 @@ def _hopeless(  # type: ignore[no-untyped-def]
     ``(B·P − x w)² = (B² − w)(P² − (x² + y²) w)``, of which the smaller root is the pose.
     """
     bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
-    d0x, d0y, d0z = directions[left, 0], directions[left, 1], directions[left, 2]
-    d1x, d1y, d1z = directions[centre, 0], directions[centre, 1], directions[centre, 2]
-    d2x, d2y, d2z = directions[right, 0], directions[right, 1], directions[right, 2]
-    ux, uy, uz = d2x - d0x, d2y - d0y, d2z - d0z
+    ux, uy, uz = _chord(directions, left, right)
     chord = math.sqrt(ux * ux + uy * uy + uz * uz)
     if not chord > 0.0:
         return True
-    # Of differences alone: what tilt explains of them is no more than ``steep`` of the base.
-    reach, steep = math.sqrt(score_limit), 1.0 / least_facing
-    post = 1.1 * steep * math.sqrt(pp / bb) * chord + 0.02
-    base = 1.1 * steep * chord + 0.02
     s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
     bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
-    if (
-        (abs(bright) > reach * peak_sigma + 4.0 * post)
-        | (abs(s1 - 0.5 * (s0 + s2)) > 1.23 * reach * size_sigma + post)
-        | (abs(s0 - s2) > 1.42 * reach * size_sigma + base)
+    reach = math.sqrt(score_limit)
+    if _unlike(
+        chord, s0, s1, s2, bright, pp / bb, reach, 1.0 / least_facing, size_sigma, peak_sigma
     ):
         return True
-    mx, my, mz = d0x + d2x, d0y + d2y, d0z + d2z
-    f = 1.0 / math.sqrt(mx * mx + my * my + mz * mz)
-    mx, my, mz = mx * f, my * f, mz * f
-    f = 1.0 / chord
-    ux, uy, uz = ux * f, uy * f, uz * f
-    vx, vy, vz = my * uz - mz * uy, mz * ux - mx * uz, mx * uy - my * ux
-    t = 0.5 * chord / (d2x * mx + d2y * my + d2z * mz)
-    f = 1.0 / (d1x * mx + d1y * my + d1z * mz)
-    along, across = f * (d1x * ux + d1y * uy + d1z * uz), f * (d1x * vx + d1y * vy + d1z * vz)
+    t, along, across, m, u, v = _base_frame(directions, left, centre, right, chord)
     size = (s0 + s1 + s2) / 3.0
-    u, v = mx / mz, my / mz
     # First without corrections: what is far off needs none.
-    w, z, x, y = _scaled(bb, pp, bp, area, 2.0 * t, along, across)
+    _, z, _, _ = _scaled(bb, pp, bp, area, 2.0 * t, along, across)
     if z < 0.7 * window[0] or z > 1.4 * window[1]:
         return True
-    largest = radius * focal_px / (z * mz * mz)
-    least = 0.97 * math.sqrt(0.5 + 0.5 * least_facing * least_facing) * mz * largest
     limit = reach * 0.58 * size_sigma + _SLACK + _SLACK_FIRST * math.sqrt(bb) / z
-    limit = math.exp(limit)
-    seen = math.exp(size)
-    if seen > limit * expected_size(blur_px, largest) or (
-        seen * limit < expected_size(blur_px, least)
-    ):
+    if _size_off(radius * focal_px / z, m[2], size, limit, least_facing, blur_px):
         return True
     for k in range(2):
-        sign = 1.0 - 2.0 * k
-        o0 = o1 = o2 = 0.0  # depths beyond the middle of the base, over Z
-        beta = depth = 0.0
-        for _ in range(1 + _CORRECTIONS):
-            wide = t * (2.0 + o0 + o2)
-            w, z, x, y = _scaled(
-                bb, pp, bp, area, wide,
-                (1.0 + o1) * along - 0.5 * t * (o2 - o0), (1.0 + o1) * across,
-            )  # fmt: skip
-            beta = sign * math.sqrt(max(bb - w, 0.0))
-            depth = sign * math.copysign(math.sqrt(max(pp - (x * x + y * y) * w, 0.0)), bp - x * w)
-            o1, o2 = depth / z, 0.5 * beta / z
-            o0 = -o2
-        if z < 0.85 * window[0] or z > 1.15 * window[1]:
-            continue
-        # The normal on (u, v, m): a B + b P + c B × P.
-        root = math.sqrt(w)
-        nu = model[5] * root + model[6] * x * root - model[7] * beta * y * root
-        nv = model[6] * y * root + model[7] * (beta * x * root - root * depth)
-        nm = model[5] * beta + model[6] * depth + model[7] * w * y
-        if nm >= 0.1:  # faces away
-            continue
-        nx, ny, nz = (
-            nu * ux + nv * vx + nm * mx,
-            nu * uy + nv * vy + nm * my,
-            nu * uz + nv * vz + nm * mz,
+        z, o0, o1, o2, disc = _weak_pose(
+            model, 1.0 - 2.0 * k, t, along, across, m, u, v, focal_px, window
         )
-        a, b = nx - nz * u, ny - nz * v
-        spread = max(0.5 * (2.0 + u * u + v * v - a * a - b * b), 1e-6)
-        disc = radius * focal_px / (z * mz) * math.sqrt(spread)
+        if z < 0.0:
+            continue
         expected = expected_size(blur_px, disc)
         # Of a disc farther by a share o, ln(size) is less by fall · o.
         fall = 1.0 - (blur_px / expected) ** 2
@@ -231,12 +195,109 @@ def _hopeless(  # type: ignore[no-untyped-def]
             chi += own * own
         rise = 2.0 * (2.0 - fall)
         uneven = log_peak[left] - log_peak[right] + rise * (o0 - o2)
-        bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right]) + rise * o1
+        middle = bright + rise * o1
         uneven = max(abs(uneven) - 4.0 * slack, 0.0) / beam_sigma
-        bright = max(abs(bright) - 4.0 * slack, 0.0) / peak_sigma
-        if chi + uneven * uneven + bright * bright <= score_limit:
+        middle = max(abs(middle) - 4.0 * slack, 0.0) / peak_sigma
+        if chi + uneven * uneven + middle * middle <= score_limit:
             return False
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _size_off(radius_px, cosine, size, limit, least_facing, blur_px):  # type: ignore[no-untyped-def]
+    """Whether ln(size) is further than ``limit`` from that of every tilt; cosine: off boresight."""
+    largest = radius_px / (cosine * cosine)
+    least = 0.97 * math.sqrt(0.5 + 0.5 * least_facing * least_facing) * cosine * largest
+    factor, visible = math.exp(limit), math.exp(size)
+    return visible > factor * expected_size(blur_px, largest) or (
+        visible * factor < expected_size(blur_px, least)
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _chord(directions, left, right):  # type: ignore[no-untyped-def]
+    return (
+        directions[right, 0] - directions[left, 0],
+        directions[right, 1] - directions[left, 1],
+        directions[right, 2] - directions[left, 2],
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _unlike(chord, s0, s1, s2, bright, ratio, reach, steep, size_sigma, peak_sigma):  # type: ignore[no-untyped-def]
+    """Whether sizes and brightnesses differ by more than the score and any tilt allow.
+
+    Tilt explains differences of no more than ``steep`` of the base.
+    """
+    post = 1.1 * steep * math.sqrt(ratio) * chord + 0.02
+    base = 1.1 * steep * chord + 0.02
+    return (
+        (abs(bright) > reach * peak_sigma + 4.0 * post)
+        | (abs(s1 - 0.5 * (s0 + s2)) > 1.23 * reach * size_sigma + post)
+        | (abs(s0 - s2) > 1.42 * reach * size_sigma + base)
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _base_frame(directions, left, centre, right, chord):  # type: ignore[no-untyped-def]
+    """Three spots on the plane across the middle m of the base's two rays.
+
+    Returns half the length t of the base on the plane, the centre spot along and across the base,
+    and the unit vectors m, u along the base, v across it.
+    """
+    d0x, d0y, d0z = directions[left, 0], directions[left, 1], directions[left, 2]
+    d1x, d1y, d1z = directions[centre, 0], directions[centre, 1], directions[centre, 2]
+    d2x, d2y, d2z = directions[right, 0], directions[right, 1], directions[right, 2]
+    ux, uy, uz = _chord(directions, left, right)
+    mx, my, mz = d0x + d2x, d0y + d2y, d0z + d2z
+    f = 1.0 / math.sqrt(mx * mx + my * my + mz * mz)
+    mx, my, mz = mx * f, my * f, mz * f
+    f = 1.0 / chord
+    ux, uy, uz = ux * f, uy * f, uz * f
+    vx, vy, vz = my * uz - mz * uy, mz * ux - mx * uz, mx * uy - my * ux
+    t = 0.5 * chord / (d2x * mx + d2y * my + d2z * mz)
+    f = 1.0 / (d1x * mx + d1y * my + d1z * mz)
+    along, across = f * (d1x * ux + d1y * uy + d1z * uz), f * (d1x * vx + d1y * vy + d1z * vz)
+    return t, along, across, (mx, my, mz), (ux, uy, uz), (vx, vy, vz)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _weak_pose(model, sign, t, along, across, m, u, v, focal_px, window):  # type: ignore[no-untyped-def]
+    """One of the two poses in weak perspective, corrected for the depths that it finds.
+
+    Returns:
+        The range Z (negative: refused), the depths of left, centre and right beyond the base's
+        middle over Z, and the discs' radius in the picture, px.
+    """
+    bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
+    o0 = o1 = o2 = 0.0
+    beta = depth = w = z = x = y = 0.0
+    for _ in range(1 + _CORRECTIONS):
+        wide = t * (2.0 + o0 + o2)
+        w, z, x, y = _scaled(
+            bb, pp, bp, area, wide,
+            (1.0 + o1) * along - 0.5 * t * (o2 - o0), (1.0 + o1) * across,
+        )  # fmt: skip
+        beta = sign * math.sqrt(max(bb - w, 0.0))
+        depth = sign * math.copysign(math.sqrt(max(pp - (x * x + y * y) * w, 0.0)), bp - x * w)
+        o1, o2 = depth / z, 0.5 * beta / z
+        o0 = -o2
+    if z < 0.85 * window[0] or z > 1.15 * window[1]:
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    # The normal on (u, v, m): a B + b P + c B × P.
+    root = math.sqrt(w)
+    nu = model[5] * root + model[6] * x * root - model[7] * beta * y * root
+    nv = model[6] * y * root + model[7] * (beta * x * root - root * depth)
+    nm = model[5] * beta + model[6] * depth + model[7] * w * y
+    if nm >= 0.1:  # faces away
+        return -1.0, 0.0, 0.0, 0.0, 0.0
+    nx = nu * u[0] + nv * v[0] + nm * m[0]
+    ny = nu * u[1] + nv * v[1] + nm * m[1]
+    nz = nu * u[2] + nv * v[2] + nm * m[2]
+    p, q = m[0] / m[2], m[1] / m[2]
+    a, b = nx - nz * p, ny - nz * q
+    spread = max(0.5 * (2.0 + p * p + q * q - a * a - b * b), 1e-6)
+    return z, o0, o1, o2, radius * focal_px / (z * m[2]) * math.sqrt(spread)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -13,7 +13,7 @@ from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation
 from rendezview.sensors.reflectors.pattern import SixNumbers
 from rendezview.sensors.reflectors.rates import Rates
-from rendezview.sensors.reflectors.spots import COLUMNS, Spots
+from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -22,7 +22,7 @@ class ReflectorObservation(Observation):
 
     six: SixNumbers | None = None
     rates: Rates | None = None
-    spots: Spots = field(default_factory=lambda: Spots(np.empty((0, COLUMNS))))
+    spots: SpotTable = field(default_factory=lambda: SpotTable(np.empty((0, COLUMNS))))
     reflectors: tuple[str | None, ...] = ()  # name of the reflector of each spot
     group: str | None = None  # the six numbers are of this group's face
     roll_ambiguous: bool = False  # rotated by a symmetry of the reflectors it looks the same

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import between
 from rendezview.sensors.reflectors.pattern import SixNumbers
 
 
@@ -92,19 +93,9 @@ def _slopes(times, rotations, values, covariances, slopes, covariance):  # type:
     last = rotations[n - 1]
     for i in range(n):
         weight = (times[i] - mean) / square
-        # Rotation vector from the last attitude to this one, on the left.
-        d = rotations[i] @ last.T
-        s0, s1, s2 = (
-            0.5 * (d[2, 1] - d[1, 2]),
-            0.5 * (d[0, 2] - d[2, 0]),
-            0.5 * (d[1, 0] - d[0, 1]),
-        )
-        sine = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
-        angle = math.atan2(sine, 0.5 * (d[0, 0] + d[1, 1] + d[2, 2] - 1.0))
-        f = angle / sine if sine > 1e-12 else 1.0
-        slopes[0] += weight * f * s0
-        slopes[1] += weight * f * s1
-        slopes[2] += weight * f * s2
+        turn = between(rotations[i], last)
+        for k in range(3):
+            slopes[k] += weight * turn[k]
         for k in range(9):
             value = values[i, k] - values[n - 1, k]
             if k >= 4:

@@ -9,17 +9,28 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.least_squares import (
+    DAMPING_DECAY,
+    DAMPING_GROWTH,
+    FIRST_DAMPING,
+    damped_step,
+)
+from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
 from rendezview.sensors.reflectors.discs import camera_numbers, project_disc, turned
-from rendezview.sensors.reflectors.normal_equations import invert, solve
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
 _ITERATIONS = 30
-_STEP = 1e-12  # relative step at which the iteration has converged
+_TRIALS = 8  # of damping, before the last pose is taken as the minimum
+_STEP = 1e-12  # rad and share of the range: a smaller step ends the iteration
+_ROUNDING = 1e-9  # rad + share of the range: after so small a step the cost may rise by rounding
+_GAIN = 1e-13  # of the cost: a smaller gain ends the iteration
+_EXACT = 1e-18  # χ²: the spots are fitted to rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +104,8 @@ def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
 
     ``t = shift − R centre``: a left rotation w moves the origin by ``−w × (R centre)``.
     """
-    x, y, z = centre_camera_m
     turn = np.eye(6)
-    turn[3:, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    turn[3:, :3] = hat(centre_camera_m)
     return np.asarray(turn @ covariance @ turn.T)
 
 
@@ -108,80 +118,90 @@ def adjust(  # type: ignore[no-untyped-def]
     ``prior`` is the information (6, 6) of the start, zero for none. Returns the number of
     iterations, −1 where the pose is not determined or leaves the front of the camera.
     """
-    count = arms.shape[0]
     start_r, start_t = rotation.copy(), shift.copy()
-    jacobian = np.empty((2, 6))
-    normal, rhs = np.empty((6, 6)), np.empty(6)
-    trial_r, trial_t = np.empty((3, 3)), np.empty(3)
-    offset = np.zeros(6)
+    normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
+    trial_r, trial_t, offset = np.empty((3, 3)), np.empty(3), np.zeros(6)
     damping, done, used = 0.0, False, 0
     cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
     if not math.isfinite(cost):
         return -1
-    use_prior = prior[0, 0] > 0.0
-    for iteration in range(_ITERATIONS):
-        used = iteration + 1
-        normal[:] = prior
-        rhs[:] = 0.0
-        if use_prior:
-            _difference(rotation, shift, start_r, start_t, offset)
-            rhs[:] = -prior @ offset
-        for i in range(count):
-            _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
-            weight = 1.0 / (sigma[i] * sigma[i])
-            for a in range(6):
-                rhs[a] += weight * (
-                    jacobian[0, a] * residuals[i, 0] + jacobian[1, a] * residuals[i, 1]
-                )
-                for b in range(a + 1):
-                    normal[a, b] += weight * (
-                        jacobian[0, a] * jacobian[0, b] + jacobian[1, a] * jacobian[1, b]
-                    )
-        for a in range(6):
-            for b in range(a):
-                normal[b, a] = normal[a, b]
+    with_prior = prior[0, 0] > 0.0
+    for _ in range(_ITERATIONS):
+        used += 1
+        _difference(rotation, shift, start_r, start_t, with_prior, offset)
+        _equations(
+            lens, arms, normals, diameters, sigma, rotation, shift, residuals, prior, offset,
+            normal, right,
+        )  # fmt: skip
         if done:
             break
-        total = cost + _prior_cost(prior, offset, use_prior)
-        accepted = False
-        for _ in range(8):
-            covariance[:] = normal
-            for a in range(6):
-                covariance[a, a] *= 1.0 + damping
-            if not solve(covariance, rhs, offset):
+        total, accepted = cost + _prior_cost(prior, offset), False
+        far = math.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
+        for _ in range(_TRIALS):
+            if not damped_step(normal, right, damping, lower, step):
                 return -1
-            _apply(rotation, shift, offset, trial_r, trial_t)
-            turn = math.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
-            move = math.sqrt(offset[3] ** 2 + offset[4] ** 2 + offset[5] ** 2)
-            far = math.sqrt(shift[0] ** 2 + shift[1] ** 2 + shift[2] ** 2)
-            new = np.inf
-            if trial_t[2] > 0.0 and turn < 1.0 and move < far:
+            perturb_into(step[:3], rotation, trial_r)
+            trial_t[:] = shift + step[3:]
+            turn = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+            move = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2) / far
+            if trial_t[2] > 0.0 and turn < 1.0 and move < 1.0:
                 new = _cost(
                     lens, arms, normals, diameters, spots, sigma, trial_r, trial_t, residuals
                 )
-                new_total = new
-                if use_prior:
-                    _difference(trial_r, trial_t, start_r, start_t, offset)
-                    new_total += _prior_cost(prior, offset, True)
-                small = turn < _STEP and move < _STEP * far
-                # At the floor of rounding the cost may rise by a hair: the end, no bad step.
-                if new_total <= total or turn + move / far < 1e-9:
-                    rotation[:] = trial_r
-                    shift[:] = trial_t
-                    # Of three spots the fit is exact: stop on the residual too.
-                    done = small or abs(total - new_total) <= 1e-13 * total or new_total < 1e-18
-                    cost = new
-                    damping *= 0.1
-                    accepted = True
+                _difference(trial_r, trial_t, start_r, start_t, with_prior, offset)
+                there = new + _prior_cost(prior, offset)
+                # At the limit of rounding the cost may rise a little: converged, not a bad step.
+                if there <= total or turn + move < _ROUNDING:
+                    rotation[:], shift[:] = trial_r, trial_t
+                    # Three spots are fitted exactly: a cost of almost zero ends the iteration too.
+                    small = (turn < _STEP and move < _STEP) or new < _EXACT
+                    done = small or abs(total - there) <= _GAIN * total
+                    cost, accepted = new, True
+                    damping *= DAMPING_DECAY
                     break
-            damping = max(10.0 * damping, 1e-4)
+            damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
         if not accepted:
             cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
             done = True
-    if not invert(normal, covariance):
+    if not invert(normal, lower, covariance):
         return -1
-    _orthonormal(rotation)
+    orthonormalise(rotation)
     return used if done else _ITERATIONS
+
+
+@njit(cache=True, nogil=True)
+def _equations(  # type: ignore[no-untyped-def]
+    lens, arms, normals, diameters, sigma, rotation, shift, residuals, prior, offset, normal, right
+):
+    """Normal equations (6, 6) and (6,) of the spots and of a prior ``offset`` (6,) away."""
+    jacobian = np.empty((2, 6))
+    for a in range(6):
+        right[a] = 0.0
+        for b in range(6):
+            normal[a, b] = prior[a, b]
+            right[a] -= prior[a, b] * offset[b]
+    for i in range(arms.shape[0]):
+        _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
+        weight = 1.0 / (sigma[i] * sigma[i])
+        for a in range(6):
+            right[a] += weight * (
+                jacobian[0, a] * residuals[i, 0] + jacobian[1, a] * residuals[i, 1]
+            )
+            for b in range(a + 1):
+                normal[a, b] += weight * (
+                    jacobian[0, a] * jacobian[0, b] + jacobian[1, a] * jacobian[1, b]
+                )
+    for a in range(6):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+
+
+@njit(cache=True, nogil=True)
+def _difference(rotation, shift, from_r, from_t, wanted, out):  # type: ignore[no-untyped-def]
+    """Left perturbation (6,) that leads from one pose to another; untouched where not wanted."""
+    if wanted:
+        out[:3] = between(rotation, from_r)
+        out[3:] = shift - from_t
 
 
 @njit(cache=True, nogil=True)
@@ -238,9 +258,7 @@ def _spans(arms):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _prior_cost(prior, offset, use):  # type: ignore[no-untyped-def]
-    if not use:
-        return 0.0
+def _prior_cost(prior, offset):  # type: ignore[no-untyped-def]
     total = 0.0
     for a in range(6):
         for b in range(6):
@@ -295,54 +313,3 @@ def _cross_axis(k, v):  # type: ignore[no-untyped-def]
     if k == 1:
         return v[2], 0.0, -v[0]
     return -v[1], v[0], 0.0
-
-
-@njit(cache=True, nogil=True)
-def _apply(rotation, shift, step, out_r, out_t):  # type: ignore[no-untyped-def]
-    """Left perturbation: R' = exp(w) R, t' = t + v."""
-    wx, wy, wz = step[0], step[1], step[2]
-    angle2 = wx * wx + wy * wy + wz * wz
-    angle = math.sqrt(angle2)
-    if angle > 1e-4:
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
-    else:
-        a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-    e00, e01, e02 = 1.0 - b * (wy * wy + wz * wz), b * wx * wy - a * wz, b * wx * wz + a * wy
-    e10, e11, e12 = b * wx * wy + a * wz, 1.0 - b * (wx * wx + wz * wz), b * wy * wz - a * wx
-    e20, e21, e22 = b * wx * wz - a * wy, b * wy * wz + a * wx, 1.0 - b * (wx * wx + wy * wy)
-    for j in range(3):
-        r0, r1, r2 = rotation[0, j], rotation[1, j], rotation[2, j]
-        out_r[0, j] = e00 * r0 + e01 * r1 + e02 * r2
-        out_r[1, j] = e10 * r0 + e11 * r1 + e12 * r2
-        out_r[2, j] = e20 * r0 + e21 * r1 + e22 * r2
-        out_t[j] = shift[j] + step[3 + j]
-
-
-@njit(cache=True, nogil=True)
-def _difference(rotation, shift, from_r, from_t, out):  # type: ignore[no-untyped-def]
-    """Small left perturbation (6,) that leads from one pose to another."""
-    d = rotation @ from_r.T
-    out[0], out[1], out[2] = (
-        0.5 * (d[2, 1] - d[1, 2]),
-        0.5 * (d[0, 2] - d[2, 0]),
-        0.5 * (d[1, 0] - d[0, 1]),
-    )
-    for j in range(3):
-        out[3 + j] = shift[j] - from_t[j]
-
-
-@njit(cache=True, nogil=True)
-def _orthonormal(r):  # type: ignore[no-untyped-def]
-    """Remove the rounding of many small turns (Gram–Schmidt on the rows)."""
-    n = math.sqrt(r[0, 0] ** 2 + r[0, 1] ** 2 + r[0, 2] ** 2)
-    for j in range(3):
-        r[0, j] /= n
-    d = r[0, 0] * r[1, 0] + r[0, 1] * r[1, 1] + r[0, 2] * r[1, 2]
-    for j in range(3):
-        r[1, j] -= d * r[0, j]
-    n = math.sqrt(r[1, 0] ** 2 + r[1, 1] ** 2 + r[1, 2] ** 2)
-    for j in range(3):
-        r[1, j] /= n
-    r[2, 0] = r[0, 1] * r[1, 2] - r[0, 2] * r[1, 1]
-    r[2, 1] = r[0, 2] * r[1, 0] - r[0, 0] * r[1, 2]
-    r[2, 2] = r[0, 0] * r[1, 1] - r[0, 1] * r[1, 0]

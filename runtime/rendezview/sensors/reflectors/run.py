@@ -18,7 +18,7 @@ from rendezview.io.sequences import Frame, Sequence
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import (
-    Calibration,
+    ClosedFormCalibration,
     base_and_post,
     calibrate,
     closed_form,
@@ -139,7 +139,7 @@ def record(
     pair: FramePair,
     reading: ReflectorObservation,
     patterns: list[ReflectorPattern],
-    calibration: Calibration | None = None,
+    calibration: ClosedFormCalibration | None = None,
 ) -> dict[str, Any]:
     """One reading as it stands in a log of JSON lines."""
     line = {"im_id": pair.lit.im_id, "image": pair.lit.name, **reading.record()}
@@ -153,7 +153,7 @@ def _closed(
     pair: FramePair,
     reading: ReflectorObservation,
     patterns: list[ReflectorPattern],
-    calibration: Calibration,
+    calibration: ClosedFormCalibration,
 ) -> SixNumbers | None:
     """The closed form beside the pose, where the group is one it can read."""
     pattern = next((p for p in patterns if p.name == reading.group), None)
@@ -187,7 +187,7 @@ def calibrate_run(
     threshold: ThresholdOptions | None = None,
     acquisition: AcquisitionOptions | None = None,
     lit_from_dark: npt.ArrayLike | None = None,
-) -> tuple[Calibration, int]:
+) -> tuple[ClosedFormCalibration, int]:
     """The closed form's calibration from a run whose pictures have their true pose.
 
     Returns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -24,10 +25,10 @@ from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
-from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, Spots, find_spots
+from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, SpotTable, find_spots
 from rendezview.sensors.reflectors.track import Track, TrackingOptions
 from rendezview.sensors.reflectors.windows import (
-    SEEN,
+    VISIBLE,
     carry,
     place_windows,
     read_windows,
@@ -37,6 +38,8 @@ from rendezview.sensors.reflectors.windows import (
 
 class ReflectorSensor:
     """Follows one target with one camera, in order of time.
+
+    Threads may share an instance: their calls run one after the other.
 
     Args:
         camera: of the pictures.
@@ -69,6 +72,7 @@ class ReflectorSensor:
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf
+        self._lock = threading.Lock()
         n = len(self.constellation)
         self._expected, self._table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self._outcome = np.zeros(n, np.int64)
@@ -85,19 +89,20 @@ class ReflectorSensor:
         return self._track is not None and self._track.misses <= self.tracking.coast
 
     def start(self, time_s: float, pose: Pose, *, roll_known: bool = True) -> None:
-        """Begin to track from a pose known otherwise (another camera or sensor)."""
+        """Begin to track from a pose of another camera or sensor."""
         n = len(self.constellation)
         nowhere = np.full((n, 2), np.nan)
-        self._track = Track(
-            time_s, pose, nowhere, nowhere.copy(), time_s, np.full(n, np.nan), 2.0,
-            not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
-        )  # fmt: skip
-        self._rates.clear()
+        with self._lock:
+            self._track = Track(
+                time_s, pose, nowhere, nowhere.copy(), time_s, np.full(n, np.nan), 2.0,
+                not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
+            )  # fmt: skip
+            self._rates.clear()
 
     def update(
         self, time_s: float, frames: LitDark, acceleration: npt.ArrayLike | None = None
     ) -> ReflectorObservation:
-        """Read the next pair of pictures.
+        """Look at the next pair of pictures.
 
         Args:
             time_s: of the lit picture, later than the last.
@@ -109,18 +114,21 @@ class ReflectorSensor:
             ValueError: times do not rise, or the acceleration is not (6,) and finite.
             RendezviewError: the pictures are not the camera's.
         """
-        if not (np.isfinite(time_s) and time_s > self._last_s):
-            raise ValueError(f"readings must come in order of time: {time_s} after {self._last_s}")
-        frames.check(self.camera)
-        self._last_s = time_s
         push = None
         if acceleration is not None:
             push = np.asarray(acceleration, dtype=np.float64)
             if push.shape != (6,) or not np.isfinite(push).all():
                 raise ValueError(f"acceleration must be (6,) and finite, not {push.tolist()}")
-        if self.is_tracking:
-            return self._follow(time_s, frames, push)
-        return self._acquire(time_s, frames)
+        frames.check(self.camera)
+        with self._lock:
+            if not (np.isfinite(time_s) and time_s > self._last_s):
+                raise ValueError(
+                    f"readings must come in order of time: {time_s} after {self._last_s}"
+                )
+            self._last_s = time_s
+            if self.is_tracking:
+                return self._follow(time_s, frames, push)
+            return self._acquire(time_s, frames)
 
     # --- acquisition
 
@@ -181,7 +189,7 @@ class ReflectorSensor:
         near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
         return bool(near and np.trace(pose.rotation @ first.rotation.T) > 1.0 + 2.0 * np.cos(0.5))
 
-    def _table_of(self, found: Acquisition, spots: Spots) -> Array:
+    def _table_of(self, found: Acquisition, spots: SpotTable) -> Array:
         """(N, 19) the spot of every reflector, NaN where it has none."""
         table = np.full((len(self.constellation), COLUMNS), np.nan)
         table[found.reflectors] = spots.table[found.spot_indices]
@@ -202,22 +210,22 @@ class ReflectorSensor:
             (options.size_limit, options.least_shape), self._table, self._outcome,
         )  # fmt: skip
         middle = time.perf_counter()
-        seen = np.flatnonzero(self._outcome == SEEN)
+        seen = np.flatnonzero(self._outcome == VISIBLE)
         refined = self._solve(track, seen) if len(seen) >= 3 else None
         if refined is not None and len(seen) > 3:
             refined, seen = self._without_strangers(track, refined, seen)
         ended = time.perf_counter()
         stage_ms = {"windows": 1e3 * (middle - begin), "pose": 1e3 * (ended - middle)}
         names = tuple(self.constellation.names[k] for k in seen)
-        spots = Spots(self._table[seen])
+        spots = SpotTable(self._table[seen])
         self._outcome[:] = 0
-        self._outcome[seen] = SEEN
+        self._outcome[seen] = VISIBLE
         if refined is None and not np.isfinite(track.before).any():
             return self._acquire(time_s, frames)  # the motion is not known: windows say little
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
         table = self._table
-        table[self._outcome != SEEN] = np.nan
+        table[self._outcome != VISIBLE] = np.nan
         table = table.copy()
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
         self._remember(time_s, table, refined, noise, ambiguous)
@@ -294,7 +302,7 @@ class ReflectorSensor:
         time_s: float,
         track: Track,
         seen: npt.NDArray[np.int64],
-        spots: Spots,
+        spots: SpotTable,
         names: tuple[str, ...],
         stage_ms: dict[str, float],
     ) -> ReflectorObservation:
@@ -377,7 +385,7 @@ class ReflectorSensor:
         self,
         time_s: float,
         refined: Refined,
-        spots: Spots,
+        spots: SpotTable,
         names: tuple[str | None, ...],
         group: str | None,
         stage_ms: dict[str, float],

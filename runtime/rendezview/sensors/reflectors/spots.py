@@ -50,7 +50,7 @@ class Centroid(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spots:
+class SpotTable:
     """Spots of one picture; ``table`` (N, 19) as the compiled loops use it."""
 
     table: Array
@@ -109,7 +109,7 @@ def find_spots(
     frames: LitDark,
     options: ThresholdOptions | None = None,
     centroid: Centroid = Centroid.WINDOWED,
-) -> Spots:
+) -> SpotTable:
     """All spots of a picture, in the order in which a scan meets them."""
     chosen = options or ThresholdOptions()
     noise = noise_grey(frames)
@@ -120,7 +120,7 @@ def find_spots(
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
     place(frames.lit, frames.dark_or_nothing, found, noise, list(Centroid).index(centroid))
-    return Spots(found, overfull)
+    return SpotTable(found, overfull)
 
 
 def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int:
@@ -216,7 +216,7 @@ def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
     for i in range(table.shape[0]):
         row = table[i]
         if method == 2:
-            _window(lit, dark, row, noise, columns, rows)
+            window_centroid(lit, dark, row, noise, columns, rows)
             continue
         k = BINARY_X if method == 0 else WEIGHTED_X
         row[X], row[Y] = row[k], row[k + 1]
@@ -227,7 +227,8 @@ def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _window(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-def]
+def window_centroid(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-def]
+    """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size."""
     height, width = lit.shape
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     # The rows above the threshold are the top of the spot: its true width is larger.

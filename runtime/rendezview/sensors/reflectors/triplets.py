@@ -169,22 +169,11 @@ def search(  # type: ignore[no-untyped-def]
     # Of the hourglass, in base lengths; 1.1 for what the flat picture stretches.
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
     over = 1.1 * min(abs(glass[1]) + glass[2] * glass[3] + glass[4], math.sqrt(longest_side))
-    # Of each spot the bases it may belong to, as chords, from its size. All by rising x.
-    low, high = np.empty(count), np.empty(count)
-    log_size, log_peak = np.empty(count), np.empty(count)
-    at, ray = np.empty((count, 2)), np.empty((count, 3))
     shortest, longest = shortest / focal_px, longest / focal_px
-    widest = 0.0
-    for p in range(count):
-        s = order[p]
-        a, b = _bases(sizes[s], base_m, diameter_m, blur_px, size_tolerance, foreshortened)
-        low[p], high[p] = a / focal_px, b / focal_px
-        log_size[p], log_peak[p] = math.log(sizes[s]), math.log(peaks[s])
-        at[p, 0], at[p, 1] = flat[s, 0], flat[s, 1]
-        for axis in range(3):
-            ray[p, axis] = directions[s, axis]
-        # Off the boresight the flat picture is stretched by as much as 1 / cos².
-        widest = max(widest, 1.0 / (ray[p, 2] * ray[p, 2]))
+    low, high, log_size, log_peak, at, ray, widest = _by_column(
+        directions, flat, sizes, peaks, order, base_m, diameter_m, focal_px, blur_px,
+        size_tolerance, foreshortened,
+    )  # fmt: skip
     firsts, members, left, top, columns, rows = _grid(
         at, math.hypot(along, over) * shortest * focal_px
     )
@@ -208,54 +197,98 @@ def search(  # type: ignore[no-untyped-def]
                 & (square > 0.0)
             ):
                 continue
-            chord = math.sqrt(square)
-            mx, my, mz = (
-                0.5 * (ray[i, 0] + ray[j, 0]),
-                0.5 * (ray[i, 1] + ray[j, 1]),
-                0.5 * (ray[i, 2] + ray[j, 2]),
-            )
-            m = chord * math.sqrt(mx * mx + my * my + mz * mz)
-            # across = m × base: a quarter turn clockwise on the screen; both over the chord²
-            cx, cy, cz = (my * dz - mz * dy) / m, (mz * dx - mx * dz) / m, (mx * dy - my * dx) / m
-            cx, cy, cz = cx / chord, cy / chord, cz / chord
-            dx, dy, dz = dx / square, dy / square, dz / square
-            size, peak = 0.5 * (log_size[i] + log_size[j]), 0.5 * (log_peak[i] + log_peak[j])
-            by = at[j, 1] - at[i, 1]
-            middle_x, middle_y = 0.5 * (at[i, 0] + at[j, 0]), 0.5 * (at[i, 1] + at[j, 1])
-            # The box of the hourglass, turned with the base.
-            wide, tall = along * abs(bx) + over * abs(by), along * abs(by) + over * abs(bx)
-            c0 = max(int((middle_x - wide - left) * columns[1]), 0)
-            c1 = min(int((middle_x + wide - left) * columns[1]), int(columns[0]) - 1)
-            r0 = max(int((middle_y - tall - top) * rows[1]), 0)
-            r1 = min(int((middle_y + tall - top) * rows[1]), int(rows[0]) - 1)
-            for r in range(r0, r1 + 1):
-                # Cells of a row lie behind one another.
-                line = r * int(columns[0])
-                for n in range(firsts[line + c0], firsts[line + c1 + 1]):
-                    k = members[n]
-                    if (abs(log_size[k] - size) > _ALIKE) | (chord < 0.9 * low[k]):
-                        continue
-                    ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
-                    x = ex * dx + ey * dy + ez * dz
-                    y = ex * cx + ey * cy + ez * cz
-                    inside, turned = _within(glass, x, y), _within(glass, -x, -y) & both_ways
-                    if not (
-                        (inside | turned)
-                        & ((abs(x) + 0.5) ** 2 + y * y <= longest_side)  # the base is the longest
-                        & (abs(log_peak[k] - peak) <= 0.5 * peak_tolerance)
-                        & (chord <= 1.1 * high[k])
-                        & (k != i)
-                        & (k != j)
-                    ):
-                        continue
-                    if found + inside + turned > out.shape[0]:
-                        return -1
-                    if inside:
-                        out[found, 0], out[found, 1], out[found, 2] = order[i], order[k], order[j]
-                        found += 1
-                    if turned:
-                        out[found, 0], out[found, 1], out[found, 2] = order[j], order[k], order[i]
-                        found += 1
+            found = _centres(
+                i, j, math.sqrt(square), ray, at, log_size, log_peak, low, high, order, glass,
+                (along, over, left, top, peak_tolerance, longest_side), columns, rows, firsts,
+                members, both_ways, found, out,
+            )  # fmt: skip
+            if found < 0:
+                return -1
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _by_column(  # type: ignore[no-untyped-def]
+    directions, flat, sizes, peaks, order, base_m, diameter_m, focal_px, blur_px, size_tolerance,
+    foreshortened,
+):  # fmt: skip
+    """The spots by rising x: least and most base by size (chords), ln size, ln peak, places, rays.
+
+    Then by how much the flat picture is stretched off the boresight: as much as 1 / cos².
+    """
+    count = directions.shape[0]
+    low, high = np.empty(count), np.empty(count)
+    log_size, log_peak = np.empty(count), np.empty(count)
+    at, ray = np.empty((count, 2)), np.empty((count, 3))
+    widest = 0.0
+    for p in range(count):
+        s = order[p]
+        a, b = _bases(sizes[s], base_m, diameter_m, blur_px, size_tolerance, foreshortened)
+        low[p], high[p] = a / focal_px, b / focal_px
+        log_size[p], log_peak[p] = math.log(sizes[s]), math.log(peaks[s])
+        at[p, 0], at[p, 1] = flat[s, 0], flat[s, 1]
+        for axis in range(3):
+            ray[p, axis] = directions[s, axis]
+        widest = max(widest, 1.0 / (ray[p, 2] * ray[p, 2]))
+    return low, high, log_size, log_peak, at, ray, widest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _centres(  # type: ignore[no-untyped-def]
+    i, j, chord, ray, at, log_size, log_peak, low, high, order, glass, limits, columns, rows,
+    firsts, members, both_ways, found, out,
+):  # fmt: skip
+    """Write the triplets of the base i, j; the number found so far, −1 where ``out`` is full."""
+    along, over, left, top, peak_tolerance, longest_side = limits
+    square = chord * chord
+    dx, dy, dz = ray[j, 0] - ray[i, 0], ray[j, 1] - ray[i, 1], ray[j, 2] - ray[i, 2]
+    mx, my, mz = (
+        0.5 * (ray[i, 0] + ray[j, 0]),
+        0.5 * (ray[i, 1] + ray[j, 1]),
+        0.5 * (ray[i, 2] + ray[j, 2]),
+    )
+    m = chord * math.sqrt(mx * mx + my * my + mz * mz)
+    # across = m × base: a quarter turn clockwise on the screen; both over the chord²
+    cx, cy, cz = (my * dz - mz * dy) / m, (mz * dx - mx * dz) / m, (mx * dy - my * dx) / m
+    cx, cy, cz = cx / chord, cy / chord, cz / chord
+    dx, dy, dz = dx / square, dy / square, dz / square
+    size, peak = 0.5 * (log_size[i] + log_size[j]), 0.5 * (log_peak[i] + log_peak[j])
+    bx, by = at[j, 0] - at[i, 0], at[j, 1] - at[i, 1]
+    middle_x, middle_y = 0.5 * (at[i, 0] + at[j, 0]), 0.5 * (at[i, 1] + at[j, 1])
+    # The box of the hourglass, turned with the base.
+    wide, tall = along * abs(bx) + over * abs(by), along * abs(by) + over * abs(bx)
+    c0 = max(int((middle_x - wide - left) * columns[1]), 0)
+    c1 = min(int((middle_x + wide - left) * columns[1]), int(columns[0]) - 1)
+    r0 = max(int((middle_y - tall - top) * rows[1]), 0)
+    r1 = min(int((middle_y + tall - top) * rows[1]), int(rows[0]) - 1)
+    for r in range(r0, r1 + 1):
+        # Cells of a row lie behind one another.
+        line = r * int(columns[0])
+        for n in range(firsts[line + c0], firsts[line + c1 + 1]):
+            k = members[n]
+            if (abs(log_size[k] - size) > _ALIKE) | (chord < 0.9 * low[k]):
+                continue
+            ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
+            x = ex * dx + ey * dy + ez * dz
+            y = ex * cx + ey * cy + ez * cz
+            inside, turned = _within(glass, x, y), _within(glass, -x, -y) & both_ways
+            if not (
+                (inside | turned)
+                & ((abs(x) + 0.5) ** 2 + y * y <= longest_side)  # the base is the longest
+                & (abs(log_peak[k] - peak) <= 0.5 * peak_tolerance)
+                & (chord <= 1.1 * high[k])
+                & (k != i)
+                & (k != j)
+            ):
+                continue
+            if found + inside + turned > out.shape[0]:
+                return -1
+            if inside:
+                out[found, 0], out[found, 1], out[found, 2] = order[i], order[k], order[j]
+                found += 1
+            if turned:
+                out[found, 0], out[found, 1], out[found, 2] = order[j], order[k], order[i]
+                found += 1
     return found
 
 

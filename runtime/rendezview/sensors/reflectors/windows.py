@@ -1,4 +1,4 @@
-"""ReflectorObservation the spots inside small windows about where they are expected."""
+"""The search for spots in small windows about the places where they are expected."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from rendezview.sensors.reflectors.spots import (
     TOP,
     X,
     Y,
-    _window,
     gather,
+    window_centroid,
 )
 
-_NO_WINDOW, _NOTHING, _STRANGER, SEEN = 0, 1, 2, 3
+_NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 
 
 @njit(cache=True, nogil=True)
@@ -44,9 +44,7 @@ def read_windows(  # type: ignore[no-untyped-def]
             reflector, 3 seen.
     """
     height, width = lit.shape
-    size_limit, least_shape = limits
     columns, rows = np.empty(width), np.empty(height)
-    row = np.empty(COLUMNS)
     for i in range(expected.shape[0]):
         outcome[i] = _NO_WINDOW
         x, y, size = expected[i, 0], expected[i, 1], expected[i, 2]
@@ -54,61 +52,79 @@ def read_windows(  # type: ignore[no-untyped-def]
             continue
         # A spot whose middle is in the window may reach out of it.
         reach = half[i] + 3.0 * size + 1.0
-        x0, x1 = math.ceil(x - reach), math.floor(x + reach)
-        y0, y1 = math.ceil(y - reach), math.floor(y + reach)
-        x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1, width - 1), min(y1, height - 1)
-        w, h = x1 - x0 + 1, y1 - y0 + 1
-        if w < 3 or h < 3:
+        x0, x1 = max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1)
+        y0, y1 = max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1)
+        if x1 - x0 < 2 or y1 - y0 < 2:
             continue
-        outcome[i] = _NOTHING
-        part = lit[y0 : y1 + 1, x0 : x1 + 1]
-        part_dark = dark[y0 : y1 + 1, x0 : x1 + 1] if dark.shape[0] > 0 else dark
-        floor = level[i]
-        if dark.shape[0] == 0:  # a single picture: the threshold stands on the window's rim
-            rim = 0.0
-            for u in range(w):
-                rim += float(part[0, u]) + float(part[h - 1, u])
-            floor += rim / (2 * w)
-        flat = np.empty(w * h, np.uint8)
-        for v in range(h):
-            for u in range(w):
-                value = float(part[v, u])
-                if dark.shape[0] > 0:
-                    value -= part_dark[v, u]
-                flat[v * w + u] = 255 if value > floor else 0
-        stack = np.empty(w * h, np.int32)
-        best = np.inf
-        for start in range(w * h):
-            if flat[start] == 0:
-                continue
-            gather(flat, w, h, start, part, part_dark, floor, stack, row)
-            if row[AREA] < 3:  # lone pixels: noise
-                continue
-            if outcome[i] == _NOTHING:
-                outcome[i] = _STRANGER
-            inside = row[LEFT] > 0 and row[TOP] > 0 and row[RIGHT] < w - 1 and row[BOTTOM] < h - 1
-            cut = (
-                x0 + row[LEFT] <= 0
-                or y0 + row[TOP] <= 0
-                or x0 + row[RIGHT] >= width - 1
-                or y0 + row[BOTTOM] >= height - 1
-            )
-            if cut or not inside or row[SHAPE] < least_shape:
-                continue
-            for k in (8, 10, 12, 14):  # from window to picture
-                row[k] += x0
-                row[k + 1] += y0
-            _window(lit, dark, row, noise, columns, rows)
-            ratio = math.log(row[SIZE] / size)
-            off = math.hypot(row[X] - x, row[Y] - y) / half[i]
-            if abs(ratio) > size_limit or off > 1.0:
-                continue
-            score = off * off + (ratio / size_limit) ** 2
-            if score < best:
-                best = score
-                table[i] = row
-                outcome[i] = SEEN
-    return
+        outcome[i] = _search_window(
+            lit, dark, expected[i], half[i], level[i], noise, limits, (x0, x1, y0, y1),
+            columns, rows, table[i],
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _search_window(  # type: ignore[no-untyped-def]
+    lit, dark, expected, half, level, noise, limits, box, columns, rows, best_row
+):
+    """Outcome of one window; the row of the spot nearest in place and size into ``best_row``."""
+    height, width = lit.shape
+    size_limit, least_shape = limits
+    x0, x1, y0, y1 = box
+    w, h = x1 - x0 + 1, y1 - y0 + 1
+    part = lit[y0 : y1 + 1, x0 : x1 + 1]
+    part_dark = dark[y0 : y1 + 1, x0 : x1 + 1] if dark.shape[0] > 0 else dark
+    flat, stack, row = np.empty(w * h, np.uint8), np.empty(w * h, np.int32), np.empty(COLUMNS)
+    floor = _threshold(part, part_dark, level, flat)
+    outcome, best = _NOTHING, np.inf
+    for start in range(w * h):
+        if flat[start] == 0:
+            continue
+        gather(flat, w, h, start, part, part_dark, floor, stack, row)
+        if row[AREA] < 3:  # single pixels: noise
+            continue
+        if outcome == _NOTHING:
+            outcome = _STRANGER
+        inside = row[LEFT] > 0 and row[TOP] > 0 and row[RIGHT] < w - 1 and row[BOTTOM] < h - 1
+        cut = (
+            x0 + row[LEFT] <= 0
+            or y0 + row[TOP] <= 0
+            or x0 + row[RIGHT] >= width - 1
+            or y0 + row[BOTTOM] >= height - 1
+        )
+        if cut or not inside or row[SHAPE] < least_shape:
+            continue
+        for k in (8, 10, 12, 14):  # from window to picture
+            row[k] += x0
+            row[k + 1] += y0
+        window_centroid(lit, dark, row, noise, columns, rows)
+        ratio = math.log(row[SIZE] / expected[2])
+        off = math.hypot(row[X] - expected[0], row[Y] - expected[1]) / half
+        if abs(ratio) > size_limit or off > 1.0:
+            continue
+        score = off * off + (ratio / size_limit) ** 2
+        if score < best:
+            best, outcome = score, VISIBLE
+            best_row[:] = row
+    return outcome
+
+
+@njit(cache=True, nogil=True)
+def _threshold(part, part_dark, level, flat):  # type: ignore[no-untyped-def]
+    """Mark the pixels of a window above its threshold in ``flat``; the threshold, grey."""
+    h, w = part.shape
+    floor = level
+    if part_dark.shape[0] == 0:  # a single picture: the threshold stands on the window's rim
+        rim = 0.0
+        for u in range(w):
+            rim += float(part[0, u]) + float(part[h - 1, u])
+        floor += rim / (2 * w)
+    for v in range(h):
+        for u in range(w):
+            value = float(part[v, u])
+            if part_dark.shape[0] > 0:
+                value -= part_dark[v, u]
+            flat[v * w + u] = 255 if value > floor else 0
+    return floor
 
 
 @njit(cache=True, nogil=True)

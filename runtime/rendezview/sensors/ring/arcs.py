@@ -23,6 +23,10 @@ _UNEVEN = 4.0  # a segment this much longer than its neighbour is a straight lin
 _LEAST_TURN_RAD = 0.35  # of an arc
 _LEAST_LENGTH_PX = 14.0
 _SAMPLED = 24  # points of an arc that a joint conic is tested on
+_LEAST_TURN_SINGLE_RAD = 0.6  # of one arc that determines an ellipse
+_LEAST_TURN_GROUP_RAD = 1.0  # of all arcs of a group together
+_LARGE_TURN_RAD = 3.0  # the arcs of such a group start no group of their own
+_FAR_PX = 12.0  # an arc further from a well determined ellipse is not tried
 
 
 @njit(cache=True, nogil=True)
@@ -190,19 +194,16 @@ def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limi
         most: number of arcs used at most.
     """
     count = min(arcs.shape[0], most)
+    frame = (scale, centre_x, centre_y)
     sums = np.zeros((count, SCATTER))
     for j in range(count):
         for i in range(int(arcs[j, FIRST]), int(arcs[j, LAST])):
             add_point(sums[j], (points[i, 0] - centre_x) / scale, (points[i, 1] - centre_y) / scale)
-    found = np.empty((2 * count, 5))
-    length = np.empty(2 * count)
+    found, length = np.empty((count, 5)), np.empty(count)
     filled = 0
-    ellipse = np.empty(5)
-    trial = np.empty(5)
-    conic = np.empty(6)
+    ellipse, conic, total = np.empty(5), np.empty(6), np.empty(SCATTER)
     member = np.zeros(count, dtype=np.bool_)
     tried = np.zeros(count, dtype=np.bool_)
-    total = np.empty(SCATTER)
     done = np.zeros(count, dtype=np.bool_)  # part of a large group already
     for seed in range(count):
         if done[seed]:
@@ -211,67 +212,74 @@ def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limi
         member[seed] = True
         tried[:] = False
         total[:] = sums[seed]
-        reach = arcs[seed, LENGTH]
-        turned = abs(arcs[seed, TURN])
+        reach, turned = arcs[seed, LENGTH], abs(arcs[seed, TURN])
         good = False
-        if turned > 0.6 and conic_of(total, conic):
-            good = _usable(conic, scale, centre_x, centre_y, ellipse, limits) and (
+        if turned > _LEAST_TURN_SINGLE_RAD and conic_of(total, conic):
+            good = _usable(conic, frame, ellipse, limits) and (
                 _misfit(ellipse, points, arcs[seed]) < tolerance_px
             )
         joined = 1
         while True:
-            best, at = tolerance_px, -1
-            for j in range(count):
-                if member[j] or tried[j]:
-                    continue
-                if (joined == 1 or good) and not (
-                    _faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)
-                ):
-                    tried[j] = True
-                    continue
-                # Without a sure ellipse yet, only another arc can make one.
-                if good and turned > 2.0 and _misfit(ellipse, points, arcs[j]) > 12.0:
-                    continue
-                for c in range(SCATTER):
-                    total[c] += sums[j, c]
-                worst = 1e9
-                if conic_of(total, conic) and _usable(
-                    conic, scale, centre_x, centre_y, trial, limits
-                ):
-                    worst = _misfit(trial, points, arcs[j])
-                    for k in range(count):
-                        if member[k] and worst < best:
-                            worst = max(worst, _misfit(trial, points, arcs[k]))
-                for c in range(SCATTER):
-                    total[c] -= sums[j, c]
-                if worst < best:
-                    best, at = worst, j
-                elif worst > 3.0 * tolerance_px:
-                    tried[j] = True
+            at = _best_arc(
+                points, arcs, sums, total, frame, limits, tolerance_px, seed, joined == 1 or good,
+                good and turned > 2.0, ellipse, member, tried,
+            )  # fmt: skip
             if at < 0:
                 break
             member[at] = True
             joined += 1
-            for c in range(SCATTER):
-                total[c] += sums[at, c]
+            total += sums[at]
             reach += arcs[at, LENGTH]
             turned += abs(arcs[at, TURN])
             conic_of(total, conic)
-            good = _usable(conic, scale, centre_x, centre_y, ellipse, limits)
-        if good and turned > 1.0:
-            found[filled] = ellipse
-            length[filled] = reach
+            good = _usable(conic, frame, ellipse, limits)
+        if good and turned > _LEAST_TURN_GROUP_RAD:
+            found[filled], length[filled] = ellipse, reach
             filled += 1
-            if turned > 3.0:
-                for j in range(count):
-                    if member[j]:
-                        done[j] = True
+            if turned > _LARGE_TURN_RAD:
+                done |= member
     order = np.argsort(-length[:filled])
     return found[:filled][order], length[:filled][order]
 
 
 @njit(cache=True, nogil=True)
-def _usable(conic, scale, centre_x, centre_y, ellipse, limits):  # type: ignore[no-untyped-def]
+def _best_arc(  # type: ignore[no-untyped-def]
+    points, arcs, sums, total, frame, limits, tolerance_px, seed, check_sides, known, ellipse,
+    member, tried,
+):  # fmt: skip
+    """Number of the arc that fits a group best, -1 for none; marks those that never will."""
+    count = sums.shape[0]
+    conic, trial = np.empty(6), np.empty(5)
+    best, at = tolerance_px, -1
+    for j in range(count):
+        if member[j] or tried[j]:
+            continue
+        if check_sides and not (
+            _faces(arcs[seed], arcs[j], 2.0) and _faces(arcs[j], arcs[seed], 2.0)
+        ):
+            tried[j] = True
+            continue
+        # An ellipse that is not well determined yet may move to any arc.
+        if known and _misfit(ellipse, points, arcs[j]) > _FAR_PX:
+            continue
+        total += sums[j]
+        worst = 1e9
+        if conic_of(total, conic) and _usable(conic, frame, trial, limits):
+            worst = _misfit(trial, points, arcs[j])
+            for k in range(count):
+                if member[k] and worst < best:
+                    worst = max(worst, _misfit(trial, points, arcs[k]))
+        total -= sums[j]
+        if worst < best:
+            best, at = worst, j
+        elif worst > 3.0 * tolerance_px:
+            tried[j] = True
+    return at
+
+
+@njit(cache=True, nogil=True)
+def _usable(conic, frame, ellipse, limits):  # type: ignore[no-untyped-def]
+    scale, centre_x, centre_y = frame
     if not ellipse_of_conic(conic, ellipse):
         return False
     ellipse[0] = ellipse[0] * scale + centre_x

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import invert, solve
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
@@ -29,7 +30,9 @@ from rendezview.sensors.ring.ellipse import Ellipse
 Array = npt.NDArray[np.float64]
 
 PLANE_SHARE = 0.004  # σ of an edge's height over the ring's plane, as a share of the radius
-_STEPS = 15
+_STEPS = 15  # Gauss–Newton iterations at most
+_LEAST_GAIN = 1e-4  # χ²: a smaller gain ends the iteration
+_SLOPE_STEP = 1e-5  # of a parameter, for numerical slopes
 _MOST = 5
 _MISFIT = 4.0  # χ² over its degrees of freedom, of edges that are not of one plane
 
@@ -117,68 +120,91 @@ def _fit(  # type: ignore[no-untyped-def]
     p = np.zeros(size)
     for k in range(1, count):
         p[3 + 2 * k] = ratios[k]
-    here, there = np.empty((count, 5)), np.empty((count, 5))
-    slopes = np.empty((size, count, 5))
-    chi2 = 1e300
-    normal = np.empty((size, size))
-    damping = 1e-6
-    previous = p.copy()
+    here, step, right = np.empty((count, 5)), np.empty(size), np.empty(size)
+    normal, lower = np.empty((size, size)), np.empty((size, size))
+    chi2, damping, previous = 1e300, 1e-6, p.copy()
     for _ in range(_STEPS):
-        good = _predict(camera, centre, axis, basis, radius, p, count, here)
-        now = 0.0
-        if good:
-            for k in range(count):
-                r = shapes[k] - here[k]
-                now += r @ information[k] @ r
-                if k > 0:
-                    now += (p[4 + 2 * k] / plane_share) ** 2
-        if not good or not now <= chi2 * (1.0 + 1e-9):
+        now = np.inf
+        if _predict(camera, centre, axis, basis, radius, p, count, here):
+            now = _misfit(shapes, here, information, p, plane_share)
+        if not now <= chi2 * (1.0 + 1e-9):
             damping *= 20.0
             if damping > 1e8 or chi2 > 1e299:
                 return -1.0
             p = 0.5 * (p + previous)
             continue
-        settled = chi2 - now < 1e-4
+        converged = chi2 - now < _LEAST_GAIN
         chi2 = now
         previous = p.copy()
         damping = max(damping * 0.1, 1e-12)
-        for i in range(size):
-            moved = p.copy()
-            moved[i] += 1e-5
-            if not _predict(camera, centre, axis, basis, radius, moved, count, there):
-                return -1.0
-            slopes[i] = (there - here) / 1e-5
-        normal[:] = 0.0
-        right = np.zeros(size)
-        for k in range(count):
-            r = information[k] @ (shapes[k] - here[k])
-            for i in range(size):
-                right[i] += slopes[i, k] @ r
-                weighted = information[k] @ slopes[i, k]
-                for j in range(size):
-                    normal[i, j] += slopes[j, k] @ weighted
-            if k > 0:
-                normal[4 + 2 * k, 4 + 2 * k] += 1.0 / plane_share**2
-                right[4 + 2 * k] -= p[4 + 2 * k] / plane_share**2
-        if settled:
+        if not _equations(
+            camera, shapes, here, information, radius, plane_share, centre, axis, basis, p,
+            normal, right,
+        ):  # fmt: skip
+            return -1.0
+        if converged:
             break
         damped = normal.copy()
         for i in range(size):
             damped[i, i] *= 1.0 + damping
         damped[3, 3] += 1.0
         damped[4, 4] += 1.0
-        p = p + np.linalg.solve(damped, right)
+        if not solve(damped, right, lower, step):
+            return -1.0
+        p = p + step
     for i in range(3, 5):
         normal[i, i] += 1.0
-    inverse = np.linalg.inv(normal)
-    scale = np.array([radius, radius, radius, 1.0, 1.0])
+    inverse = np.empty((size, size))
+    if not invert(normal, lower, inverse):
+        return -1.0
     for i in range(5):
         for j in range(5):
-            covariance[i, j] = inverse[i, j] * scale[i] * scale[j]
+            scale = (radius if i < 3 else 1.0) * (radius if j < 3 else 1.0)
+            covariance[i, j] = inverse[i, j] * scale
     centre += previous[:3] * radius
-    turned = axis + basis[:, 0] * previous[3] + basis[:, 1] * previous[4]
-    axis[:] = turned / np.sqrt(turned @ turned)
+    rotated = axis + basis[:, 0] * previous[3] + basis[:, 1] * previous[4]
+    axis[:] = rotated / np.sqrt(rotated @ rotated)
     return chi2
+
+
+@njit(cache=True, nogil=True)
+def _misfit(shapes, predicted, information, p, plane_share):  # type: ignore[no-untyped-def]
+    """χ² of the shapes and of the edges' heights over the plane."""
+    total = 0.0
+    for k in range(shapes.shape[0]):
+        r = shapes[k] - predicted[k]
+        total += r @ information[k] @ r
+        if k > 0:
+            total += (p[4 + 2 * k] / plane_share) ** 2
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _equations(  # type: ignore[no-untyped-def]
+    camera, shapes, here, information, radius, plane_share, centre, axis, basis, p, normal, right
+):
+    """Normal equations at the parameters ``p``; False where a slope cannot be formed."""
+    count, size = shapes.shape[0], p.shape[0]
+    there, slopes = np.empty((count, 5)), np.empty((size, count, 5))
+    for i in range(size):
+        moved = p.copy()
+        moved[i] += _SLOPE_STEP
+        if not _predict(camera, centre, axis, basis, radius, moved, count, there):
+            return False
+        slopes[i] = (there - here) / _SLOPE_STEP
+    normal[:] = 0.0
+    right[:] = 0.0
+    for k in range(count):
+        r = information[k] @ (shapes[k] - here[k])
+        for i in range(size):
+            right[i] += slopes[i, k] @ r
+            weighted = information[k] @ slopes[i, k]
+            for j in range(size):
+                normal[i, j] += slopes[j, k] @ weighted
+        if k > 0:
+            normal[4 + 2 * k, 4 + 2 * k] += 1.0 / plane_share**2
+            right[4 + 2 * k] -= p[4 + 2 * k] / plane_share**2
+    return True
 
 
 def joint_poses(

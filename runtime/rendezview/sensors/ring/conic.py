@@ -62,21 +62,34 @@ def conic_of(sums, conic):  # type: ignore[no-untyped-def]
     r11 = s[2] + s2[1, 0] * t[0, 1] + s2[1, 1] * t[1, 1] + s2[1, 2] * t[2, 1]
     r12 = s[3] + s2[1, 0] * t[0, 2] + s2[1, 1] * t[1, 2] + s2[1, 2] * t[2, 2]
     r22 = s[4] + s2[2, 0] * t[0, 2] + s2[2, 1] * t[1, 2] + s2[2, 2] * t[2, 2]
-    # R q = λ C q with 4 q0 q2 - q1² = 1. With R = L Lᵀ the largest eigenvalue of L⁻¹ C L⁻ᵀ, whose
-    # only positive one it is.
+    found, q0, q1, q2 = _quadratic_part(r00, r01, r02, r11, r12, r22)
+    if not found:
+        return False
+    conic[0], conic[1], conic[2] = q0, q1, q2
+    for k in range(3):
+        conic[3 + k] = t[k, 0] * q0 + t[k, 1] * q1 + t[k, 2] * q2
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _quadratic_part(r00, r01, r02, r11, r12, r22):  # type: ignore[no-untyped-def]
+    """Whether there is a q with R q = λ C q and 4 q0 q2 - q1² = 1, and its unit vector.
+
+    With R = L Lᵀ it belongs to the largest eigenvalue of L⁻¹ C L⁻ᵀ, its only positive one.
+    """
     tiny = 1e-13 * (r00 + r11 + r22)
     if not r00 > tiny:
-        return False
+        return False, 0.0, 0.0, 0.0
     l00 = np.sqrt(r00)
     l10, l20 = r01 / l00, r02 / l00
     w = r11 - l10 * l10
     if not w > 0.0:
-        return False
+        return False, 0.0, 0.0, 0.0
     l11 = np.sqrt(w)
     l21 = (r12 - l20 * l10) / l11
     w = r22 - l20 * l20 - l21 * l21
     if not w > 0.0:
-        return False
+        return False, 0.0, 0.0, 0.0
     l22 = np.sqrt(w)
     i00, i11, i22 = 1.0 / l00, 1.0 / l11, 1.0 / l22
     i10 = -l10 * i00 * i11
@@ -91,8 +104,25 @@ def conic_of(sums, conic):  # type: ignore[no-untyped-def]
     a22 = 4.0 * i20 * i22 - i21 * i21
     value = _largest(a00, a01, a02, a11, a12, a22)
     if not value > 0.0:
-        return False
-    # Its eigenvector: the largest cross product of two rows of A - value I.
+        return False, 0.0, 0.0, 0.0
+    best, v0, v1, v2 = _eigenvector(a00, a01, a02, a11, a12, a22, value)
+    if best <= 0.0:
+        return False, 0.0, 0.0, 0.0
+    q0 = i00 * v0 + i10 * v1 + i20 * v2
+    q1 = i11 * v1 + i21 * v2
+    q2 = i22 * v2
+    size = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2)
+    if not size > 0.0:
+        return False, 0.0, 0.0, 0.0
+    return True, q0 / size, q1 / size, q2 / size
+
+
+@njit(cache=True, nogil=True)
+def _eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped-def]
+    """Squared length and components of an eigenvector of a symmetric 3 × 3 matrix A.
+
+    It is the largest cross product of two rows of A - value I.
+    """
     b00, b11, b22 = a00 - value, a11 - value, a22 - value
     best, v0, v1, v2 = 0.0, 0.0, 0.0, 0.0
     for k in range(3):
@@ -105,19 +135,7 @@ def conic_of(sums, conic):  # type: ignore[no-untyped-def]
         size = c0 * c0 + c1 * c1 + c2 * c2
         if size > best:
             best, v0, v1, v2 = size, c0, c1, c2
-    if best <= 0.0:
-        return False
-    q0 = i00 * v0 + i10 * v1 + i20 * v2
-    q1 = i11 * v1 + i21 * v2
-    q2 = i22 * v2
-    size = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2)
-    if not size > 0.0:
-        return False
-    q0, q1, q2 = q0 / size, q1 / size, q2 / size
-    conic[0], conic[1], conic[2] = q0, q1, q2
-    for k in range(3):
-        conic[3 + k] = t[k, 0] * q0 + t[k, 1] * q1 + t[k, 2] * q2
-    return True
+    return best, v0, v1, v2
 
 
 @njit(cache=True, nogil=True)

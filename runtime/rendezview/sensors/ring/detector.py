@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.estimation.edge_profile import step_basis, step_filters
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.io.grey_frame import check_frame
 from rendezview.sensors.ring.arcs import find_arcs, group_arcs
+from rendezview.sensors.ring.concentric_groups import concentric_groups
 from rendezview.sensors.ring.edges import find_edges, link
 from rendezview.sensors.ring.ellipse import Ellipse
-from rendezview.sensors.ring.families import families
 from rendezview.sensors.ring.step_fit import fit_steps
-from rendezview.sensors.ring.steps import step_basis, step_filters
 from rendezview.sensors.ring.verify import verify
 
 Array = npt.NDArray[np.float64]
@@ -49,9 +50,9 @@ class RingEdge:
 
     ellipse: Ellipse
     arc_rad: float  # of the circle's full turn, what edges bear out
-    score: float  # 0 … 1, how much it is a ring's: see `families`
+    score: float  # 0 … 1, how much it is a ring's: see `concentric_groups`
     contrast_grey: float  # outside minus inside
-    family: int  # number of the set of concentric circles it belongs to
+    group: int  # number of the set of concentric circles it belongs to
     rms_px: float  # of the edge places about the ellipse
     pair: int = -1  # number of the lip whose two edges were fitted as one; -1: of none
 
@@ -72,7 +73,7 @@ class Detection:
 
 
 class RingDetector:
-    """Finds the ellipses of rings in frames of one camera."""
+    """Finds the ellipses of rings in frames of one camera. Threads may share an instance."""
 
     def __init__(self, camera: Camera, options: RingOptions | None = None) -> None:
         self.camera = camera
@@ -82,6 +83,7 @@ class RingDetector:
         self._number = np.zeros((camera.height, camera.width), dtype=np.int32)
         self._power = np.empty((camera.height, camera.width), dtype=np.float32)
         self._basis = step_basis(self.options.blur_px)
+        self._lock = threading.Lock()  # of the scratch arrays
 
     def detect(self, image: npt.ArrayLike) -> Detection:
         """Ellipses of a frame, (H, W) uint8 of the camera's size.
@@ -102,9 +104,10 @@ class RingDetector:
 
         found = find_edges(grey, o.least_contrast_grey, o.edge_sigmas)
         lap("edges")
-        points, starts, closed = link(
-            found.dx, found.dy, found.low, found.high, self._number, self._power
-        )
+        with self._lock:
+            points, starts, closed = link(
+                found.dx, found.dy, found.low, found.high, self._number, self._power
+            )
         lap("chains")
         if len(points) == 0:
             return Detection((), found.noise_grey, "no edges in the picture", stage_ms)
@@ -140,14 +143,14 @@ class RingDetector:
         )  # fmt: skip
         if len(fitted) == 0:
             return ()
-        family, score, order = families(self.camera, fitted, facts[:, 0])
+        group, score, order = concentric_groups(self.camera, fitted, facts[:, 0])
         return tuple(
             RingEdge(
                 Ellipse.from_shape(fitted[k], covariances[k]),
                 float(facts[k, 0]),
                 float(score[k]),
                 float(facts[k, 1]),
-                int(family[k]),
+                int(group[k]),
                 float(facts[k, 2]),
                 int(pairs[k]),
             )

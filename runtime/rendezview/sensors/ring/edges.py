@@ -149,6 +149,15 @@ def link(dx, dy, low, high, number, power):  # type: ignore[no-untyped-def]
         starts: (C + 1,) where each chain begins; closed: (C,) whether it ends where it began.
     """
     found, place = _crests(dx, dy, low, number, power)
+    follower, leader = _successors(found, place, number)
+    for i in range(found.shape[0]):
+        number[place[i, 1], place[i, 0]] = 0
+    return _chains(found, follower, leader, high)
+
+
+@njit(cache=True, nogil=True)
+def _successors(found, place, number):  # type: ignore[no-untyped-def]
+    """The crest that follows each one along its edge, and the one before; -1 for none."""
     total = found.shape[0]
     follower = np.full(total, -1, dtype=np.int32)
     leader = np.full(total, -1, dtype=np.int32)
@@ -186,8 +195,13 @@ def link(dx, dy, low, high, number, power):  # type: ignore[no-untyped-def]
             leader[at] = i
             quality[at] = best
             follower[i] = at
-    for i in range(total):
-        number[place[i, 1], place[i, 0]] = 0
+    return follower, leader
+
+
+@njit(cache=True, nogil=True)
+def _chains(found, follower, leader, high):  # type: ignore[no-untyped-def]
+    """Points, starts and whether closed of all chains that are long and strong enough."""
+    total = found.shape[0]
     points = np.empty((total, 4))
     starts = np.empty(total + 1, dtype=np.int32)
     closed = np.zeros(total, dtype=np.bool_)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import invert, solve_scaled
 from rendezview.sensors.ring.conic import sampson
 
 Array = npt.NDArray[np.float64]
@@ -218,10 +219,8 @@ def axes_of_shape(shape):  # type: ignore[no-untyped-def]
 def fit_geometric(points, shape, covariance):  # type: ignore[no-untyped-def]
     """Gauss–Newton on the distances of points (N, 2); False where it fails. In place."""
     n = points.shape[0]
-    normal = np.empty((5, 5))
-    right = np.empty(5)
-    row = np.empty(5)
-    damping = 1e-9
+    normal, lower = np.empty((5, 5)), np.empty((5, 5))
+    right, step, row = np.empty(5), np.empty(5), np.empty(5)
     for _ in range(_GEOMETRIC_STEPS):
         normal[:] = 0.0
         right[:] = 0.0
@@ -232,37 +231,16 @@ def fit_geometric(points, shape, covariance):  # type: ignore[no-untyped-def]
             return False
         for i in range(n):
             dx, dy = points[i, 0] - shape[0], points[i, 1] - shape[1]
-            # The foot of the point: u of least distance, two Newton steps along the circle.
-            u0, u1 = (c * dx - b * dy) / determinant, (a * dy - b * dx) / determinant
-            size = np.sqrt(u0 * u0 + u1 * u1) + 1e-300
-            u0, u1 = u0 / size, u1 / size
-            for _k in range(3):
-                t0, t1 = -(a * u1) + b * u0, -(b * u1) + c * u0  # A u', u' = (-u1, u0)
-                q0, q1 = a * u0 + b * u1, b * u0 + c * u1  # A u
-                e0, e1 = dx - q0, dy - q1
-                slope = e0 * t0 + e1 * t1
-                bend = t0 * t0 + t1 * t1 + e0 * q0 + e1 * q1
-                turn = slope / bend if bend > 0.0 else 0.0
-                turn = min(max(turn, -0.3), 0.3)
-                cos, sin = np.cos(turn), np.sin(turn)
-                u0, u1 = cos * u0 - sin * u1, sin * u0 + cos * u1
-            n0, n1 = c * u0 - b * u1, a * u1 - b * u0  # normal: A⁻¹ u
-            size = np.sqrt(n0 * n0 + n1 * n1)
-            n0, n1 = n0 / size, n1 / size
-            q0, q1 = a * u0 + b * u1, b * u0 + c * u1
-            r = (dx - q0) * n0 + (dy - q1) * n1
+            u0, u1, n0, n1, r = _foot(a, b, c, determinant, dx, dy)
             row[0], row[1] = n0, n1
             row[2], row[3], row[4] = n0 * u0, n0 * u1 + n1 * u0, n1 * u1
             total += r * r
             for j in range(5):
                 right[j] += row[j] * r
-                for k in range(5):
+                for k in range(j + 1):
                     normal[j, k] += row[j] * row[k]
-        for j in range(5):
-            normal[j, j] *= 1.0 + damping
-        if not np.all(np.isfinite(normal)):
+        if not solve_scaled(normal, right, lower, step):
             return False
-        step = np.linalg.solve(normal, right)
         longest = 0.5 * (a + c)
         largest = np.max(np.abs(step))
         if not largest < 1e6:
@@ -274,8 +252,36 @@ def fit_geometric(points, shape, covariance):  # type: ignore[no-untyped-def]
             break
     if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
         return False
-    covariance[:] = np.linalg.inv(normal) * (total / max(n - 5, 1))
+    if not invert(normal, lower, covariance):
+        return False
+    covariance *= total / max(n - 5, 1)
     return True
+
+
+@njit(cache=True, nogil=True)
+def _foot(a, b, c, determinant, dx, dy):  # type: ignore[no-untyped-def]
+    """The point A u nearest to (dx, dy), |u| = 1, of an ellipse about 0 with A = ((a, b), (b, c)).
+
+    Returns u, the outward unit normal there, and the distance.
+    """
+    u0, u1 = (c * dx - b * dy) / determinant, (a * dy - b * dx) / determinant
+    size = np.sqrt(u0 * u0 + u1 * u1) + 1e-300
+    u0, u1 = u0 / size, u1 / size
+    for _ in range(3):  # Newton steps along the circle
+        t0, t1 = -(a * u1) + b * u0, -(b * u1) + c * u0  # A u', u' = (-u1, u0)
+        q0, q1 = a * u0 + b * u1, b * u0 + c * u1  # A u
+        e0, e1 = dx - q0, dy - q1
+        slope = e0 * t0 + e1 * t1
+        bend = t0 * t0 + t1 * t1 + e0 * q0 + e1 * q1
+        turn = slope / bend if bend > 0.0 else 0.0
+        turn = min(max(turn, -0.3), 0.3)
+        cos, sin = np.cos(turn), np.sin(turn)
+        u0, u1 = cos * u0 - sin * u1, sin * u0 + cos * u1
+    n0, n1 = c * u0 - b * u1, a * u1 - b * u0  # normal: A⁻¹ u
+    size = np.sqrt(n0 * n0 + n1 * n1)
+    n0, n1 = n0 / size, n1 / size
+    q0, q1 = a * u0 + b * u1, b * u0 + c * u1
+    return u0, u1, n0, n1, (dx - q0) * n0 + (dy - q1) * n1
 
 
 def _axes_jacobian(a: float, b: float, angle: float) -> Array:

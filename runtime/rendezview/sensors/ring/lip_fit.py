@@ -11,9 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.sensors.ring.spread import covered, scale_of, spread_of, trim
-from rendezview.sensors.ring.steps import step_support
-from rendezview.sensors.ring.support import (
+from rendezview.estimation.least_squares import tukey_weight
+from rendezview.sensors.ring.samples import (
     ARC,
     CONTRAST,
     NX,
@@ -25,6 +24,8 @@ from rendezview.sensors.ring.support import (
     add_equation,
     solve_equations,
 )
+from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.steps import sample_steps
 
 LEAST_ARC = 0.5  # rad of either sense, below which no second edge is looked for
 _GAP_PX = (0.4, 6.0)  # least and most, between the two
@@ -39,7 +40,7 @@ def fit_lip(  # type: ignore[no-untyped-def]
     """Two edges where an ellipse was fitted to both, the larger one first; whether there are two.
 
     Args:
-        image, lens, step_px, noise, filters, basis, blur, others: as for `step_support`.
+        image, lens, step_px, noise, filters, basis, blur, others: as for `sample_steps`.
         shape: (5,) of the ellipse.
         samples: the first ``used`` are the ellipse's; twice as many as one ellipse needs fit in.
         edges, covariances, facts: (2, 5), (2, 5, 5) and (2, 3) out, as of `fit_steps`. What is
@@ -56,11 +57,11 @@ def fit_lip(  # type: ignore[no-untyped-def]
     for _ in range(4):
         for k in range(2):
             _edge(pair, 1.0 - 2.0 * k, edges[k])
-        first = step_support(
+        first = sample_steps(
             image, lens, edges[0], step_px, 1.0, noise, filters, basis, blur, others,
             samples[:half],
         )  # fmt: skip
-        second = step_support(
+        second = sample_steps(
             image, lens, edges[1], step_px, -1.0, noise, filters, basis, blur, others,
             samples[first : first + half],
         )  # fmt: skip
@@ -77,16 +78,22 @@ def fit_lip(  # type: ignore[no-untyped-def]
     arcs = covered(lit, first, scale), covered(dark, second, scale)
     if min(arcs) < LEAST_ARC:
         return False
-    told = trim(lit, first, scale), trim(dark, second, scale)
+    found = trim(lit, first, scale), trim(dark, second, scale)
     spread = max(spread_of(lit, first), spread_of(dark, second))
     if _update(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
         return False
-    trace = np.trace(normal)
-    for j in range(6):
-        normal[j, j] += 1e-12 * trace
-    whole = np.linalg.inv(normal) * spread
+    whole = np.empty((6, 6))
+    if not covariance_of(normal, spread, whole):
+        return False
     if not abs(pair[5]) > _SIGMAS * np.sqrt(whole[5, 5]):
         return False
+    _separate(pair, whole, arcs, found, edges, covariances, facts)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _separate(pair, whole, arcs, found, edges, covariances, facts):  # type: ignore[no-untyped-def]
+    """Shapes, covariances and facts of both edges, the larger one first, from those of the pair."""
     slope = np.zeros((5, 6))
     for k in range(2):
         sense = (1.0 if k == 0 else -1.0) * (1.0 if pair[5] > 0.0 else -1.0)
@@ -96,8 +103,7 @@ def fit_lip(  # type: ignore[no-untyped-def]
             slope[j, 5] = 0.0 if j < 2 else 0.5 * sense * pair[j]
         covariances[k] = slope @ whole @ slope.T
         own = 0 if sense > 0.0 else 1
-        facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], told[own][1], told[own][2]
-    return True
+        facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], found[own][1], found[own][2]
 
 
 @njit(cache=True, nogil=True)
@@ -128,10 +134,9 @@ def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
         s = samples[i]
         if s[WEIGHT] <= 0.0:
             continue
-        z = s[OFFSET] / scale
-        if abs(z) >= 1.0:
+        w = s[WEIGHT] * tukey_weight(s[OFFSET], scale)
+        if w == 0.0:
             continue
-        w = s[WEIGHT] * (1.0 - z * z) ** 2
         sense = 1.0 if s[CONTRAST] > 0.0 else -1.0
         share = 1.0 + 0.5 * sense * shape[5]
         row[0], row[1] = s[NX], s[NY]

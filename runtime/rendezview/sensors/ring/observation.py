@@ -62,7 +62,7 @@ class RingObservation(Observation):
                     "covariance": edge.ellipse.covariance,
                     "arc_deg": edge.arc_deg,
                     "score": edge.score,
-                    "family": edge.family,
+                    "family": edge.group,
                     "contrast_grey": edge.contrast_grey,
                 }
                 for edge in self.edges

@@ -207,9 +207,9 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
         aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
         if not _LEAST_COMPANION < ratio < 1.0 / _LEAST_COMPANION:
             continue
-        family = edge.family == edges[first].family
-        if family or aside < 0.3 * main.semi_axes_px[0]:
-            near.append((not family, -edge.arc_rad, edge.ellipse))
+        same = edge.group == edges[first].group
+        if same or aside < 0.3 * main.semi_axes_px[0]:
+            near.append((not same, -edge.arc_rad, edge.ellipse))
             pairs.add(edge.pair)
     near.sort(key=lambda item: item[:2])
     return [main, *(ellipse for *_, ellipse in near[:_MOST_COMPANIONS])]

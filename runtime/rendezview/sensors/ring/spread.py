@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.sensors.ring.support import ANGLE, ARC, CONTRAST, OFFSET, WEIGHT
+from rendezview.estimation.linear_algebra import invert
+from rendezview.sensors.ring.samples import ANGLE, ARC, CONTRAST, OFFSET, WEIGHT
+
+_SINGULAR = 1e-12  # of the trace, added to the diagonal. Source: by construction, rounding
 
 
 @njit(cache=True, nogil=True)
@@ -59,6 +62,21 @@ def spread_of(samples, n):  # type: ignore[no-untyped-def]
             used += 1
     white = max(chi / max(used - 5, 1), 0.5) * _correlation_factor(samples, n)
     return max(white, _waviness_factor(samples, n))
+
+
+@njit(cache=True, nogil=True)
+def covariance_of(normal, spread, covariance):  # type: ignore[no-untyped-def]
+    """Fill ``covariance`` (N, N) from normal equations, times ``spread``; False: not determined."""
+    count = normal.shape[0]
+    trace = 0.0
+    for j in range(count):
+        trace += normal[j, j]
+    for j in range(count):
+        normal[j, j] += _SINGULAR * trace
+    if not invert(normal, np.empty((count, count)), covariance):
+        return False
+    covariance *= spread
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -7,9 +7,9 @@ from numba import njit
 
 from rendezview.sensors.ring.ellipse import axes_of_shape
 from rendezview.sensors.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
-from rendezview.sensors.ring.spread import covered, scale_of, spread_of, trim
-from rendezview.sensors.ring.steps import step_support
-from rendezview.sensors.ring.support import COLUMNS, distance, update_shape
+from rendezview.sensors.ring.samples import COLUMNS, distance, update_shape
+from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.steps import sample_steps
 from rendezview.sensors.ring.verify import one_sense, twins
 
 _MOST_SAMPLES = 640  # along one ellipse
@@ -105,7 +105,7 @@ def _settle(  # type: ignore[no-untyped-def]
     n = 0
     for step in range(4):
         # The first look is a sparse one: it brings the ellipse onto the edge.
-        n = step_support(
+        n = sample_steps(
             image, lens, shape, 4.0 * step_px if step == 0 else step_px, 0.0, noise,
             filters, basis, blur, others, samples,
         )  # fmt: skip
@@ -128,10 +128,8 @@ def _fit_single(samples, n, scale, least_arc, shape, covariance, facts):  # type
     normal = np.empty((5, 5))
     if used < 20 or arc < least_arc or update_shape(samples, n, 3.0 * scale, shape, normal) < 0.0:
         return False
-    trace = np.trace(normal)
-    for j in range(5):
-        normal[j, j] += 1e-12 * trace
-    covariance[:] = np.linalg.inv(normal) * spread_of(samples, n)
+    if not covariance_of(normal, spread_of(samples, n), covariance):
+        return False
     facts[0], facts[1], facts[2] = arc, contrast, rms
     return True
 

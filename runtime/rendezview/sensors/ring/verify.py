@@ -10,14 +10,14 @@ import numpy as np
 from numba import njit
 
 from rendezview.sensors.ring.ellipse import axes_of_shape, shape_of_axes
-from rendezview.sensors.ring.support import (
+from rendezview.sensors.ring.samples import (
     COLUMNS,
     CONTRAST,
     PX,
     PY,
     WEIGHT,
     distance,
-    gradient_support,
+    sample_gradients,
     update_shape,
 )
 
@@ -40,7 +40,7 @@ def verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # t
         for step in range(4):
             band = 4.0 if step == 0 else (3.0 if step == 1 else 2.0)
             n = _SUPPORT_SAMPLES // 2
-            found = gradient_support(dx, dy, low, lens, shape, n, band, samples)
+            found = sample_gradients(dx, dy, low, lens, shape, n, band, samples)
             if found * 2.0 * np.pi / n < 0.7 * least_arc:
                 good = False
                 break
@@ -63,7 +63,7 @@ def verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # t
         if not good or twin:
             continue
         n = _SUPPORT_SAMPLES
-        gradient_support(dx, dy, low, lens, shape, n, 1.5, samples)
+        sample_gradients(dx, dy, low, lens, shape, n, 1.5, samples)
         one_sense(samples, n)
         found, longest = _runs(samples, n)
         share = found / n
@@ -89,7 +89,7 @@ def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped
     kept = np.empty_like(shapes)
     count = 0
     for k in range(shapes.shape[0]):
-        gradient_support(dx, dy, low, lens, shapes[k], n, 1.5, samples)
+        sample_gradients(dx, dy, low, lens, shapes[k], n, 1.5, samples)
         one_sense(samples, n)
         own = 0
         for i in range(n):

@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.sensors.stereo.collinearity import lights_seen, rotation_vector, solve
+from rendezview.sensors.stereo.collinearity import count_lights, solve
 from rendezview.sensors.stereo.rig import Rig, Sights
 
 _FALSE_ALARM = 1e-5  # of a reading without fault
@@ -63,12 +64,13 @@ def iterate(
     iterations: int = ITERATIONS,
 ) -> Fit | None:
     """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
+    lights, equations = count_lights(sights.weight)
+    if lights < FEWEST_LIGHTS or equations < UNKNOWNS:
+        return None
     fit = Fit(
         np.array(rotation, order="C"), np.array(translation), np.empty((6, 6)), 0.0,
-        int(np.count_nonzero(sights.weight)) - UNKNOWNS, 0, sights,
+        equations - UNKNOWNS, 0, sights,
     )  # fmt: skip
-    if fit.spare < 0 or lights_seen(sights.weight) < FEWEST_LIGHTS:
-        return None
     fit.cost, fit.steps, done = solve(
         fit.rotation, fit.translation, leds, rig.rotations, rig.translations, sights.xy,
         sights.weight, _NOTHING, _IDENTITY, _ORIGIN, iterations, TOLERANCE, fit.information,
@@ -128,9 +130,8 @@ def agree(
 
 def distance(one: Fit, other: Fit) -> float:
     """Squared distance of two poses in standard deviations of the first."""
-    away = np.empty(6)
-    rotation_vector(other.rotation @ one.rotation.T, away)
-    away[3:] = other.translation - one.translation
+    turn = so3.between(other.rotation, one.rotation)
+    away = np.concatenate([turn, other.translation - one.translation])
     return float(away @ one.information @ away)
 
 

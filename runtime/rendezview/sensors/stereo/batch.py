@@ -8,16 +8,18 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.pose import Array
 from rendezview.sensors.stereo.agreement import (
     FEWEST_LIGHTS,
     ITERATIONS,
     LIMITS,
     TOLERANCE,
+    UNKNOWNS,
     Disagreement,
     agree,
 )
-from rendezview.sensors.stereo.collinearity import invert, lights_seen, solve
+from rendezview.sensors.stereo.collinearity import count_lights, solve
 from rendezview.sensors.stereo.detectors import read_currents
 from rendezview.sensors.stereo.rig import Sights, ideal_spot
 from rendezview.sensors.stereo.tracker import StereoTracker
@@ -155,12 +157,9 @@ def _run(
     rotation, translation = rotations[first - 1].copy(), translations[first - 1].copy()
     for n in range(first, end):
         i = n - origin
-        spare = -6
-        for k in range(weight.shape[1]):
-            for j in range(weight.shape[2]):
-                if weight[i, k, j, 0] > 0.0:
-                    spare += 2
-        if spare < 0 or lights_seen(weight[i]) < FEWEST_LIGHTS:
+        lights, equations = count_lights(weight[i])
+        spare = equations - UNKNOWNS
+        if spare < 0 or lights < FEWEST_LIGHTS:
             return n
         cost, _, done = solve(
             rotation, translation, leds, cr, ct, xy[i], weight[i], nothing, identity, zero,

@@ -16,6 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation import linear_algebra
+from rendezview.geometry import so3
+
 Array = npt.NDArray[np.float64]
 
 _NEAREST = 1e-9  # metres in front of a camera
@@ -125,116 +128,17 @@ def squares(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cholesky_solve(matrix: Array, vector: Array, lower: Array, solution: Array) -> bool:
-    """Solve a small positive definite system in place of LAPACK's overhead; False if it is not."""
-    n = vector.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not s > 1e-13 * matrix[i, i]:
-                    return False
-                lower[i, i] = np.sqrt(s)
-            else:
-                lower[i, j] = s / lower[j, j]
-    for i in range(n):
-        s = vector[i]
-        for k in range(i):
-            s -= lower[i, k] * solution[k]
-        solution[i] = s / lower[i, i]
-    for i in range(n - 1, -1, -1):
-        s = solution[i]
-        for k in range(i + 1, n):
-            s -= lower[k, i] * solution[k]
-        solution[i] = s / lower[i, i]
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def invert(information: Array, lower: Array, out: Array) -> bool:
-    """Inverse of a (6, 6) positive definite matrix by its Cholesky factor; False if it is not."""
-    for i in range(6):
-        for j in range(i + 1):
-            s = information[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            if i == j:
-                if not s > 0.0:
-                    return False
-                lower[i, i] = np.sqrt(s)
-            else:
-                lower[i, j] = s / lower[j, j]
-    for i in range(6):  # the factor's own inverse, in its place
-        lower[i, i] = 1.0 / lower[i, i]
-        for j in range(i):
-            s = 0.0
-            for k in range(j, i):
-                s -= lower[i, k] * lower[k, j]
-            lower[i, j] = s * lower[i, i]
-    for i in range(6):
-        for j in range(i + 1):
-            s = 0.0
-            for k in range(i, 6):
-                s += lower[k, i] * lower[k, j]
-            out[i, j] = out[j, i] = s
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def lights_seen(weight: Array) -> int:
-    """How many lights any camera sees."""
-    count = 0
+def count_lights(weight: Array) -> tuple[int, int]:
+    """How many lights any camera sees, and how many equations they give."""
+    lights, equations = 0, 0
     for j in range(weight.shape[1]):
+        visible = False
         for k in range(weight.shape[0]):
             if weight[k, j, 0] > 0.0:
-                count += 1
-                break
-    return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def turn(step: Array, rotation: Array, turned: Array) -> None:
-    """``exp([step[:3]]×) @ rotation`` (Rodrigues, by the half-angle quaternion)."""
-    x, y, z = 0.5 * step[0], 0.5 * step[1], 0.5 * step[2]
-    h2 = x * x + y * y + z * z
-    if h2 > 1e-8:
-        h = np.sqrt(h2)
-        s, c = np.sin(h) / h, np.cos(h)
-    else:
-        s, c = 1.0 - h2 / 6.0, 1.0 - 0.5 * h2 + h2 * h2 / 24.0
-    x, y, z = x * s, y * s, z * s
-    m00, m01, m02 = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - c * z), 2.0 * (x * z + c * y)
-    m10, m11, m12 = 2.0 * (x * y + c * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - c * x)
-    m20, m21, m22 = 2.0 * (x * z - c * y), 2.0 * (y * z + c * x), 1.0 - 2.0 * (x * x + y * y)
-    for j in range(3):
-        a, b, d = rotation[0, j], rotation[1, j], rotation[2, j]
-        turned[0, j] = m00 * a + m01 * b + m02 * d
-        turned[1, j] = m10 * a + m11 * b + m12 * d
-        turned[2, j] = m20 * a + m21 * b + m22 * d
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def rotation_vector(m: Array, out: Array) -> None:
-    """Rotation vector (3,) of a rotation matrix, angle in [0, π]."""
-    x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    sine = 0.5 * np.sqrt(x * x + y * y + z * z)
-    cosine = 0.5 * (m[0, 0] + m[1, 1] + m[2, 2] - 1.0)
-    angle = np.arctan2(sine, cosine)
-    if sine > 1e-6:
-        scale = 0.5 * angle / sine
-        out[0], out[1], out[2] = scale * x, scale * y, scale * z
-    elif cosine > 0.0:
-        out[0], out[1], out[2] = 0.5 * x, 0.5 * y, 0.5 * z
-    else:  # a half turn: the axis is the largest column of (R + I)/2
-        k = 0
-        for i in range(1, 3):
-            if m[i, i] > m[k, k]:
-                k = i
-        size = np.sqrt(max(0.5 * (m[k, k] + 1.0), 1e-300))
-        for i in range(3):
-            out[i] = angle * (m[i, k] + (1.0 if i == k else 0.0)) * 0.5 / size
+                visible = True
+                equations += 2
+        lights += visible
+    return lights, equations
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -291,7 +195,7 @@ def solve(
                 for j in range(6):
                     damped[i, j] = information[i, j]
                 damped[i, i] *= 1.0 + damping
-            if not cholesky_solve(damped, gradient, lower, step):
+            if not linear_algebra.solve(damped, gradient, lower, step):
                 if damping > 1e9 or not information[0, 0] > 0.0:
                     return cost, taken, False
                 damping = max(10.0 * damping, 1e-6)
@@ -302,7 +206,7 @@ def solve(
                 trial_t[i % 3] = translation[i % 3] + step[3 + i % 3]
             if not length < 1e30:
                 return cost, taken, False
-            turn(step, rotation, trial_r)
+            so3.perturb_into(step, rotation, trial_r)
             if length < tolerance * tolerance and damping < 1e-2:
                 rotation[:] = trial_r
                 translation[:] = trial_t
@@ -340,7 +244,7 @@ def _add_prior(
     gradient: Array,
 ) -> float:
     away = np.empty(6)
-    rotation_vector(rotation @ prior_rotation.T, away)
+    away[:3] = so3.between(rotation, prior_rotation)
     for i in range(3):
         away[3 + i] = translation[i] - prior_translation[i]
     cost = 0.0

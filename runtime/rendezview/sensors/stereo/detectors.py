@@ -25,6 +25,7 @@ class Spots:
     sigma: Array  # (N, 2) standard deviation of each coordinate
     led: Ints  # (N,) which of the target's lights, or UNKNOWN
     brightness: Array = field(default_factory=lambda: np.empty(0))  # (N,) any unit, or empty
+    identified: bool = field(init=False)  # whether every light is known by its number
 
     def __post_init__(self) -> None:
         positions = np.ascontiguousarray(self.positions, dtype=np.float64)
@@ -38,9 +39,21 @@ class Spots:
             )
         if not _sound(positions, sigma):
             raise ValueError("spots must have finite positions and a positive, finite sigma")
+        self._set(positions, sigma, led, bool((led >= 0).all()))
+
+    def _set(self, positions: Array, sigma: Array, led: Ints, identified: bool) -> None:
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "sigma", sigma)
         object.__setattr__(self, "led", led)
+        object.__setattr__(self, "identified", identified)
+
+    @classmethod
+    def _of_photodiode(cls, positions: Array, sigma: Array, led: Ints) -> Spots:
+        """All identified and checked already: a reading takes microseconds."""
+        spots = object.__new__(cls)
+        spots._set(positions, sigma, led, True)
+        object.__setattr__(spots, "brightness", _NO_BRIGHTNESS)
+        return spots
 
     def __len__(self) -> int:
         return len(self.led)
@@ -50,10 +63,8 @@ class Spots:
         """No light seen."""
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64))
 
-    @property
-    def identified(self) -> bool:
-        """Whether every light is known by its number."""
-        return _all_named(self.led)
+
+_NO_BRIGHTNESS = np.empty(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,9 +109,9 @@ class Photodiode:
         noise, total, curve, half_width = self.kernel_arguments
         count = read_currents(given, noise, total, curve, half_width, positions, sigma, seen)
         if count == len(given):
-            return Spots(positions, sigma, np.arange(len(given)))
+            return Spots._of_photodiode(positions, sigma, np.arange(len(given)))
         led = np.flatnonzero(seen)
-        return Spots(positions[led], sigma[led], led)
+        return Spots._of_photodiode(positions[led], sigma[led], led)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -136,11 +147,3 @@ def _sound(positions: Array, sigma: Array) -> bool:
             if not (abs(positions[i, k]) < np.inf and 0.0 < sigma[i, k] < np.inf):
                 return False
     return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _all_named(led: Ints) -> bool:
-    count = 0
-    for number in led:
-        count += number >= 0
-    return count == len(led)

@@ -12,14 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from rendezview.estimation import linear_algebra
+from rendezview.estimation.motion import predict_covariance
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.sensors.stereo.collinearity import (
-    cholesky_solve,
-    invert,
-    rotation_vector,
-    solve,
-    turn,
-)
+from rendezview.sensors.stereo.collinearity import solve
 from rendezview.sensors.stereo.rig import Rig
 
 _ITERATIONS = 15
@@ -73,13 +70,10 @@ def predict(state: Motion, time_s: float, options: MotionOptions) -> Motion:
     dt = time_s - state.time_s
     if not dt >= 0.0:
         raise ValueError(f"the filter cannot go back, from {state.time_s} s to {time_s} s")
-    rotation = np.empty((3, 3))
-    covariance = np.empty((12, 12))
-    _predict(
-        state.rotation, state.rates, state.covariance, dt,
-        options.angular_acceleration**2, options.linear_acceleration**2, rotation, covariance,
+    rotation, translation, covariance = _predict(
+        state.rotation, state.translation, state.rates, state.covariance, dt,
+        options.angular_acceleration**2, options.linear_acceleration**2,
     )  # fmt: skip
-    translation = state.translation + dt * state.rates[3:]
     return Motion(time_s, rotation, translation, state.rates, covariance)
 
 
@@ -125,29 +119,25 @@ def breaks(state: Motion, rotation: Array, translation: Array, information: Arra
 @njit(cache=True, nogil=True, error_model="numpy")
 def _predict(
     rotation: Array,
+    translation: Array,
     rates: Array,
     covariance: Array,
     dt: float,
     angular: float,
     linear: float,
-    out_rotation: Array,
-    out: Array,
-) -> None:
-    step = dt * rates
-    turn(step, rotation, out_rotation)
-    transition = np.eye(12)
-    small = np.empty((3, 3))
-    turn(step, np.eye(3), small)  # the old error turns with the body
-    transition[:3, :3] = small
-    for i in range(6):
-        transition[i, 6 + i] = dt
-    out[:] = transition @ covariance @ transition.T
-    for i in range(6):
-        q = angular if i < 3 else linear
-        out[i, i] += q * dt * dt * dt / 3.0
-        out[i, 6 + i] += q * dt * dt / 2.0
-        out[6 + i, i] += q * dt * dt / 2.0
-        out[6 + i, 6 + i] += q * dt
+) -> tuple[Array, Array, Array]:
+    """Rotation, translation and covariance ``dt`` later; densities of the white accelerations."""
+    turn, later, density = so3.exp(dt * rates[:3]), np.empty((3, 3)), np.zeros((6, 6))
+    for i in range(3):
+        density[i, i], density[3 + i, 3 + i] = angular, linear
+        for j in range(3):
+            later[i, j] = (
+                turn[i, 0] * rotation[0, j]
+                + turn[i, 1] * rotation[1, j]
+                + turn[i, 2] * rotation[2, j]
+            )
+    predicted = predict_covariance(covariance, turn, dt, density, np.ones(0))
+    return later, translation + dt * rates[3:], predicted
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -156,7 +146,7 @@ def difference(
 ) -> Array:
     """(6,) perturbation that leads from the other pose to this one."""
     out = np.empty(6)
-    rotation_vector(rotation @ other_rotation.T, out)
+    out[:3] = so3.between(rotation, other_rotation)
     for i in range(3):
         out[3 + i] = translation[i] - other_translation[i]
     return out
@@ -178,7 +168,7 @@ def _update(
     covariance: Array,
 ) -> bool:
     lower, inverse, information = np.zeros((6, 6)), np.empty((6, 6)), np.empty((6, 6))
-    if not invert(prior, lower, inverse):  # its pose part, the first six
+    if not linear_algebra.invert(prior[:6, :6], lower, inverse):
         return False
     _, _, done = solve(
         rotation, translation, leds, cr, ct, xy, weight, inverse, prior_rotation,
@@ -187,7 +177,7 @@ def _update(
     if not done:
         return False
     posterior = np.empty((6, 6))
-    if not invert(information, lower, posterior):
+    if not linear_algebra.invert(information, lower, posterior):
         return False
     moved = difference(rotation, translation, prior_rotation, prior_translation)
     gain = (
@@ -212,10 +202,10 @@ def _breaks(
     information: Array,
 ) -> bool:
     lower, both, solution = np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
-    if not invert(information, lower, both):
+    if not linear_algebra.invert(information, lower, both):
         return False
     both += covariance[:6, :6]
     away = difference(seen_rotation, seen_translation, rotation, translation)
-    if not cholesky_solve(both, away, lower, solution):
+    if not linear_algebra.solve(both, away, lower, solution):
         return False
     return bool(away @ solution > _BREAK)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Observation, Status
 from rendezview.sensors.stereo.agreement import Fit
-from rendezview.sensors.stereo.collinearity import invert
 from rendezview.sensors.stereo.detectors import Spots
 from rendezview.sensors.stereo.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.sensors.stereo.motion import Motion
@@ -66,7 +66,7 @@ class StereoObservation(Observation):
             )  # fmt: skip
         return cls(
             status, reason, fit, estimate, restarted, spots, names,
-            time_s=time_s, pose=Pose(rotation, place), covariance=covariance,
+            time_s=time_s, pose=Pose.unchecked(rotation, place), covariance=covariance,
         )  # fmt: skip
 
     @property

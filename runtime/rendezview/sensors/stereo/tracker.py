@@ -22,7 +22,7 @@ from rendezview.sensors.stereo.agreement import (
     distance,
     iterate,
 )
-from rendezview.sensors.stereo.collinearity import lights_seen
+from rendezview.sensors.stereo.collinearity import count_lights
 from rendezview.sensors.stereo.detectors import Spots
 from rendezview.sensors.stereo.identity import identify, nearest_lights
 from rendezview.sensors.stereo.motion import Motion, MotionOptions
@@ -126,7 +126,7 @@ class StereoTracker:
         if not all(found.identified for found in spots):
             fit, named, restarted = self._identify(spots, forecast)
         sights = self.rig.sights(named, len(self.leds))
-        if fit is None and lights_seen(sights.weight) < FEWEST_LIGHTS:
+        if fit is None and count_lights(sights.weight)[0] < FEWEST_LIGHTS:
             return self._partial(time_s, forecast, sights, named)
         if fit is None and forecast is not None:
             fit = iterate(self.rig, self.leds, sights, forecast.rotation, forecast.translation)

@@ -32,7 +32,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     unfitted_weight,
 )
 from rendezview.sensors.appearance.edges.lighting import facing_normals, light_strengths
-from rendezview.sensors.appearance.edges.profile_fit import profile_equations, solve_profile
+from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.starts import second_moments
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 
@@ -234,44 +234,45 @@ def test_weights_of_edges_at_the_steepest_slope():
 
 
 @pytest.mark.parametrize("held", [False, True])
-def test_one_step_of_the_profile_fit_is_that_of_dense_least_squares(held):
+def test_the_profile_fit_is_dense_least_squares_with_prior_knowledge(held):
+    """Gauss–Newton on place, gain, tilt and background; Φ in the loop is a table to 1e-6."""
     rng = np.random.default_rng(7)
-    depths, levels = np.array([0.0, 0.8, 2.0]), np.array([120.0, -70.0, 30.0])
-    place, gain, tilt, base, sigma, noise, zero = 0.2, 0.9, 1.5, 14.0, 0.85, 1.2, 10
-    profile = rng.uniform(0.0, 150.0, 21)
-    first, last = 7, 12
-    square, cross, right, cost = profile_equations(
-        profile, first, last, zero, place, gain, tilt, base, depths, levels, 3, 1.0 / sigma
-    )
-    d = place - (np.arange(first, last + 1) - zero)
-    z = (d[:, None] - depths) / sigma
-    shape, share = ndtr(z) @ levels, ndtr(d / sigma)
-    slope = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) @ levels
-    jacobian = np.stack([gain * slope / sigma + tilt * share, shape, d * share, 0 * d + 1.0], 1)
-    r = profile[first : last + 1] - base - gain * shape - tilt * d * share
-    normal, b = jacobian.T @ jacobian, jacobian.T @ r
-    assert square == pytest.approx(np.diag(normal)[:3], rel=2e-3)
-    assert cross == pytest.approx(normal[np.triu_indices(4, 1)], rel=2e-3, abs=2.0)
-    assert right == pytest.approx(b, rel=2e-3, abs=2.0)
-    assert cost == pytest.approx(r @ r, rel=1e-3)
-    # From the same sums, the elimination is exact.
-    normal[np.triu_indices(4, 1)] = cross
-    normal = np.triu(normal, 1) + np.triu(normal, 1).T
-    normal[np.diag_indices(4)] = [*square, float(len(d))]
-    b = np.array(right)
-    uncertain = 9.0 + noise**2
-    known = uncertain / 0.25, uncertain / (0.1 * 120.0 + 1e-3) ** 2
-    normal[1, 1] += known[0]
-    b[1] += known[0] * (1.0 - gain)
-    normal[2, 2] += known[1]
-    b[2] -= known[1] * tilt
-    normal[3, 3] += 1e9 * held
-    normal[0, 0] += 1e-6
-    move, variance, rest = solve_profile(
-        square, cross, right, float(len(d)), gain, tilt, 120.0, held, noise, False
-    )
-    assert (move, *rest) == pytest.approx(np.linalg.solve(normal, b), rel=1e-7, abs=1e-9)
-    assert variance == pytest.approx(np.linalg.inv(normal)[0, 0], rel=1e-7)
+    depths, levels = np.array([0.0, 0.9, 2.2]), np.array([120.0, -70.0, 30.0])
+    sigma, noise, zero = 0.85, 1.2, 10
+    pixels = np.arange(21) - zero
+    for _ in range(30):
+        truth, start = rng.uniform(-0.4, 0.4, 2)
+        profile = 14.0 + 1.1 * ndtr((truth - pixels[:, None] - depths) / sigma) @ levels
+        profile += rng.normal(0.0, noise, 21)
+        result = np.zeros(2)
+        fits = fit_profile(
+            profile, 21, zero, start, depths, levels, 3, 12.0, held, sigma, noise, result
+        )
+        x = np.array([start, 1.0, 0.0, 12.0])
+        for step in range(4):
+            first, last = int(np.ceil(x[0] - 3.2)) + zero, int(np.floor(x[0] + 2.7)) + zero
+            d = x[0] - pixels[first : last + 1]
+            z = (d[:, None] - depths) / sigma
+            shape, share = ndtr(z) @ levels, ndtr(d / sigma)
+            slope = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi) @ levels
+            rows = [x[1] * slope / sigma + x[2] * share, shape, d * share, np.ones_like(d)]
+            jacobian = np.stack(rows, axis=1)
+            r = profile[first : last + 1] - x[3] - x[1] * shape - x[2] * d * share
+            normal, right = jacobian.T @ jacobian, jacobian.T @ r
+            uncertain = 9.0 + noise**2
+            known = np.array([uncertain / 0.25, uncertain / (0.1 * 120.0 + 1e-3) ** 2])
+            normal[[1, 2], [1, 2]] += known
+            right[1:3] += known * ([1.0, 0.0] - x[1:3])
+            normal[3, 3] += 1e9 * held
+            normal[0, 0] += 1e9 if step == 0 else 1e-6
+            move = np.linalg.solve(normal, right)
+            variance = np.linalg.inv(normal)[0, 0]
+            x += np.clip(move, [-0.6, -np.inf, -np.inf, -np.inf], [0.6, np.inf, np.inf, np.inf])
+            if step > 0 and abs(move[0]) < 0.02:
+                break
+        assert fits
+        assert result[0] == pytest.approx(x[0], abs=1e-3)
+        assert result[1] == pytest.approx((r @ r / (len(d) - 3) + noise**2) * variance, rel=0.02)
 
 
 def test_the_light_is_that_of_reweighted_least_squares():

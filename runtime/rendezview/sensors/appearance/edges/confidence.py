@@ -11,8 +11,10 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
-from rendezview.sensors.appearance.edges.refinement import Refined, Refiner, Sky
-from rendezview.sensors.appearance.edges.retrieval import Outlines, Retrieval
+from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
+from rendezview.sensors.appearance.edges.retrieval import Retrieval
+from rendezview.sensors.appearance.outline.signature import Outlines
+from rendezview.sensors.appearance.sky import Sky
 
 # Weights of the merit, beside an inlier ratio of weight 1.
 _OVERSHOOT_WEIGHT = 1.0  # of mean radii of the silhouette

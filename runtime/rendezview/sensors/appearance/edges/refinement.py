@@ -15,7 +15,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.grey_frame import Picture, grain
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import (
     CLOSE_PX,
     DIVERGED,
@@ -33,7 +33,7 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.sky import sky_level
+from rendezview.sensors.appearance.sky import Sky
 
 # Stages of alignment. Source: experiment pose-accuracy, seeds 1, 88, 99, 123.
 # Many starting poses are aligned roughly, the better ones coarsely, …
@@ -61,9 +61,6 @@ _CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
 _INEXACT = _FINE[:-1]
 _INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
 _LEAST_SIGMA_PX = 0.1  # px; one σ of an edge's place in the best of cases
-_DARK_SKY_GREY = 60.0  # grey levels; a brighter background is a bright sky
-_GRAIN_ROWS = 64  # of the image, to measure the noise
-_SCATTER_GREY = 3.0  # grey levels; spread of the border beyond the noise
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,32 +72,6 @@ class RefineOptions:
     def __post_init__(self) -> None:
         if not 0.3 <= self.blur_px <= 5.0:
             raise ValueError(f"blur_px must be 0.3 to 5: {self.blur_px}")
-
-
-@dataclass(frozen=True, slots=True)
-class Sky:
-    """What lies behind the target."""
-
-    level_grey: float
-    noise_grey: float  # one σ, of neighbouring pixels
-    dark: bool  # black sky: whatever is brighter is the target
-    sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
-
-    @classmethod
-    def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
-        """Measured along the border and on a sparse grid."""
-        level, spread = sky_level(image)
-        noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
-        border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
-        bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
-        dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
-        return cls(level, noise, dark, sun_camera)
-
-    @property
-    def vector(self) -> Array:
-        """(6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown."""
-        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
-        return np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -23,10 +21,11 @@ from rendezview.sensors.appearance.outline.signature import (
     Readings,
     Signature,
     quantised,
+    radial_maxima,
     rolled,
+    spokes_of,
     twist,
 )
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of
 
 _KEPT = 2000  # most similar entries at a shift; of these the poses are chosen
 _HARMONICS = 20  # of a signature, compared first in a large catalogue
@@ -80,14 +79,6 @@ def least(values: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.intp]:
     if len(few) < count:  # very unlikely with so large a sample
         few = np.arange(len(values))
     return np.sort(few[np.argpartition(values[few], count - 1)[:count]])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Outlines:
-    """Outlines that a threshold or the network found, as rays, and their signature."""
-
-    rays: list[Array]  # (M, 3) each
-    signature: Signature
 
 
 class Retrieval:

@@ -20,15 +20,16 @@ from rendezview.sensors.appearance.edges.refinement import (
     Refined,
     RefineOptions,
     Refiner,
-    Sky,
 )
-from rendezview.sensors.appearance.edges.retrieval import Outlines, Retrieval
+from rendezview.sensors.appearance.edges.retrieval import Retrieval
 from rendezview.sensors.appearance.edges.starts import (
     half_turns,
     rotated_about,
     rotated_about_axes,
 )
 from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.outline.signature import Outlines
+from rendezview.sensors.appearance.sky import Sky
 
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading

@@ -1,8 +1,8 @@
-"""Which pixels show the target where the sky is bright: a small convolutional network.
+"""Which pixels show the target before a bright sky: a small convolutional network.
 
-It has learned from pictures of spacecraft that nobody built before skies of many kinds
-(experiment foreground-network), so it knows no target in particular. Its shape is that of
-U-Net (Ronneberger et al. 2015), with squares of 4 × 4 pixels as its first channels.
+It is trained on pictures of random spacecraft before skies of many kinds (experiment
+foreground-network), so it is specific to no target. It is a U-Net (Ronneberger et al. 2015)
+whose first channels are the pixels of squares of 4 × 4.
 """
 
 from __future__ import annotations
@@ -17,15 +17,17 @@ import numpy.typing as npt
 from rendezview.io.grey_frame import Picture
 
 NETWORK = Path(__file__).with_name("foreground.onnx")
-AREA_PX = 320 * 240  # of the picture that the network is shown
-SQUARE_PX = 4  # a side: pixels become channels
-_MULTIPLE_PX = 32  # a side of the picture, for three halvings of the squares
+# The network is trained at this size. Source: experiment foreground-network
+AREA_PX = 320 * 240  # px, of the scaled frame
+# Px a side: the pixels of a square become channels. Source: experiment foreground-network
+SQUARE_PX = 4
+_MULTIPLE_PX = 32  # px; a side must allow three halvings of the squares. Source: by construction
 
 Float32s = npt.NDArray[np.float32]
 
 
 class Foreground:
-    """The network, read when it is first asked."""
+    """The network. It is read at its first use, and one thread uses it at a time."""
 
     def __init__(self) -> None:
         self._network: cv2.dnn.Net | None = None

@@ -1,30 +1,37 @@
 """The radial signature: distance from the centroid to the outermost edge, in N directions.
 
-Readings are whole thousandths of the square root of the silhouette's area, so a
-signature does not change with range, focal length or brightness; bin 0 looks East (+x),
-the bins run counter-clockwise as seen on the screen (Cleghorn & Sternberg, figure 2).
+An outline is a closed polygon of rays ``(x, y, 1)`` in the camera frame. Its *vector area*
+``½ ∮ r × dr`` over unit rays r is ``∫ r dΩ`` over the silhouette: its direction is the centroid
+on the sphere of directions, its length the area. The rays are turned so that the centroid is on
+the boresight, so a target off the boresight needs no further correction.
+
+Readings are whole thousandths of the square root of the area. A signature therefore does not
+change with range, focal length or brightness. Bin 0 looks East (+x); the bins run
+counter-clockwise on the screen (Cleghorn & Sternberg, figure 2).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array, minimal_rotation
-from rendezview.sensors.appearance.outline.tracing import radial_maxima, spokes_of, vector_area
 
 Readings = npt.NDArray[np.float32]  # whole numbers
-UNIT = 1000.0  # readings per square root of the area
-_BORESIGHT = np.array([0.0, 0.0, 1.0])
+UNIT = 1000.0  # readings per square root of the area. Source: by construction
+_BORESIGHT = np.array([0.0, 0.0, 1.0])  # camera frame. Source: by construction
+_AHEAD = 1e-9  # least z of a ray in front of the camera. Source: by construction
+_ALONG = 1e-300  # a smaller cross product is that of a segment along a ray. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Signature:
-    """What one silhouette looks like from its own centroid."""
+    """The radial signature of one silhouette, with its area and its centroid."""
 
     readings: Readings  # (N,) whole thousandths of sqrt(area), smoothed
     area_sr: float  # the silhouette's area on the sphere of directions
@@ -52,6 +59,138 @@ class Signature:
         return cls(readings, area_sr, centred_from_camera)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outlines:
+    """The outlines of one silhouette as rays, and their signature."""
+
+    rays: list[Array]  # (M, 3) each, camera frame
+    signature: Signature
+
+
+@njit(cache=True, nogil=True)
+def vector_area(rays: Array) -> Array:
+    """``½ ∮ r × dr`` of a closed polygon of rays (M, 3) of any length; (3,) steradians.
+
+    An outline that is counter-clockwise on the screen (x right, y down) would give −z, so the
+    sign is changed: the result points to the silhouette.
+    """
+    total = np.zeros(3)
+    m = rays.shape[0]
+    if m == 0:
+        return total
+    a = rays[m - 1] / np.sqrt(np.sum(rays[m - 1] ** 2))
+    for i in range(m):
+        x, y, z = rays[i, 0], rays[i, 1], rays[i, 2]
+        scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+        bx, by, bz = x * scale, y * scale, z * scale
+        total[0] -= 0.5 * (a[1] * bz - a[2] * by)
+        total[1] -= 0.5 * (a[2] * bx - a[0] * bz)
+        total[2] -= 0.5 * (a[0] * by - a[1] * bx)
+        a[0], a[1], a[2] = bx, by, bz
+    return total
+
+
+@njit(cache=True, nogil=True)
+def radial_maxima(rays: Array, centred_from_camera: Array, spokes: Array, maxima: Array) -> None:
+    """Raise each bin to the distance of one outline's outermost edge, if that is larger.
+
+    Bin k looks along the angle ``2πk/N`` from East, counter-clockwise on the screen. Its
+    distance is that of the farthest crossing of its spoke with the outline, in the plane at
+    unit distance across the boresight (Cleghorn & Sternberg, figure 2).
+
+    Args:
+        rays: (M, 3) closed polygon in the camera frame.
+        centred_from_camera: (3, 3) rotation that puts the centroid on the boresight.
+        spokes: (N, 2) direction of each bin, see ``spokes_of``.
+        maxima: (N,) the distances so far, changed in place.
+    """
+    m, bins = rays.shape[0], maxima.shape[0]
+    if m == 0:
+        return
+    per_radian = bins / (2.0 * np.pi)
+    q = centred_from_camera
+    x0, y0, turn0 = 0.0, 0.0, 0.0
+    for i in range(-1, m):
+        k = m - 1 if i < 0 else i
+        rx, ry, rz = rays[k, 0], rays[k, 1], rays[k, 2]
+        z = q[2, 0] * rx + q[2, 1] * ry + q[2, 2] * rz
+        if z <= _AHEAD:
+            return  # more than a right angle from the centroid: not a target's outline
+        scale = 1.0 / z
+        x1 = (q[0, 0] * rx + q[0, 1] * ry + q[0, 2] * rz) * scale
+        y1 = -(q[1, 0] * rx + q[1, 1] * ry + q[1, 2] * rz) * scale  # up on the screen
+        turn1 = _nearly_atan2(y1, x1) * per_radian
+        if i >= 0:
+            _raise_bins(x0, y0, turn0, x1, y1, turn1, spokes, maxima)
+        x0, y0, turn0 = x1, y1, turn1
+
+
+@njit(cache=True, nogil=True)
+def _raise_bins(
+    x0: float,
+    y0: float,
+    turn0: float,
+    x1: float,
+    y1: float,
+    turn1: float,
+    spokes: Array,
+    maxima: Array,
+) -> None:
+    """Raise the bins between the ends of one segment; turns are angles in bins."""
+    bins = maxima.shape[0]
+    low, high = turn0, turn1
+    if high - low > 0.5 * bins:
+        low += bins
+    elif low - high > 0.5 * bins:
+        high += bins
+    if low > high:
+        low, high = high, low
+    first = int(np.ceil(low))
+    last = int(np.floor(high))
+    if first > last:
+        return
+    dx, dy = x1 - x0, y1 - y0
+    cross = x0 * dy - y0 * dx
+    farther = np.sqrt(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1))
+    for b in range(first, last + 1):
+        k = b % bins
+        across = spokes[k, 0] * dy - spokes[k, 1] * dx
+        distance = farther
+        if abs(across) > _ALONG:
+            distance = min(farther, cross / across)
+        if distance > maxima[k]:
+            maxima[k] = distance
+
+
+@njit(cache=True, nogil=True)
+def _nearly_atan2(y: float, x: float) -> float:
+    """atan2 to 1e-5 rad; it only decides which bins a segment is tested against.
+
+    Minimax polynomial of odd degree 9 for arctan on [0, 1] (Abramowitz & Stegun 4.4.49).
+    """
+    ax, ay = abs(x), abs(y)
+    large = max(ax, ay)
+    if large == 0.0:
+        return 0.0
+    t = min(ax, ay) / large
+    s = t * t
+    angle = t * (0.9998660 + s * (-0.3302995 + s * (0.1801410 + s * (-0.0851330 + s * 0.0208351))))
+    if ay > ax:
+        angle = 0.5 * np.pi - angle
+    if x < 0.0:
+        angle = np.pi - angle
+    return -angle if y < 0.0 else angle
+
+
+@lru_cache(maxsize=16)
+def spokes_of(bins: int) -> Array:
+    """(N, 2) cosine and sine of the angle at which each of N bins looks."""
+    angles = 2.0 * np.pi * np.arange(bins) / bins
+    spokes = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    spokes.setflags(write=False)
+    return spokes
+
+
 @njit(cache=True, nogil=True)
 def quantised(maxima: Array, scale: float, smooth_bins: int) -> Readings:
     """Running mean over an odd number of bins, scaled and rounded to whole readings."""
@@ -70,11 +209,10 @@ def quantised(maxima: Array, scale: float, smooth_bins: int) -> Readings:
 
 @njit(cache=True, nogil=True)
 def rolled(readings: Readings, roll_rad: float) -> Readings:
-    """The signature that a camera rolled back by ``roll_rad`` about its boresight would see.
+    """The signature as a camera rolled back by ``roll_rad`` about its boresight has it.
 
-    If the view has attitude ``Rz(roll) @ node`` (roll by the right hand about the
-    boresight), then this gives the readings as the node's own camera would have them:
-    bin b of the result is the reading of the view at the angle of b less the roll.
+    A view of attitude ``about_boresight(roll) @ node`` becomes comparable with the node: bin b
+    of the result is the view's reading at the angle of b less the roll.
     """
     bins = readings.shape[0]
     shift = -roll_rad * bins / (2.0 * np.pi)
@@ -89,12 +227,18 @@ def rolled(readings: Readings, roll_rad: float) -> Readings:
 
 
 def twist(view_rotations: Array, node_rotation: Array) -> Array:
-    """Roll of views (..., 3, 3) against a node (3, 3): the twist of ``view @ nodeᵀ`` about z.
+    """Roll of views (..., 3, 3) against a node (3, 3), radians in (−π, π].
 
-    The rotation between two neighbouring views is a small tilt and a roll about the line
-    of sight; this is the roll, with no pole anywhere on the sphere. Radians in (−π, π].
+    The rotation between two neighbouring views is a small tilt and a roll about the line of
+    sight. The roll is the twist of ``view @ nodeᵀ`` about z; it has no pole on the sphere.
     """
     m = view_rotations @ np.swapaxes(node_rotation, -1, -2)
     return np.asarray(
         np.arctan2(m[..., 1, 0] - m[..., 0, 1], m[..., 0, 0] + m[..., 1, 1]), dtype=np.float64
     )
+
+
+def about_boresight(angle_rad: float) -> Array:
+    """(3, 3) rotation by an angle about the boresight z."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -8,31 +8,37 @@ from enum import StrEnum
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.outline.tracing import crack_outline
-from rendezview.sensors.appearance.sky import MOST_AVERAGED_PX, mean_above, sky_level
+from rendezview.sensors.appearance.sky import sky_level
 from rendezview.sensors.observation import Status
 
 Border = npt.NDArray[np.int32]
 Box = tuple[int, int, int, int]
 
+MOST_AVERAGED_PX = 15  # px; the sum of 15 × 15 grey levels fits 16 bits. Source: by construction
+# Blobs whose border is shorter than a quarter of this share of the longest border are skipped.
+_LEAST_BORDER = 0.02
+_NO_GREY = np.zeros((0, 0), dtype=np.uint8)
+
 
 class Threshold(StrEnum):
-    """How the grey level that parts target from sky is found."""
+    """How the grey level that separates target and sky is found."""
 
     NOISE = "noise"  # above the noise of the sky, measured along the border
     OTSU = "otsu"  # Otsu's level of the whole frame
-    FIXED = "fixed"  # as told
+    FIXED = "fixed"  # as given
 
 
 class Cleaning(StrEnum):
     """Morphological cleaning of the thresholded frame, 3 × 3 pixels."""
 
-    NONE = "none"  # small blobs are dropped anyway; thin booms survive
-    OPEN = "open"  # takes away specks and booms thinner than 3 px
+    NONE = "none"  # specks are dropped later; thin booms survive
+    OPEN = "open"  # removes specks, and booms thinner than 3 px
     CLOSE = "close"  # bridges gaps of up to 2 px
 
 
@@ -41,17 +47,32 @@ class SilhouetteOptions:
     """What counts as the target."""
 
     threshold: Threshold = Threshold.NOISE
-    level_grey: float | None = None  # for FIXED
-    noise_sigmas: float = 5.0  # one false pixel in three frames of a megapixel
-    least_contrast_grey: float = 4.0  # a noiseless frame still has quantisation
-    averaged_px: int = 3  # a side, of the mean that is thresholded: dim panels leave the noise
-    reach_px: int = 2  # how far inside its border the target's own grey level is looked for
+    level_grey: float | None = None  # grey levels, for FIXED
+    # σ; one false pixel in three frames of a megapixel. Source: the normal distribution
+    noise_sigmas: float = 5.0
+    # Grey levels; quantisation remains where there is no noise.
+    # Source: experiment recognition-accuracy, seed 1
+    least_contrast_grey: float = 4.0
+    # Px, side of the mean that is thresholded: it lifts dim panels out of the noise.
+    # Source: experiment recognition-accuracy, seed 1
+    averaged_px: int = 3
+    # Px inside the border where the target's level is looked for.
+    # Source: experiment recognition-accuracy, seed 1
+    reach_px: int = 2
     cleaning: Cleaning = Cleaning.NONE
     background: Picture | None = None  # a frame without the target, subtracted first
-    least_area_px: int = 60  # below about 9 px across the outline is all staircase
-    speck_fraction: float = 0.0005  # of the largest blob: below it, noise
-    merge_gap: float = 0.15  # of the largest blob's size: a boom too thin to be seen
-    rival_fraction: float = 0.3  # of the largest blob's area: another body
+    # Px; a blob below about 9 px across is all staircase.
+    # Source: experiment recognition-accuracy, seed 1
+    least_area_px: int = 60
+    # Share of the largest blob's area; a smaller blob is noise.
+    # Source: experiment recognition-accuracy, seed 1
+    speck_fraction: float = 0.0005
+    # Share of the largest blob's size; bridges a boom too thin to be visible.
+    # Source: experiment recognition-accuracy, seed 1
+    merge_gap: float = 0.15
+    # Share of the largest blob's area; a blob this large is another body.
+    # Source: experiment recognition-accuracy, seed 1
+    rival_fraction: float = 0.3
 
     def __post_init__(self) -> None:
         if self.threshold is Threshold.FIXED and not (
@@ -69,7 +90,7 @@ class Silhouette:
     """Outlines of the target in one frame."""
 
     outlines_px: tuple[Array, ...]  # (M, 2) each, sub-pixel, counter-clockwise on the screen
-    area_px: float  # of the outlines filled, gaps inside counted in
+    area_px: float  # of the filled outlines: holes count
     box_px: Box  # left, top, right, bottom, inclusive
     sky_grey: float
     level_grey: float
@@ -77,10 +98,28 @@ class Silhouette:
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """No silhouette, and why."""
+    """No silhouette, and the reason."""
 
     status: Status
     reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Blobs:
+    """The blobs of a thresholded frame that are large enough, by number."""
+
+    borders: list[Border]
+    area: dict[int, float]
+    box: dict[int, Box]
+
+    @classmethod
+    def of(cls, borders: list[Border]) -> _Blobs:
+        """Measure the blobs; at least one border is needed."""
+        size = [len(b) for b in borders]
+        large = [k for k in range(len(borders)) if 4 * size[k] >= _LEAST_BORDER * max(size)]
+        # Pick's theorem: the pixels inside a lattice polygon and on it.
+        area = {k: cv2.contourArea(borders[k]) + 0.5 * size[k] + 1.0 for k in large}
+        return cls(borders, area, {k: box_of(borders[k]) for k in large})
 
 
 def find_silhouette(
@@ -88,26 +127,20 @@ def find_silhouette(
     options: SilhouetteOptions | None = None,
     expected_px: npt.ArrayLike | None = None,
 ) -> Silhouette | Missing:
-    """Threshold, outline, choose.
+    """Threshold the frame, choose the blobs that are the target, trace their outlines.
 
     Args:
         image: (H, W) 8-bit grey frame, target brighter than the sky.
         options: how to threshold and which blobs belong together.
-        expected_px: (2,) where the target's centre should be, if that is known: of
-            several bodies the nearest is taken, and none is called a rival.
+        expected_px: (2,) where the target's centre is expected, if that is known. Of several
+            bodies the nearest is then taken, and none is reported as a rival.
+
+    Raises:
+        RendezviewError: the background frame has another size or type.
     """
     options = options or SilhouetteOptions()
     if options.background is not None:
-        if options.background.dtype != np.uint8:
-            raise RendezviewError(
-                f"the background frame must be 8-bit (uint8), not {options.background.dtype}"
-            )
-        if options.background.shape != image.shape:
-            raise RendezviewError(
-                f"the background frame is {options.background.shape[::-1]} px, "
-                f"the frame {image.shape[::-1]} px"
-            )
-        image = cv2.subtract(image, options.background).astype(np.uint8, copy=False)
+        image = _without_background(image, options.background)
     sky, noise = sky_level(image, options.averaged_px)
     level = _level(image, options, sky, noise)
     if level >= 255.0:
@@ -119,24 +152,39 @@ def find_silhouette(
     if options.cleaning is not Cleaning.NONE:
         kind = cv2.MORPH_OPEN if options.cleaning is Cleaning.OPEN else cv2.MORPH_CLOSE
         mask = cv2.morphologyEx(mask, kind, np.ones((3, 3), np.uint8)).astype(np.uint8, copy=False)
-    return _choose(image, outer_borders(mask), options, sky, level, expected_px)
+    borders = outer_borders(mask)
+    if not borders and sky > 127.0:
+        return Missing(
+            Status.FULL, f"the frame is bright all over ({sky:.0f} of 255): target too close?"
+        )
+    if not borders:
+        return Missing(Status.EMPTY, f"nothing stands out above grey level {level:.0f}")
+    blobs = _Blobs.of(borders)
+    chosen = _choose(blobs, options, expected_px)
+    if isinstance(chosen, Missing):
+        return chosen
+    box, area_px = box_around([blobs.box[k] for k in chosen]), sum(blobs.area[k] for k in chosen)
+    at_border = _border_problem(box, area_px, image.shape[1], image.shape[0])
+    if at_border is not None:
+        return at_border
+    outlines = (
+        crack_outline(borders[k], image, sky, level - sky, options.reach_px) for k in chosen
+    )
+    return Silhouette(tuple(outlines), area_px, box, sky, level)
 
 
-def outer_borders(mask: Picture) -> list[Border]:
-    """Outer borders (N, 2) of all that is on, 8-connected, x and y of every border pixel."""
-    borders = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    return [np.asarray(b, dtype=np.int32)[:, 0] for b in borders]
-
-
-def outlines_of_mask(mask: Picture) -> list[Array]:
-    """Outlines (M, 2) in pixels of everything that is on in a drawn, noiseless mask."""
-    return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in outer_borders(mask)]
-
-
-_NO_GREY = np.zeros((0, 0), dtype=np.uint8)
+def _without_background(image: Picture, background: Picture) -> Picture:
+    if background.dtype != np.uint8:
+        raise RendezviewError(f"the background frame must be 8-bit (uint8), not {background.dtype}")
+    if background.shape != image.shape:
+        raise RendezviewError(
+            f"the background frame is {background.shape[::-1]} px, the frame {image.shape[::-1]} px"
+        )
+    return cv2.subtract(image, background).astype(np.uint8, copy=False)
 
 
 def _level(image: Picture, options: SilhouetteOptions, sky: float, noise: float) -> float:
+    """Grey level above which a pixel is the target's."""
     if options.threshold is Threshold.FIXED:
         assert options.level_grey is not None  # SilhouetteOptions has checked it
         return options.level_grey
@@ -146,104 +194,118 @@ def _level(image: Picture, options: SilhouetteOptions, sky: float, noise: float)
     return sky + max(options.noise_sigmas * noise, options.least_contrast_grey)
 
 
-def _choose(
-    image: Picture,
-    borders: list[Border],
-    options: SilhouetteOptions,
-    sky: float,
-    level: float,
-    expected_px: npt.ArrayLike | None,
-) -> Silhouette | Missing:
-    """Which blobs are the target: the largest (or the nearest), and what lies close to it."""
+def mean_above(image: Picture, level_grey: float, averaged_px: int) -> Picture:
+    """(H, W) mask, 255 where the mean over a square of ``averaged_px`` is above a level.
+
+    The picture is read once. At its border the outermost pixels are repeated.
+    """
+    mask = np.empty(image.shape, dtype=np.uint8)
+    _mean_above(image, int(np.floor(level_grey * averaged_px**2)), averaged_px, mask)
+    return mask
+
+
+@njit(cache=True, nogil=True)
+def _mean_above(image: Picture, limit: int, side: int, mask: Picture) -> None:
     height, width = image.shape
-    if not borders:
-        if sky > 127.0:
-            return Missing(
-                Status.FULL, f"the frame is bright all over ({sky:.0f} of 255): target too close?"
-            )
-        return Missing(Status.EMPTY, f"nothing stands out above grey level {level:.0f}")
-    # Pick's theorem: pixels inside a lattice polygon and on it.
-    size = [len(b) for b in borders]
-    large = [k for k in range(len(borders)) if 4 * size[k] >= _LEAST_BORDER * max(size)]
-    area = {k: cv2.contourArea(borders[k]) + 0.5 * size[k] + 1.0 for k in large}
+    half = side // 2
+    limit16 = np.uint16(max(0, min(limit, 65535)))
+    padded = np.zeros(width + 2 * half, dtype=np.uint16)
+    columns = padded[half : half + width]  # sums over the rows of the window
+    total = np.empty(width, dtype=np.uint16)
+    for k in range(-half - 1, half):  # the window one row above the first
+        row = image[min(max(k, 0), height - 1)]
+        for x in range(width):
+            columns[x] += row[x]
+    for y in range(height):
+        enters = image[min(y + half, height - 1)]
+        leaves = image[max(y - half - 1, 0)]
+        for x in range(width):
+            columns[x] = columns[x] + np.uint16(enters[x]) - np.uint16(leaves[x])
+        padded[:half] = columns[0]
+        padded[half + width :] = columns[width - 1]
+        before, after = padded[:width], padded[2 * half :]
+        for x in range(width):
+            total[x] = before[x] + after[x]
+        for k in range(1, side - 1):
+            shifted = padded[k : k + width]
+            for x in range(width):
+                total[x] += shifted[x]
+        out = mask[y]
+        for x in range(width):
+            out[x] = 255 if total[x] > limit16 else 0
+
+
+def outer_borders(mask: Picture) -> list[Border]:
+    """Outer borders (N, 2) of all blobs, 8-connected: x and y of every border pixel."""
+    borders = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    return [np.asarray(b, dtype=np.int32)[:, 0] for b in borders]
+
+
+def outlines_of_mask(mask: Picture) -> list[Array]:
+    """Outlines (M, 2) in pixels of all blobs of a drawn, noiseless mask."""
+    return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in outer_borders(mask)]
+
+
+def _choose(
+    blobs: _Blobs, options: SilhouetteOptions, expected_px: npt.ArrayLike | None
+) -> list[int] | Missing:
+    """The blobs that are the target: the largest (or the nearest), and those close to it."""
+    area, box = blobs.area, blobs.box
     main = max(area, key=lambda k: area[k])
-    box = {k: box_of(borders[k]) for k in large}
-    bodies = [k for k in large if area[k] >= options.rival_fraction * area[main]]
+    bodies = [k for k in area if area[k] >= options.rival_fraction * area[main]]
     if len(bodies) > 1 and expected_px is not None:
-        ex, ey = np.asarray(expected_px, dtype=np.float64)
-        main = min(bodies, key=lambda k: _distance_to_box(ex, ey, box[k]))
-    chosen, joined = _merge(main, box, area, options)
+        x, y = np.asarray(expected_px, dtype=np.float64)
+        main = min(bodies, key=lambda k: _distance_to_box(x, y, box[k]))
     if area[main] < options.least_area_px:
         return Missing(
             Status.SMALL,
             f"the largest blob has {area[main]:.0f} pixels, fewer than {options.least_area_px}",
         )
+    chosen, joined = [main], box[main]
+    reach = options.merge_gap * max(joined[2] - joined[0], joined[3] - joined[1])
+    least = max(3.0, options.speck_fraction * area[main])
+    waiting = {k for k in box if k != main and area[k] >= least}
+    while near := [k for k in sorted(waiting) if gap_between(joined, box[k]) <= reach]:
+        chosen += near
+        joined = box_around([joined, *(box[k] for k in near)])
+        waiting -= set(near)
     rivals = [k for k in bodies if k not in chosen]
     if rivals and expected_px is None:
         return Missing(
             Status.RIVALS,
             f"{1 + len(rivals)} bodies of like size and no prior pose to choose by",
         )
-    left, top, right, bottom = joined
-    if left <= 0 or top <= 0 or right >= width - 1 or bottom >= height - 1:
-        whole = (right - left + 1) * (bottom - top + 1) > 0.95 * width * height
-        if whole and sum(area[k] for k in chosen) > 0.9 * width * height:
-            return Missing(Status.FULL, "the silhouette fills the frame")
-        side = [
-            name
-            for name, touches in (
-                ("left", left <= 0),
-                ("top", top <= 0),
-                ("right", right >= width - 1),
-                ("bottom", bottom >= height - 1),
-            )
-            if touches
-        ]
-        return Missing(Status.BORDER, f"the silhouette touches the border ({', '.join(side)})")
-    return Silhouette(
-        tuple(crack_outline(borders[k], image, sky, level - sky, options.reach_px) for k in chosen),
-        sum(area[k] for k in chosen),
-        joined,
-        sky,
-        level,
-    )
+    return chosen
 
 
-# A blob whose border is shorter than a quarter of this share of the longest is not looked at.
-_LEAST_BORDER = 0.02
-
-
-def _merge(
-    main: int,
-    box: dict[int, Box],
-    area: dict[int, float],
-    options: SilhouetteOptions,
-) -> tuple[list[int], Box]:
-    """The blobs within reach of the main one, again from the joined box until none is left."""
-    chosen, joined = [main], box[main]
-    reach = options.merge_gap * max(joined[2] - joined[0], joined[3] - joined[1])
-    least = max(3.0, options.speck_fraction * area[main])
-    waiting = {k for k in box if k != main and area[k] >= least}
-    while True:
-        near = [k for k in sorted(waiting) if gap_between(joined, box[k]) <= reach]
-        if not near:
-            return chosen, joined
-        for k in near:
-            chosen.append(k)
-            b = box[k]
-            joined = (
-                min(joined[0], b[0]),
-                min(joined[1], b[1]),
-                max(joined[2], b[2]),
-                max(joined[3], b[3]),
-            )
-        waiting -= set(near)
+def _border_problem(box: Box, area_px: float, width: int, height: int) -> Missing | None:
+    """Why a silhouette that touches the border of the frame is refused; None if it does not."""
+    left, top, right, bottom = box
+    touched = {
+        "left": left <= 0,
+        "top": top <= 0,
+        "right": right >= width - 1,
+        "bottom": bottom >= height - 1,
+    }
+    if not any(touched.values()):
+        return None
+    whole = (right - left + 1) * (bottom - top + 1) > 0.95 * width * height
+    if whole and area_px > 0.9 * width * height:
+        return Missing(Status.FULL, "the silhouette fills the frame")
+    sides = ", ".join(side for side, touches in touched.items() if touches)
+    return Missing(Status.BORDER, f"the silhouette touches the border ({sides})")
 
 
 def box_of(border: Border) -> Box:
     """Left, top, right, bottom, inclusive."""
     left, top, width, height = cv2.boundingRect(border)
     return left, top, left + width - 1, top + height - 1
+
+
+def box_around(boxes: list[Box]) -> Box:
+    """The box around some boxes."""
+    left, top, right, bottom = zip(*boxes, strict=True)
+    return min(left), min(top), max(right), max(bottom)
 
 
 def gap_between(a: Box, b: Box) -> float:
@@ -253,9 +315,9 @@ def gap_between(a: Box, b: Box) -> float:
     return float(np.hypot(dx, dy))
 
 
-def _distance_to_box(x: float, y: float, box: tuple[int, int, int, int]) -> float:
+def _distance_to_box(x: float, y: float, box: Box) -> float:
+    """Pixels from a point to a box; of two boxes around the point the better centred is nearer."""
     dx = max(box[0] - x, x - box[2], 0.0)
     dy = max(box[1] - y, y - box[3], 0.0)
-    # of two boxes around the point, the one centred on it
     off = np.hypot(0.5 * (box[0] + box[2]) - x, 0.5 * (box[1] + box[3]) - y)
     return float(np.hypot(dx, dy) + 1e-3 * off)

@@ -1,8 +1,4 @@
-"""The workers of the service, seen from the service: who tracks what, one frame at a time each.
-
-Sessions of a worker that have a frame waiting, or a sensor's lines, take turns, so that none can
-starve another.
-"""
+"""One worker process as the service sees it: its sessions take turns, one input at a time."""
 
 from __future__ import annotations
 
@@ -14,33 +10,66 @@ import subprocess
 import sys
 from collections import deque
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Generic, Protocol, TypeVar
 
+from rendezview.service.inputs import SessionInput
 from rendezview.service.wire import Header, Unpacker, mapped, pack, shared_memory
-
-if TYPE_CHECKING:
-    from rendezview.service.sessions import Session, Waiting
 
 log = logging.getLogger("rendezview.service")
 
-_START_S = 120.0  # a first start compiles
+_START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
 
 
 class WorkerGone(Exception):
     """The worker's process ended before it answered."""
 
 
-class Worker(asyncio.Protocol):
-    """One process that tracks."""
+class WorkerClient(Protocol):
+    """What a worker needs of a session."""
+
+    @property
+    def has_waiting(self) -> bool:
+        """Whether an input waits."""
+
+    def take(self) -> SessionInput | None:
+        """The next input."""
+
+    def header_of(self, waiting: SessionInput) -> Header:
+        """The request that goes to the process with an input."""
+
+    def most_lines_of(self, waiting: SessionInput) -> int:
+        """How many sensor lines an input can hold."""
+
+    def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
+        """A frame's state has come."""
+
+    def add_extras(self, header: Header, picture: bytes) -> None:
+        """The contours and pictures of the last state have come."""
+
+    def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
+        """The answer to sensor lines has come."""
+
+    def refused(self, waiting: SessionInput, error: str, internal: bool) -> None:
+        """The process could not use an input."""
+
+    def lost(self, waiting: SessionInput) -> None:
+        """The process ended over an input."""
+
+
+ClientT = TypeVar("ClientT", bound=WorkerClient)
+
+
+class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
+    """Starts one worker process, sends it inputs, and gives its answers to the sessions."""
 
     def __init__(self, memory_bytes: int, frame_timeout_s: float) -> None:
         self._memory_bytes = memory_bytes
         self._frame_timeout_s = frame_timeout_s
-        self.sessions: set[Session] = set()
-        self.on_gone: Callable[[Worker], None] = lambda worker: None
+        self.sessions: set[ClientT] = set()
+        self.on_gone: Callable[[WorkerHandle[ClientT]], None] = lambda worker: None
         self.ready = False
-        self._turns: deque[Session] = deque()  # with frames waiting
-        self._current: tuple[Session, Waiting] | None = None
+        self._turns: deque[ClientT] = deque()  # sessions with an input waiting
+        self._current: tuple[ClientT, SessionInput] | None = None
         self._answers: deque[tuple[str, asyncio.Future[Header]]] = deque()
         self._timer: asyncio.TimerHandle | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -52,7 +81,7 @@ class Worker(asyncio.Protocol):
 
         Raises:
             WorkerGone: it ended at once.
-            TimeoutError: it did not say it is ready.
+            TimeoutError: it is not ready in time.
         """
         loop = asyncio.get_running_loop()
         ours, theirs = socket.socketpair()
@@ -76,10 +105,10 @@ class Worker(asyncio.Protocol):
         await asyncio.wait_for(self._started, _START_S)
 
     async def ask(self, header: Header) -> Header:
-        """A request other than a frame or a measurement, and its answer.
+        """A request other than an input, and its answer.
 
         Raises:
-            WorkerGone: there will be none.
+            WorkerGone: the process ended first.
         """
         if self._transport is None:
             raise WorkerGone
@@ -88,26 +117,26 @@ class Worker(asyncio.Protocol):
         self._transport.write(pack(header))
         return await future
 
-    def wake(self, session: Session) -> None:
-        """A session has a frame waiting."""
+    def wake(self, session: ClientT) -> None:
+        """A session has an input waiting."""
         if session not in self._turns:
             self._turns.append(session)
         self._next()
 
-    def forget(self, session: Session) -> None:
-        """A session is at its end."""
+    def forget(self, session: ClientT) -> None:
+        """A session has ended."""
         self.sessions.discard(session)
         if session in self._turns:
             self._turns.remove(session)
 
     def stop(self) -> None:
-        """Tell it to end; what it does is complete its logs."""
+        """Ask the process to end; it completes its logs first."""
         self.on_gone = lambda worker: None
         if self._transport is not None:
             self._transport.write(pack({"kind": "quit"}))
 
     async def restart(self) -> None:
-        """Another process in place of this one, which has no sessions yet."""
+        """Replace the process, which has no sessions yet."""
         gone, self.on_gone = self.on_gone, lambda worker: None
         if self._transport is not None:
             self._transport.write(pack({"kind": "quit"}))
@@ -118,7 +147,7 @@ class Worker(asyncio.Protocol):
         await self.start()
 
     async def join(self, timeout_s: float) -> None:
-        """Wait for its end, at last kill it."""
+        """Wait until the process ends; kill it after the timeout."""
         if self._process is None:
             return
         process = self._process
@@ -142,7 +171,7 @@ class Worker(asyncio.Protocol):
                 place += len(piece)
             self._transport.write(pack(session.header_of(waiting)))
             loop = asyncio.get_running_loop()
-            # Late lines are put where they belong, and what came after is said again for each.
+            # Every late line makes the filter repeat what came after it.
             count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
             self._timer = loop.call_later(count * self._frame_timeout_s, self._hung)
 
@@ -154,14 +183,14 @@ class Worker(asyncio.Protocol):
         self._next()
 
     def _hung(self) -> None:
-        log.error("a worker hangs and is ended", extra={"timeout_s": self._frame_timeout_s})
+        log.error("a worker hangs and is killed", extra={"timeout_s": self._frame_timeout_s})
         if self._process is not None:
             self._process.kill()
 
     # asyncio.Protocol
 
     def data_received(self, data: bytes) -> None:
-        """Bytes of the worker."""
+        """Bytes of the process."""
         for header, content in self._unpacker.feed(data):
             self._received(header, content)
 
@@ -179,14 +208,14 @@ class Worker(asyncio.Protocol):
             session, waiting = self._current
             try:
                 if kind == "state":
-                    session.saw(waiting, header, content)
+                    session.tracked(waiting, header, content)
                 elif kind == "extras":
-                    session.saw_more(header, content)
+                    session.add_extras(header, content)
                 elif kind == "measured":
                     session.measured(waiting, header, content)
                 else:
                     session.refused(waiting, header["error"], header.get("internal", False))
-            finally:  # whatever happens, the next frame must not wait for ever
+            finally:  # after an error too, the next input must not wait for ever
                 if header.get("done", True):
                     self._done()
 
@@ -199,7 +228,7 @@ class Worker(asyncio.Protocol):
                 return
 
     def connection_lost(self, error: Exception | None) -> None:
-        """The process is gone."""
+        """The process has ended."""
         self.ready = False
         self._transport = None
         if self._started is not None and not self._started.done():
@@ -213,7 +242,7 @@ class Worker(asyncio.Protocol):
         if self._current is not None:
             session, waiting = self._current
             self._current = None
-            session.broken(waiting)
+            session.lost(waiting)
         self._turns.clear()
         if self._process is not None:
             self._process.poll()

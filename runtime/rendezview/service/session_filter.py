@@ -1,8 +1,7 @@
-"""The filter of one session: its camera's poses and other sensors' lines, one state.
+"""The filter of one session: fuses its camera's poses and other sensors' lines into one state.
 
-The worker runs it beside the tracker, which it does not influence, and so does replay. A session
-whose camera is alone has none: it begins at the first line of another sensor that holds a
-measurement.
+The worker and replay run it beside the tracker; it does not influence the tracker. The filter
+starts at the first measurement of another sensor. Before that, a session has no fused state.
 """
 
 from __future__ import annotations
@@ -12,42 +11,42 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Fusion, FusionOptions, Measurement, PoseMeasurement, Verdict
+from rendezview.fusion import Fusion, FusionOptions, Measurement, Verdict
 from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import kind_of
 from rendezview.geometry.pose import Pose
+from rendezview.sensors.observation import Observation, Status
 from rendezview.service.fusion_messages import MOST_REMEMBERED, FusionRequest
-from rendezview.service.message_parts import MOST_TIME_S
+from rendezview.service.message_parts import CAMERA, MOST_TIME_S
 from rendezview.service.sensor_lines import (
     Json,
-    Line,
+    SensorLine,
     check_size,
     context_of,
     read_line,
     split_records,
 )
 
-CAMERA = "camera"  # the name of the session's own
-CLOCK_APART_S = 60.0  # times farther from the session's own are of another clock
+# s; a time farther from the session's own is of another clock. Source: a chosen limit.
+MOST_CLOCK_GAP_S = 60.0
 
 
 @dataclass(slots=True)
-class Heard:
-    """What has come of one sensor."""
+class SensorCounts:
+    """Counts of what one sensor has sent."""
 
     kind: str
     lines: int = 0
     silent: int = 0  # lines without a measurement
-    heard: int = 0
+    measurements: int = 0
     accepted: int = 0
-    reason: str | None = None  # why its last measurement was not accepted
+    reason: str | None = None  # if its last measurement was rejected
 
 
 class SessionFilter:
-    """Several sensors of one session."""
+    """Fuses the sensors of one session."""
 
     def __init__(
         self,
@@ -55,12 +54,12 @@ class SessionFilter:
         most_sensors: int | None = None,
         forgotten: bool = False,
     ) -> None:
-        """A filter that has not begun.
+        """A filter that has not started.
 
         Args:
-            request: what is known of the sensors.
+            request: data on the sensors.
             most_sensors: beside the camera; None: any number.
-            forgotten: there was one before, whose process has ended: it begins at once.
+            forgotten: the session had a filter whose process ended; this one starts at once.
         """
         asked = request or FusionRequest()
         self._context = context_of(asked)
@@ -68,22 +67,22 @@ class SessionFilter:
         most = min(options.history_most, MOST_REMEMBERED)
         self._options = replace(options, history_most=most)
         self._most_sensors = most_sensors
-        self._heard: dict[str, Heard] = {}
+        self._counts: dict[str, SensorCounts] = {}
         self._note: str | None = None
-        self._newest_s = -math.inf  # of what the filter has been given
+        self._newest_s = -math.inf  # newest time that the filter has
         self._lines = 0
         self._fusion: Fusion | None = None
         if forgotten:
-            self._begin("its process ended, and what it knew with it")
+            self._start("its process ended")
 
     @property
     def running(self) -> bool:
-        """Whether a sensor beside the camera has measured something."""
+        """Whether another sensor has sent a measurement."""
         return self._fusion is not None
 
     @property
     def lines(self) -> int:
-        """Taken so far, of all sensors."""
+        """Number of lines so far, of all sensors."""
         return self._lines
 
     # Lines of other sensors
@@ -95,37 +94,39 @@ class SessionFilter:
         frame_s: float,
         waited_s: float = 0.0,
         most_lines: int | None = None,
-    ) -> list[Line]:
-        """The lines of a message, all of them right.
+    ) -> list[SensorLine]:
+        """Read the lines of a message without taking them.
 
         Args:
-            text: JSON, one object or one a line.
+            text: JSON, one object or one per line.
             frame_s: time of the session's last frame; -inf: none yet.
-            waited_s: since something last came into the session, by the service's own clock.
+            waited_s: since the session's previous input, by the service's own clock.
 
         Raises:
-            RendezviewError: one is wrong (named), of another clock, or there are too many
-                sensors. Nothing is taken then.
+            RendezviewError: a line (named) is wrong or of another clock, or there are too many
+                lines or sensors.
         """
         records = split_records(text)
         if most_lines is not None and len(records) > most_lines:
-            raise RendezviewError(f"{sensor}: {len(records)} lines: at most {most_lines} at once")
-        known = self._heard.get(sensor)
+            raise RendezviewError(
+                f"{sensor}: {len(records)} lines: send at most {most_lines} at once"
+            )
+        known = self._counts.get(sensor)
         if known is None and self._most_sensors is not None:
-            others = [name for name in self._heard if name != CAMERA]
+            others = [name for name in self._counts if name != CAMERA]
             if len(others) >= self._most_sensors:
                 raise RendezviewError(
-                    f"{sensor}: a session takes {self._most_sensors} sensors beside its camera "
-                    f"({', '.join(others)}): use one of these names"
+                    f"{sensor}: a session has at most {self._most_sensors} sensors beside its "
+                    f"camera ({', '.join(others)}): use one of these names"
                 )
-        lines: list[Line] = []
+        lines: list[SensorLine] = []
         for number, record in enumerate(records, start=1):
             where = f"{sensor}: line {number}"
             kind = kind_of(record, where)
             before = lines[0].kind if lines else known.kind if known else kind
             if kind != before:
                 raise RendezviewError(
-                    f"{where}: is of a {kind} log, those before were of a {before} log: give "
+                    f"{where}: a line of a {kind} log, earlier ones were of a {before} log: give "
                     "each sensor a name of its own"
                 )
             line = read_line(record, kind, sensor, self._context, where)
@@ -134,84 +135,88 @@ class SessionFilter:
             lines.append(line)
         return lines
 
-    def take(self, sensor: str, line: Line) -> tuple[Json | None, Json | None]:
-        """What became of a line that was checked, and the state at the newest time known."""
-        heard = self._heard.setdefault(sensor, Heard(line.kind))
-        heard.lines += 1
+    def take(self, sensor: str, line: SensorLine) -> tuple[Json | None, Json | None]:
+        """Give a checked line to the filter: the `Verdict`, and the `Fused` state afterwards."""
+        counts = self._counts.setdefault(sensor, SensorCounts(line.kind))
+        counts.lines += 1
         self._lines += 1
         verdict = None
         if line.measurement is None:
-            heard.silent += 1
+            counts.silent += 1
         else:
             if self._fusion is None:
-                self._begin(None)
-            verdict = self._add(line.measurement, heard)
+                self._start(None)
+            verdict = self._add(line.measurement, counts)
         return verdict, None if self._fusion is None else self._state(self._newest_s)
 
     # The camera
 
-    def look(self, time_s: float, pose: Pose | None, covariance: npt.ArrayLike | None) -> Json:
-        """The state at a frame, after the pose that it gave, if any. The filter must be running."""
+    def track(self, observation: Observation) -> Json:
+        """The `Fused` state at a frame, with the frame's pose. The filter must be running."""
+        time_s = observation.time_s
+        assert time_s is not None
         apart_s = time_s - self._newest_s
-        if math.isfinite(apart_s) and abs(apart_s) > CLOCK_APART_S:
-            self._begin(f"the camera's time went from what it was by {apart_s:.0f} s")
-        if pose is None or covariance is None:
+        if math.isfinite(apart_s) and abs(apart_s) > MOST_CLOCK_GAP_S:
+            self._start(f"the camera's time jumped by {apart_s:.0f} s")
+        if observation.pose is None or observation.covariance is None:
             self._newest_s = max(self._newest_s, time_s)
             return self._state(time_s)
-        heard = self._heard.setdefault(CAMERA, Heard("pose"))
-        heard.lines += 1
+        counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
+        counts.lines += 1
         try:
-            measurement = PoseMeasurement(time_s, CAMERA, pose, np.asarray(covariance))
+            measurement = observation.measurement(CAMERA)
+            assert measurement is not None  # it has a pose
             check_size(measurement, CAMERA)
         except (ValueError, RendezviewError) as error:
-            heard.silent += 1
-            heard.reason = str(error)
+            counts.silent += 1
+            counts.reason = str(error)
             self._newest_s = max(self._newest_s, time_s)
         else:
-            self._add(measurement, heard)
+            self._add(measurement, counts)
         return self._state(time_s)
 
     def health(self) -> dict[str, Json]:
-        """How each sensor stands, by name."""
+        """Counts and trust of each sensor, by name: a `SensorTrust` and more."""
         trusts = {} if self._fusion is None else self._fusion.trusts
         found = {}
-        for name, heard in self._heard.items():
+        for name, counts in self._counts.items():
             trust = trusts.get(name)
             found[name] = {
-                "kind": heard.kind,
-                "lines": heard.lines,
-                "silent": heard.silent,
-                "heard": heard.heard,
-                "accepted": heard.accepted,
+                "kind": counts.kind,
+                "lines": counts.lines,
+                "silent": counts.silent,
+                "heard": counts.measurements,
+                "accepted": counts.accepted,
                 "locked_out": trust is not None and trust.locked,
                 "lockouts": 0 if trust is None else trust.lockouts,
                 "mean_nis": None if trust is None else _finite(trust.mean_nis),
-                "reason": heard.reason,
+                "reason": counts.reason,
             }
         return found
 
-    def _begin(self, note: str | None) -> None:
+    def _start(self, note: str | None) -> None:
         self._fusion = Fusion(self._options)
         self._newest_s = -math.inf
         self._note = note
 
-    def _add(self, measurement: Measurement, heard: Heard) -> Json:
+    def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
         assert self._fusion is not None
-        heard.heard += 1
+        counts.measurements += 1
         newest_s = max(self._newest_s, measurement.time_s)
         try:
             with np.errstate(all="ignore"):
                 verdict = self._fusion.add(measurement)
                 self._fusion.state_at(max(newest_s, self._fusion.time_s or newest_s))
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-            # It has no way back from a number that is none.
-            told = f"the filter could not go on ({str(error)[:200]})"
-            self._begin(told)
-            verdict = Verdict(measurement.sensor, measurement.time_s, False, f"{told}: begun anew")
+            # A filter cannot recover from a number that is not finite.
+            note = f"the filter failed ({str(error)[:200]})"
+            self._start(note)
+            reason = f"{note} and was restarted"
+            verdict = Verdict(measurement.sensor, measurement.time_s, False, reason)
         else:
             self._newest_s = newest_s
-        heard.accepted += verdict.accepted
-        heard.reason = None if verdict.accepted else verdict.reason
+        counts.accepted += verdict.accepted
+        counts.reason = None if verdict.accepted else verdict.reason
         return {
             "time_s": measurement.time_s,
             "accepted": verdict.accepted,
@@ -222,7 +227,7 @@ class SessionFilter:
         }
 
     def _state(self, time_s: float) -> Json:
-        """The estimate at a time as a `Fused` message."""
+        """The `Fused` state at a time."""
         assert self._fusion is not None
         at_s = time_s if math.isfinite(time_s) else 0.0
         estimate: Estimate | None
@@ -231,7 +236,7 @@ class SessionFilter:
             with np.errstate(all="ignore"):
                 estimate = self._fusion.state_at(at_s)
             if estimate.covariance is not None and not np.isfinite(estimate.covariance).all():
-                raise ArithmeticError("numbers beyond all measure")
+                raise ArithmeticError("the covariance is not finite")
         except ValueError as error:
             estimate, status, reason = None, "late", str(error)
         except (ArithmeticError, np.linalg.LinAlgError) as error:
@@ -241,7 +246,7 @@ class SessionFilter:
         if status == "tracking":
             self._note = None
         elif self._note is not None:
-            reason = f"begun anew, {self._note}; {reason}"
+            reason = f"the filter was restarted: {self._note}; {reason}"
         pose, rates, covariance = None, None, None
         if estimate is not None and estimate.pose is not None:
             pose = estimate.pose.as_dict()
@@ -269,11 +274,11 @@ class SessionFilter:
             raise RendezviewError(f"{where}: time_s must be within ±{MOST_TIME_S:g}")
         now_s = max(self._newest_s, frame_s)
         apart_s = measurement.time_s - now_s
-        if math.isfinite(now_s) and not -CLOCK_APART_S <= apart_s <= CLOCK_APART_S + waited_s:
+        if math.isfinite(now_s) and not -MOST_CLOCK_GAP_S <= apart_s <= MOST_CLOCK_GAP_S + waited_s:
             raise RendezviewError(
                 f"{where}: time_s {measurement.time_s:g} is {abs(apart_s):.6g} s "
                 f"{'after' if apart_s > 0.0 else 'before'} the session's own ({now_s:.6g}): "
-                "sensors of a session need one clock"
+                "all sensors of a session need one clock"
             )
 
 
@@ -282,7 +287,7 @@ def _finite(value: float) -> float | None:
 
 
 def warm_up() -> None:
-    """Have the filter's loops compiled, or read from their cache: one of each kind of word."""
+    """Compile the filter's loops, or read them from their cache: one line of each kind."""
     ring = {"centre_m": [0.0, 0.0, 0.5], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
     asked = {"ring": ring, "options": {"ring_radius_sigma": 1e-3}}
     filter_ = SessionFilter(FusionRequest.model_validate(asked))
@@ -293,19 +298,20 @@ def warm_up() -> None:
     }
     tilted = seen | {"axis": [0.0, 0.1, math.sqrt(0.99)]}
     pose = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 10.0]}
-    words: Sequence[tuple[str, Json]] = [
+    lines: Sequence[tuple[str, Json]] = [
         ("pose", {"pose": pose, "covariance": (1e-4 * np.eye(6)).tolist()}),
         ("ring", {"ellipses": [], "poses": [seen, tilted]}),
         ("ring", {"ellipses": [], "poses": [seen]}),
         ("range", {"range_m": 10.5, "sigma_m": 0.02}),
     ]
-    start = Pose.identity()
-    start = Pose(start.rotation, np.array([0.0, 0.0, 10.0]))
+    start = Pose(np.eye(3), np.array([0.0, 0.0, 10.0]))
     for k in range(3):
-        for sensor, record in words:
+        for sensor, record in lines:
             timed = record | {"time_s": float(k)}
             kind = kind_of(timed, sensor)
             filter_.take(sensor, read_line(timed, kind, sensor, filter_._context, sensor))
-        filter_.look(k + 0.5, start, 1e-4 * np.eye(6))
+        filter_.track(
+            Observation(Status.OK, time_s=k + 0.5, pose=start, covariance=1e-4 * np.eye(6))
+        )
     far = {"time_s": 2.9, "range_m": 30.0, "sigma_m": 0.02}
     filter_.take("range", read_line(far, "range", "range", filter_._context, "range"))

@@ -1,8 +1,8 @@
 """Which ellipses are edges of one ring: circles about one axis, in or near one plane.
 
-A nozzle, a dish or the end of a tank has one edge, a ring several that are concentric and nearly
-as large. That, how much of each edge is seen, and its size order the ellipses of a frame where
-nothing else is known.
+A nozzle, a dish or the end of a tank has one edge; a ring has several that are concentric and of
+similar size. The number of edges, their visible arcs and their size order the ellipses of a frame
+where nothing else is known.
 """
 
 from __future__ import annotations
@@ -18,55 +18,55 @@ from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_c
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-FULL_EDGES = 2.5  # so many edges seen whole score 1
+FULL_EDGES = 2.5  # full circles of a group that score 1
 LEAST_RATIO = 0.6  # of the smallest edge's radius to the largest one's
 _ASIDE = 0.04  # of the radius, how far centres may lie apart in the picture
 _UNALIKE = 0.04  # difference of the shapes, relative
 
 
-def families(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[Ints, Array, Ints]:
-    """Family numbers (K,), scores (K,) in 0 … 1 and the order (K,), best first.
+def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[Ints, Array, Ints]:
+    """Group numbers (K,), scores (K,) in 0 … 1 and the order (K,), best first.
 
-    A family's worth is the sum of what is seen of its edges, in full turns, times the size of its
-    largest edge relative to the largest of the frame. Within it the outermost edge that is seen
-    well comes first: its radius is the ring's.
+    The score of a group is the visible arc of its edges, in full turns, times the size of its
+    largest edge relative to the largest of the frame. Within a group the outermost edge with a
+    long arc comes first: its radius is the ring's.
 
     Args:
         camera: of the frame.
         shapes: (K, 5) shape vectors, px.
-        arcs_rad: (K,) what is seen of each.
+        arcs_rad: (K,) visible arc of each.
     """
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)  # of the circle of like area
     share = np.minimum(arcs_rad / (2.0 * np.pi), 1.0)
-    family = _families(lens_vector(camera), shapes, size)
+    group = _group(lens_vector(camera), shapes, size)
     worth = np.zeros(len(shapes))
     well = np.zeros(len(shapes), dtype=bool)
     long = 0.5 * (shapes[:, 2] + shapes[:, 4]) + np.hypot(
         0.5 * (shapes[:, 2] - shapes[:, 4]), shapes[:, 3]
     )
-    for number in range(int(family.max()) + 1):
-        members = family == number
-        seen = float(share[members].sum()) * float(long[members].max() / long.max())
-        worth[members] = min(seen / FULL_EDGES, 1.0)
+    for number in range(int(group.max()) + 1):
+        members = group == number
+        visible = float(share[members].sum()) * float(long[members].max() / long.max())
+        worth[members] = min(visible / FULL_EDGES, 1.0)
         well |= members & (share >= 0.6 * share[members].max())
-    order = np.lexsort((-size, ~well, family, -worth))
-    return family, worth * (0.5 + 0.5 * share), order
+    order = np.lexsort((-size, ~well, group, -worth))
+    return group, worth * (0.5 + 0.5 * share), order
 
 
 @njit(cache=True, nogil=True)
-def _families(camera, shapes, size):  # type: ignore[no-untyped-def]
+def _group(camera, shapes, size):  # type: ignore[no-untyped-def]
     count = shapes.shape[0]
-    family = np.full(count, -1)
+    group = np.full(count, -1)
     order = np.argsort(-size)
     centres, axes, predicted = np.empty((2, 3)), np.empty((2, 3)), np.empty(5)
     number = 0
     for k in order:
-        if family[k] >= 0:
+        if group[k] >= 0:
             continue
-        family[k] = number
+        group[k] = number
         poses = circles_of_picture(camera, shapes[k], 1.0, centres, axes)
         for j in order:
-            if family[j] >= 0 or size[j] < LEAST_RATIO * size[k]:
+            if group[j] >= 0 or size[j] < LEAST_RATIO * size[k]:
                 continue
             near = 0.5 * (shapes[j, 2] + shapes[j, 4])
             for p in range(poses):
@@ -75,6 +75,6 @@ def _families(camera, shapes, size):  # type: ignore[no-untyped-def]
                 aside = np.hypot(predicted[0] - shapes[j, 0], predicted[1] - shapes[j, 1])
                 unalike = np.max(np.abs(predicted[2:] - shapes[j, 2:]))
                 if aside < _ASIDE * near + 0.5 and unalike < _UNALIKE * near + 0.5:
-                    family[j] = number
+                    group[j] = number
         number += 1
-    return family
+    return group

@@ -1,4 +1,4 @@
-"""What a 3-D view can draw of a target on board: contour points and the sphere of views."""
+"""The model's data for a 3-D view: contour points and the view sphere."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rendezview.sensors.appearance.edges.contours import (
     OUTLINE,
     POINT_UNIT,
 )
-from rendezview.service.messages import Geometry
+from rendezview.service.model_messages import Geometry
 
-_CELLS = 48  # of the target's radius: at most one point is kept in each …
-_MOST_POINTS = 6000  # … and no more than these
+_CELLS = 48  # per target radius; each cell keeps at most one point. Source: chosen
+_MOST_POINTS = 6000  # cells grow until no more are left. Source: a chosen limit
 
 
 def geometry(name: str, model: ViewModel) -> Geometry:
-    """Contour points of all views, thinned, and the nodes and edges of the sphere."""
+    """Contour points of all views, thinned, and the nodes and edges of the view sphere."""
     points, tangents, kinds = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, dtype=np.uint8)
     cell = 1.0 / _CELLS
     contours = model.contours
@@ -26,7 +26,7 @@ def geometry(name: str, model: ViewModel) -> Geometry:
         shell = len(contours.shells_m) // 2
         kind = contours.kind[shell].ravel()
         used = kind != NO_POINT
-        # Creases and steps first: an outline moves over the body with the view.
+        # Creases and steps first: they lie at fixed places, outlines move with the view.
         order = np.argsort(np.where(kind[used] == OUTLINE, 1, 0), kind="stable")
         kinds = kind[used][order]
         points = contours.point[shell].reshape(-1, 3)[used][order] * POINT_UNIT

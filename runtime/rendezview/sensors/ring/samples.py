@@ -1,8 +1,8 @@
-"""How well the gradients of a picture bear an ellipse out, and the step that brings it onto them.
+"""Samples of the edge along an ellipse, and the Gauss–Newton step that moves the ellipse onto them.
 
-`gradient_support` looks a few pixels to either side: fast, for hypotheses. `update_shape` solves
-for the five numbers of the ellipse by Gauss–Newton, from these samples or from those of `steps`.
-The ellipse is in pixels without lens distortion; every place read goes through the lens model.
+`sample_gradients` searches a few pixels to either side: fast, for hypotheses. `update_shape` solves
+for the five numbers of the ellipse, from these samples or from those of `steps`. The ellipse is in
+pixels without lens distortion; every place that is read goes through the lens model.
 """
 
 from __future__ import annotations
@@ -11,6 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.edge_profile import FAR
+from rendezview.estimation.least_squares import tukey_weight
+from rendezview.estimation.linear_algebra import solve
 from rendezview.geometry.lens import distorted
 
 Array = npt.NDArray[np.float64]
@@ -19,7 +22,6 @@ Array = npt.NDArray[np.float64]
 ANGLE, OFFSET, CONTRAST, WEIGHT, PX, PY, NX, NY, U0, U1, ARC = range(11)
 COLUMNS = 11
 _ALIGNED = 0.9  # cosine between gradient and normal
-_NO = 1e9
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
@@ -72,7 +74,7 @@ def begin_sample(row, shape, lens, angle, u0, u1, room_px, width, height):  # ty
 
 
 @njit(cache=True, nogil=True)
-def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: ignore[no-untyped-def]
+def sample_gradients(dx, dy, low, lens, shape, count, band, samples):  # type: ignore[no-untyped-def]
     """Edges near an ellipse at ``count`` even angles of its circle; returns how many there are.
 
     Fills OFFSET (px outwards), CONTRAST (signed slope, Sobel units) and WEIGHT (1 or 0; -1 outside
@@ -91,7 +93,7 @@ def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: i
         )
         if row[WEIGHT] < 0.0:
             continue
-        best, at = low * 0.9, _NO
+        best, at = low * 0.9, FAR
         for k in range(2 * reach + 3):
             d = k - reach - 1.0
             column, line = int(rx + d * nx + 0.5), int(ry + d * ny + 0.5)
@@ -111,11 +113,11 @@ def gradient_support(dx, dy, low, lens, shape, count, band, samples):  # type: i
             shift = 0.5 * (near - far) / curve if curve < 0.0 else 0.0
             # The nearest edge, unless a much stronger one is beside it.
             if abs(d + shift) <= band and (
-                at == _NO or size > 1.5 * best or abs(d + shift) < abs(at)
+                at == FAR or size > 1.5 * best or abs(d + shift) < abs(at)
             ):
                 best, at = max(size, low), d + shift
                 row[CONTRAST] = values[k]
-        if at != _NO:
+        if at != FAR:
             row[OFFSET], row[WEIGHT] = at, 1.0
             found += 1
     return found
@@ -144,8 +146,7 @@ def solve_equations(normal, right, damping, step):  # type: ignore[no-untyped-de
     damped = normal.copy()
     for j in range(count):
         damped[j, j] += damping * trace
-    step[:] = np.linalg.solve(damped, right)
-    return True
+    return solve(damped, right, damped, step)
 
 
 @njit(cache=True, nogil=True)
@@ -162,10 +163,9 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
         s = samples[i]
         if s[WEIGHT] <= 0.0:
             continue
-        z = s[OFFSET] / scale_px
-        if abs(z) >= 1.0:
+        w = s[WEIGHT] * tukey_weight(s[OFFSET], scale_px)
+        if w == 0.0:
             continue
-        w = s[WEIGHT] * (1.0 - z * z) ** 2
         row[0], row[1] = s[NX], s[NY]
         row[2], row[4] = s[NX] * s[U0], s[NY] * s[U1]
         row[3] = s[NX] * s[U1] + s[NY] * s[U0]

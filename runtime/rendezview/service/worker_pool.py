@@ -1,4 +1,4 @@
-"""The processes that track, together: how they come up, are warmed up, and are replaced."""
+"""All worker processes: they are started, warmed up and replaced here."""
 
 from __future__ import annotations
 
@@ -9,27 +9,29 @@ from collections.abc import Awaitable, Callable
 from rendezview.errors import RendezviewError
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
-from rendezview.service.pool import Worker, WorkerGone
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
+from rendezview.service.worker_handle import WorkerGone, WorkerHandle
 
 log = logging.getLogger("rendezview.service")
 
-COMPILING = "loops are being compiled, some minutes, once: /readyz says when that is done"
-_RESTART_PAUSE_S = 1.0
-_WARM_WAIT_S = 20.0  # for loops that are only read from their cache
-_STOP_S = 10.0
+Worker = WorkerHandle[Session]
+
+COMPILING = "loops are being compiled, which takes minutes, once: /readyz says when it is done"
+_RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
+_WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
+_STOP_S = 10.0  # s, to complete the logs. Source: chosen
 
 
 class NotReady(Exception):
-    """There is no worker to track with, for the moment."""
+    """No worker is ready at the moment."""
 
-    def __init__(self, reason: str = "no process that tracks is up: come back in a moment") -> None:
+    def __init__(self, reason: str = "no worker process is ready: try again in a moment") -> None:
         super().__init__(reason)
 
 
-class Workers:
-    """As many as there are cores, or as the settings say; one that ends is replaced."""
+class WorkerPool:
+    """A fixed number of workers; one that ends is replaced."""
 
     def __init__(
         self,
@@ -37,76 +39,76 @@ class Workers:
         metrics: Metrics,
         orphaned: Callable[[list[Session]], Awaitable[None]],
     ) -> None:
-        """None of them is started yet.
+        """A pool whose workers are not started yet.
 
         Args:
-            orphaned: gets the sessions of one that ended when there is another.
+            orphaned: receives the sessions of a worker that ended, once it is replaced.
         """
         self._settings = settings
         self._metrics = metrics
         self._orphaned = orphaned
         self._workers: list[Worker] = []
-        self._warm_with: StoredModel | None = None  # its loops are compiled in each worker
+        self._warm_with: StoredModel | None = None  # model for the warm-up
         self._warming: asyncio.Task[None] | None = None
         self._replacing: set[asyncio.Task[None]] = set()
         self._stopping = False
 
     async def start(self, count: int, model: StoredModel | None) -> None:
-        """Start so many; a model warms them up.
+        """Start ``count`` workers and warm them up with a model.
 
         Raises:
-            RendezviewError: one does not come up.
+            RendezviewError: a worker does not start.
         """
         self._warm_with = model
         self._workers = [self._new() for _ in range(count)]
         try:
-            # One first: what it compiles the others find compiled.
-            await self._come_up(self._workers[0])
-            await asyncio.gather(*map(self._come_up, self._workers[1:]))
+            # One first: the others then read what it has compiled.
+            await self._start_one(self._workers[0])
+            await asyncio.gather(*map(self._start_one, self._workers[1:]))
         except (WorkerGone, TimeoutError, OSError) as error:
             raise RendezviewError(
-                f"the processes that track do not start ({error or type(error).__name__})"
+                f"the worker processes do not start ({error or type(error).__name__}): see the log"
             ) from None
 
     async def stop(self) -> None:
-        """End them all."""
+        """Stop all workers."""
         for worker in self._workers:
             worker.stop()
         await asyncio.gather(*(worker.join(_STOP_S) for worker in self._workers))
 
     def stay_down(self) -> None:
-        """From now on none is replaced."""
+        """Replace no worker from now on."""
         self._stopping = True
         for task in self._replacing:
             task.cancel()
 
     @property
     def none_ready(self) -> bool:
-        """No worker is up."""
+        """Whether no worker is ready."""
         return not any(worker.ready for worker in self._workers)
 
     @property
     def compiling(self) -> bool:
-        """Loops are being compiled for the first model that came."""
+        """Whether loops are being compiled for the first model."""
         return self._warming is not None and not self._warming.done()
 
     def least_busy(self) -> Worker:
         """The worker with the fewest sessions.
 
         Raises:
-            NotReady: none is up.
+            NotReady: there is none.
         """
-        up = [worker for worker in self._workers if worker.ready]
-        if not up:
+        ready = [worker for worker in self._workers if worker.ready]
+        if not ready:
             raise NotReady
-        return min(up, key=lambda worker: len(worker.sessions))
+        return min(ready, key=lambda worker: len(worker.sessions))
 
     async def warmed(self, model: StoredModel) -> None:
-        """Warm the workers up with the first model there is, if there was none at the start.
+        """Warm the workers up with a model, if there was none at the start.
 
         Raises:
-            RendezviewError: it is no model.
-            NotReady: that takes longer, because loops have to be compiled.
+            RendezviewError: the file is not a model.
+            NotReady: it takes longer, because loops have to be compiled.
         """
         if self._warm_with is None:
             self._warm_with = model
@@ -123,14 +125,14 @@ class Workers:
         worker.on_gone = self._gone
         return worker
 
-    async def _come_up(self, worker: Worker) -> None:
+    async def _start_one(self, worker: Worker) -> None:
         """Start a worker and warm it up."""
         await worker.start()
         if self._warm_with is not None:
             await self._warm(worker, self._warm_with)
 
     async def _warm(self, worker: Worker, model: StoredModel) -> None:
-        """Have a worker compile what it needs; if it had to, in a process that only reads it."""
+        """Have a worker compile its loops; if it did, restart it to read them from the cache."""
         request = {"kind": "warm", "session": "", "model_path": str(model.path)}
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
@@ -149,29 +151,29 @@ class Workers:
             self._warm_with = self._warming = None
             raise
         except (WorkerGone, TimeoutError, OSError):
-            pass  # what comes up in its place warms up
+            pass  # its replacement warms up
 
     def _gone(self, worker: Worker) -> None:
         if self._stopping:
             return
-        log.error("a process that tracks has ended; it is started anew")
+        log.error("a worker process has ended and is being replaced")
         self._metrics.restarts.inc()
         task = asyncio.create_task(self._replace(worker))
         self._replacing.add(task)
         task.add_done_callback(self._replacing.discard)
 
     async def _replace(self, worker: Worker) -> None:
-        """Another process for one that ended; its sessions go on, their trackers anew."""
+        """Start a worker in place of one that ended; its sessions continue with new trackers."""
         orphans = list(worker.sessions)
         for session in orphans:
             session.worker = None
         fresh = self._new()
         while True:
             try:
-                await self._come_up(fresh)
+                await self._start_one(fresh)
                 break
             except RendezviewError as error:
-                # It is up; the model to warm it up with has gone, and the next one does that.
+                # It runs, but its model for the warm-up is gone; the next model warms it up.
                 log.warning("not warmed up", extra={"reason": str(error)})
                 self._warm_with = self._warming = None
                 break

@@ -1,4 +1,4 @@
-"""The service's own log: a JSON object a line on stderr."""
+"""The service's own log: JSON lines on stderr."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _STANDARD = set(vars(logging.makeLogRecord({}))) | _OTHERS
 
 
 class JsonLines(logging.Formatter):
-    """One JSON object a record; what is given by ``extra`` stands beside the message."""
+    """One JSON object per record, with the keys of ``extra``."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """One line."""
+        """The record as one line."""
         line: dict[str, object] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -29,7 +29,7 @@ class JsonLines(logging.Formatter):
 
 
 def set_up_logging(level: str) -> None:
-    """All loggers to stderr."""
+    """Send all loggers to stderr as JSON lines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
     root = logging.getLogger()

@@ -1,0 +1,104 @@
+"""What the recognizer says of one frame, and the clock of its stages."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.edges.confidence import Found
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.silhouette import Silhouette
+from rendezview.sensors.observation import Observation, Status
+
+CLOSE_MARGIN = 0.1  # merit; two poses nearer to each other explain a frame equally well
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AppearanceObservation(Observation):
+    """A pose by appearance, with the active nodes; or the reason for none."""
+
+    _: KW_ONLY
+    active_nodes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    weights: Array = field(default_factory=lambda: np.zeros(0))  # (K,) trust in each active node
+    # (K, 3) m, target frame: where each active node puts the camera; none without a pose
+    points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    # Where views between the nodes put the camera (J, 3), and weights (J,). It takes a
+    # millisecond, so it is computed when the cloud is asked for.
+    interpolated: Callable[[], tuple[Array, Array]] | None = None
+    silhouette: Silhouette | None = None
+    signature: Signature | None = None
+    found: Found | None = None  # the best refined pose and its rival, given or not
+
+    @property
+    def cloud(self) -> tuple[Array, Array]:
+        """Points (K, 3) m of the camera, target frame, and the trust in each (K,).
+
+        They are interpolated between the nodes where the model allows it, else those of the
+        active nodes. There are none without a pose.
+        """
+        if self.interpolated is not None and len(self.points_m):
+            return self.interpolated()
+        return self.points_m, self.weights[: len(self.points_m)]
+
+    @property
+    def candidates(self) -> tuple[Pose, ...]:
+        """Poses that fit but are not given: not confident enough, or two that fit equally well."""
+        if self.found is None or self.status is Status.OK:
+            return ()
+        rival = self.found.rival
+        close = rival is not None and self.found.margin < CLOSE_MARGIN
+        return (self.found.best.pose, *((rival.pose,) if rival and close else ()))
+
+    @property
+    def score(self) -> float:
+        """The confidence of a refined pose; else the agreement of the trees, the sum of weights."""
+        return float(self.weights.sum()) if self.confidence is None else self.confidence
+
+    def record(self) -> dict[str, Any]:
+        """The observation as its line of JSON."""
+        line = Observation.record(self)
+        stage_ms = line.pop("stage_ms")  # the last key of the line
+        return line | {
+            "score": self.score,
+            "confidence": self.confidence,
+            "candidates": list(self.candidates),
+            "refinement": self._refinement(),
+            "on_nodes": self.active_nodes,
+            "weights": self.weights,
+            "points_m": self.points_m,
+            "stage_ms": stage_ms,
+        }
+
+    def _refinement(self) -> dict[str, float] | None:
+        """How the best refined pose stands, given or not."""
+        if self.found is None:
+            return None
+        best = self.found.best
+        return {
+            "outline": best.outline,
+            "inner": best.inner,
+            "seen": best.visible,
+            "residual_px": best.residual_px,
+            "excess": self.found.overshoot,
+            "margin": self.found.margin,
+        }
+
+
+class StageClock:
+    """Milliseconds of each stage of one frame, summed over its turns."""
+
+    def __init__(self) -> None:
+        self.stage_ms: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> None:
+        """Count the time since the last lap for a stage."""
+        now = time.perf_counter()
+        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now - self._last)
+        self._last = now

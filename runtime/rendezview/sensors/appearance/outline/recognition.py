@@ -1,0 +1,166 @@
+"""The paper's way from a frame to a pose (Cleghorn & Sternberg 1991).
+
+Silhouette → radial signature → trees → votes → placement. `OutlineRecognition.trace` takes the
+first two steps, `OutlineRecognition.recognize` the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose, rotation_angle
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
+from rendezview.sensors.appearance.outline.bright_sky import find_bodies
+from rendezview.sensors.appearance.outline.foreground import Foreground
+from rendezview.sensors.appearance.outline.interpolation import Interpolator
+from rendezview.sensors.appearance.outline.placement import node_points, place
+from rendezview.sensors.appearance.outline.signature import Outlines, Signature
+from rendezview.sensors.appearance.outline.silhouette import (
+    Missing,
+    Silhouette,
+    SilhouetteOptions,
+    find_silhouette,
+)
+from rendezview.sensors.appearance.outline.votes import Match, Matcher, MatchOptions
+from rendezview.sensors.observation import Status
+
+# Of the residual that 99.5 % of good frames stay below. A larger one means another outline: of
+# another body, or of the lit parts only. Source: by construction
+_MOST_RESIDUAL = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Traced:
+    """What a frame shows of the target: a silhouette, or the reason for none."""
+
+    silhouette: Silhouette | None  # the likeliest, if there are several
+    outlines: list[Outlines]  # of each silhouette that encloses an area
+    missing: Missing | None = None
+
+
+class OutlineRecognition:
+    """Recognises the views of one model by their outlines, in the frames of one camera."""
+
+    def __init__(
+        self,
+        model: ViewModel,
+        camera: Camera,
+        silhouette: SilhouetteOptions,
+        match: MatchOptions | None = None,
+    ) -> None:
+        self.model = model
+        self.camera = camera
+        self.silhouette_options = silhouette
+        self.matcher = Matcher(model, match)
+        self._interpolator = None if model.views.far_change is None else Interpolator(model)
+        self._foreground = Foreground()
+        self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
+        self._most_residual = _MOST_RESIDUAL * model.held_out.residual
+
+    def trace(
+        self, frame: Picture, prior: Pose | None, clock: StageClock, *, bright_sky: bool
+    ) -> Traced:
+        """Silhouettes and their signatures; several silhouettes before a bright sky.
+
+        Args:
+            frame: (H, W) of the camera's size.
+            prior: camera_from_target; it chooses among several bodies.
+            clock: counts the stages ``silhouette`` and ``signature``.
+            bright_sky: whether the network looks for the target first.
+        """
+        bodies = find_bodies(frame, self._foreground) if bright_sky else None
+        if bodies is None or isinstance(bodies, Missing):
+            expected_px = None
+            if prior is not None:
+                centre = prior.apply(self.model.centre_m)
+                expected_px = self.camera.project(centre) if centre[2] > 0.0 else None
+            found = find_silhouette(frame, self.silhouette_options, expected_px)
+            bodies = found if isinstance(found, Missing) else [found]
+        clock.lap("silhouette")
+        if isinstance(bodies, Missing):
+            return Traced(None, [], bodies)
+        outlines = []
+        for body in bodies:
+            rays = [self.camera.rays(points) for points in body.outlines_px]
+            signature = Signature.of_outlines(rays, self.model.bins, self.model.smooth_bins)
+            if signature is not None:
+                outlines.append(Outlines(rays, signature))
+        clock.lap("signature")
+        return Traced(bodies[0], outlines)
+
+    def recognize(
+        self,
+        traced: Traced,
+        prior: Pose | None,
+        prior_error_rad: float | None,
+        confident: Pose | None,
+        clock: StageClock,
+    ) -> AppearanceObservation:
+        """Active nodes of the likeliest silhouette, and the coarse pose they vote for.
+
+        Args:
+            traced: what `trace` has found.
+            prior: camera_from_target; ``None``: all attitudes are searched.
+            prior_error_rad: how far off the prior's attitude may be; ``None``: the default.
+            confident: a refined pose that needs no search; the trees are only evaluated there.
+            clock: counts the stages ``trees`` and ``pose``.
+        """
+        if traced.missing is not None:
+            missing = traced.missing
+            return AppearanceObservation(missing.status, missing.reason, stage_ms=clock.stage_ms)
+        seen = AppearanceObservation(
+            Status.OK, silhouette=traced.silhouette, stage_ms=clock.stage_ms
+        )
+        if not traced.outlines:
+            return replace(seen, status=Status.SMALL, reason="the silhouette encloses no area")
+        signature = traced.outlines[0].signature
+        if confident is not None:
+            match = self.matcher.at(signature, confident)
+        else:
+            # A target off the boresight shows the side that its own line of sight meets.
+            centred = None if prior is None else signature.centred_from_camera @ prior.rotation
+            match = self.matcher.match(signature, centred, prior_error_rad)
+        clock.lap("trees")
+        if match is None:
+            near = "" if prior is None else " near the prior attitude"
+            reason = f"no node of the sphere recognises this view{near}"
+            return replace(seen, status=Status.UNRECOGNIZED, reason=reason, signature=signature)
+        seen = replace(
+            seen, signature=signature, active_nodes=match.active_nodes, weights=match.weights
+        )
+        refused = self._refused(match)
+        if refused is not None:
+            return replace(seen, status=refused.status, reason=refused.reason)
+        pose, covariance = place(self.model, match, signature)
+        points_m = node_points(self.model, match, signature)
+        interpolated = None
+        if self._interpolator is not None and confident is None:  # a refined pose is better
+            interpolated = partial(self._interpolator.points, match, signature, self._pixel_rad)
+        clock.lap("pose")
+        return replace(
+            seen, pose=pose, covariance=covariance, points_m=points_m, interpolated=interpolated
+        )
+
+    def _refused(self, match: Match) -> Missing | None:
+        """Why the pose of a match is not given; ``None`` if it is."""
+        if match.residual > self._most_residual:
+            return Missing(
+                Status.UNRECOGNIZED,
+                f"the outline is unlike every view of the target (differs by "
+                f"{match.residual:.0f} thousandths of its size, at most "
+                f"{self._most_residual:.0f} is usual)",
+            )
+        if match.rival is not None:
+            apart = rotation_angle(match.centred_from_target @ match.rival.centred_from_target.T)
+            return Missing(
+                Status.AMBIGUOUS,
+                f"two attitudes {np.rad2deg(apart):.0f}° apart fit this outline: "
+                "give a prior, or look at more frames",
+            )
+        return None

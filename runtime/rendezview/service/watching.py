@@ -1,0 +1,105 @@
+"""Watchers of a session: they see its newest state, each at its own rate."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Any
+
+from pydantic_core import to_json
+
+
+@dataclass(slots=True, eq=False)
+class Watcher:
+    """One watcher, what it asked for, and the message that it has not read yet."""
+
+    rate_hz: float
+    width: int  # of pictures, px; 0: no pictures
+    contour: bool
+    silhouette: bool
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+    message: tuple[bytes, bytes] | None = None  # text, and a picture or nothing
+    due_s: float = 0.0  # monotonic time of its next message
+    ended: str | None = None  # the reason
+
+    def show(self, text: bytes, picture: bytes) -> None:
+        """Replace the message that is not read yet."""
+        self.message = text, picture
+        self.news.set()
+
+    def end(self, reason: str) -> None:
+        """No message follows."""
+        self.ended = reason
+        self.news.set()
+
+
+class Watchers(set[Watcher]):
+    """All watchers of one session."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._due: set[Watcher] = set()  # they will see the frame that is being tracked
+
+    def extras(self, now_s: float, history_px: int) -> dict[str, Any] | None:
+        """What the worker has to add to the next state: for due watchers and the history.
+
+        Args:
+            history_px: width of the history's picture; 0: the history needs none.
+        """
+        self._due = {watcher for watcher in self if watcher.due_s <= now_s}
+        if not self._due and not history_px:
+            return None
+        return {
+            "contour": any(watcher.contour for watcher in self._due),
+            "silhouette": any(watcher.silhouette for watcher in self._due),
+            "width": max((history_px, *(watcher.width for watcher in self._due))),
+        }
+
+    def show(
+        self, now_s: float, state: bytes, extras: dict[str, Any], picture: bytes, rest: bytes
+    ) -> None:
+        """Send a `WatchState` to the watchers that are due.
+
+        A watcher that came while the frame was tracked sees the next one: the worker does not
+        know yet what it asked for.
+
+        Args:
+            state: JSON.
+            extras: of the worker, with frame, contour and silhouette.
+            picture: JPEG, or nothing.
+            rest: the last keys of the message, JSON without braces.
+        """
+        contour, outlines = to_json(extras["contour"]), to_json(extras["silhouette_px"])
+        for watcher in self._due & self:
+            shown = picture if watcher.width else b""
+            text = b"".join(
+                (
+                    b'{"type":"state","state":',
+                    state,
+                    b',"contour":',
+                    contour if watcher.contour else b"null",
+                    b',"silhouette_px":',
+                    outlines if watcher.silhouette else b"null",
+                    b',"image_follows":',
+                    b"true" if shown else b"false",
+                    b",",
+                    rest,
+                    b"}",
+                )
+            )
+            stamped = int(extras["frame"]).to_bytes(8, "little") + shown if shown else b""
+            watcher.show(text, stamped)
+            # Half a period of slack, so that frames a little early are not left out.
+            watcher.due_s = max(
+                watcher.due_s + 1.0 / watcher.rate_hz, now_s + 0.5 / watcher.rate_hz
+            )
+
+    def restart(self) -> None:
+        """All are due at once: another worker continues the session."""
+        for watcher in self:
+            watcher.due_s = 0.0
+
+    def end(self, reason: str) -> None:
+        """The session ends."""
+        for watcher in self:
+            watcher.end(reason)

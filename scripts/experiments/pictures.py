@@ -1,0 +1,238 @@
+"""The pictures of the README and the docs."""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.patches import Circle, Polygon, Rectangle
+
+from experiments.frame import CLIENT, PICTURES
+from experiments.reflectors.run import CAMERA
+from experiments.stereo.accuracy import (
+    AVERAGED,
+    POSITIONS,
+    by_paper,
+    by_pictures,
+    by_tracker,
+    leds_of,
+    turned_deg,
+)
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.reflectors import (
+    LitDark,
+    ReflectorSensor,
+    SixNumbers,
+    find_spots,
+    patterns_of,
+    pose_of,
+    predict_spots,
+)
+from rendezview.sensors.ring import RingPrior, RingSensor
+from rendezview.sensors.ring.overlay import draw_reading
+from rendezview.sensors.stereo import MotionOptions, Normalisation
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.simulation import SceneOptions, TrajectoryOptions, render_frame, trajectory
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview.simulation.led_pictures import PictureOptions, picture_rig
+from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
+from rendezview.training.mesh import load_mesh
+
+matplotlib.use("Agg")
+
+FRAMES = 4
+CROP = (slice(50, 410), slice(110, 530))  # the target, without the report's status bar
+
+
+def readme(demo: Annotated[Path, "folder that the demo wrote"]) -> None:
+    """The README's picture: four frames of a finished demo, side by side.
+
+    rendezview demo -o rendezview-demo && python -m experiments readme-picture rendezview-demo
+    """
+    paths = sorted(demo.glob("frame_*.png"))
+    chosen = [paths[k] for k in np.linspace(0, len(paths) - 1, FRAMES).round().astype(int)]
+    strip = np.hstack([cv2.imread(str(path))[CROP] for path in chosen])
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(PICTURES / "approach.png"), strip)
+    print(PICTURES / "approach.png")
+
+
+def ring(output: Path, *, seed: int = 3) -> None:
+    """The picture of docs/ring.md: the client's ring as the sensor reads it."""
+    target = Target.load(CLIENT)
+    ring = target.docking_ring
+    assert ring is not None
+    camera = Camera.from_fov(480, 400, math.radians(50.0))
+    axis = np.array([-1.0, 0.3, 0.22])
+    options = TrajectoryOptions(
+        frames=1, start_range_m=4.3, approach_axis=tuple(axis / np.linalg.norm(axis)), hops=0
+    )
+    ((_, pose),) = trajectory("vbar", options)
+    mesh = load_mesh(target.mesh_path, target.unit)
+    sun = np.array([0.3, -0.35, -0.9])
+    rng = np.random.default_rng(seed)
+    image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
+    prior = RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
+    reading = RingSensor(camera, ring.radius_m).update(0.0, image, prior)
+    cv2.imwrite(str(output), draw_reading(image, reading, camera))
+    if reading.circle is not None:
+        far = np.linalg.norm(prior.centre_m)
+        off = 100.0 * np.linalg.norm(reading.circle.centre_m - prior.centre_m) / far
+        angle = math.degrees(math.acos(min(1.0, float(reading.circle.axis @ prior.axis))))
+        print(f"centre off by {off:.3f} % of range, axis by {angle:.2f} degrees")
+
+
+ORANGE, GREY = "#f0922b", "#9a9a9a"
+
+
+def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> None:
+    """The picture of docs/reflectors.md: pair, spots, triplet, windows and pose.
+
+    A simulated pair of the far target at 5 m with crumpled foil and false spots. Left the lit
+    picture, in the middle the difference with every spot (grey) and the triplet (orange), right
+    the target with the windows that the reading looked into, and the face frame at the pose.
+    """
+    rng = np.random.default_rng(seed)
+    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
+    six = SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2)
+    clutter = (foil(CAMERA, rng, 30), glints(CAMERA, rng, 6))
+    sensor = ReflectorSensor(CAMERA, [pattern])
+    pose = pose_of(six, pattern)
+    for k in range(3):  # found, confirmed, followed
+        nearer = Pose(pose.rotation, (1.0 - 0.004 * k) * pose.translation_m)
+        options = ReflectorFrameOptions()
+        frames = LitDark(*render_pair(CAMERA, pattern, nearer, options, rng, clutter=clutter))
+        reading = sensor.update(0.5 * k, frames)
+    if reading.pose is None or not reading.tracked or frames.dark is None:
+        raise SystemExit(f"no pose to draw: {reading.status}, {reading.reason}")
+    spots = find_spots(frames)
+    three = reading.spots.centroids_px
+    figure, axes = plt.subplots(1, 3, figsize=(10.0, 2.9), constrained_layout=True)
+    difference = np.clip(frames.lit.astype(int) - frames.dark, 0, 255)
+    for panel, image, title in zip(
+        axes, (frames.lit, difference, difference),
+        (f"lit ({reading.six.range_m:.2f} m)", f"lit − dark: {len(spots)} spots, the triplet",
+         "the windows it looked into, and the pose"), strict=True,
+    ):  # fmt: skip
+        panel.imshow(image, cmap="gray", vmin=0, vmax=200, interpolation="nearest")
+        panel.set_title(title, fontsize=9)
+        panel.set_xticks([])
+        panel.set_yticks([])
+    for place, size in zip(spots.centroids_px, spots.size_px, strict=True):
+        axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=GREY, lw=0.8))
+    axes[1].add_patch(Polygon(three, fill=False, color=ORANGE, lw=0.9))
+    windows = zip(sensor._expected[:, :2], sensor._half, strict=True)  # as it looked, no copy
+    for (middle, half), place, size, name in zip(
+        windows, three, reading.spots.size_px, reading.reflectors, strict=True
+    ):
+        axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=ORANGE, lw=1.2))
+        corner = middle - half
+        axes[2].add_patch(Rectangle(corner, 2 * half, 2 * half, fill=False, color=ORANGE, lw=1.2))
+        axes[2].annotate(name, corner - (0.0, 2.0), color=ORANGE, fontsize=8)
+    tips = np.vstack([np.zeros(3), 0.4 * pattern.base_m * np.eye(3)])
+    face = CAMERA.project((reading.pose @ pattern.target_from_face).apply(tips))
+    for tip, colour in zip(face[1:], ("#ff5050", "#50dc50", "#50a0ff"), strict=True):
+        axes[2].plot(*np.transpose([face[0], tip]), color=colour, lw=1.3)
+    shown = predict_spots(CAMERA, pattern, reading.pose)
+    middle, reach = shown.mean(axis=0), 0.9 * np.ptp(shown, axis=0).max()
+    axes[2].set_xlim(middle[0] - 1.33 * reach, middle[0] + 1.33 * reach)
+    axes[2].set_ylim(middle[1] + reach, middle[1] - reach)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(output, dpi=90)
+    print(output, f"seed {seed}")
+
+
+def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
+    """The picture of docs/stereo.md: figure 8 of Welch et al. (1991), one run of 2° steps.
+
+    What is read less the line through it, over the stage's angle, reading by reading: the paper's
+    solver on single and on averaged scans of photodiodes, ours, and two picture cameras. The
+    figures are those of ``stereo-accuracy --part figure8``, which has many runs.
+    """
+    craft = Target.load(target)
+    laboratory = Laboratory(leds_of(craft), LaboratoryOptions(), seed)
+    rng = np.random.default_rng(seed)
+    record = laboratory.calibration(rng)
+    rig = calibrate_laboratory(record).rig
+    plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
+    angles = 2.0 * (np.arange(POSITIONS) - POSITIONS // 2)
+    poses = laboratory.stage(np.deg2rad(angles))
+    single = laboratory.currents(poses, rng)
+    noise = laboratory.noise / np.sqrt(AVERAGED)
+    mean = laboratory.currents(poses, None) + rng.normal(0.0, noise, single.shape)
+    options = PictureOptions(signal_to_noise=200.0)
+    cameras = picture_rig(laboratory, options)
+    panels = {
+        "photodiodes, one scan a reading": {
+            "the paper's solver": by_paper(plain, craft, single, poses[0]),
+            "ours": turned_deg(by_tracker(rig, craft, single, None)),
+            "ours, filter": turned_deg(by_tracker(rig, craft, single, MotionOptions())),
+        },
+        f"the mean of {AVERAGED} scans, and single pictures": {
+            "the paper's solver": by_paper(plain, craft, mean, poses[0]),
+            "ours": turned_deg(by_tracker(rig, craft, mean, None)),
+            "ours, two picture cameras, no mean": turned_deg(
+                by_pictures(cameras, craft, poses, options, rng)
+            ),
+        },
+    }
+    colours = ("#d9731a", "#2b7bba", "#222222")
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
+    for axis, (title, lines) in zip(axes, panels.items(), strict=True):
+        for colour, (name, read) in zip(colours, lines.items(), strict=True):
+            left = read - np.polyval(np.polyfit(angles, read, 1), angles)
+            axis.plot(angles, left, ".-", color=colour, lw=0.8, ms=4, label=name)
+        axis.set(title=title, xlabel="stage, °")
+        axis.set_ylabel("read less its line, °")
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=7)
+    figure.savefig((PICTURES / "stereo.png"), dpi=110)
+    print(PICTURES / "stereo.png")
+
+
+EDGES_M = np.geomspace(0.99, 60.1, 25)
+COLOURS = {"fused": "#222222", "appearance": "#d9731a", "ring": "#2b7bba", "laser": "#4a9a4a"}
+
+
+def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle of each bin and median error, where at least ten frames are."""
+    middles, medians = [], []
+    for near, far in pairwise(EDGES_M):
+        inside = error[(range_m >= near) & (range_m < far)]
+        inside = inside[np.isfinite(inside)]
+        if len(inside) >= 10:
+            middles.append(np.sqrt(near * far))
+            medians.append(np.median(inside))
+    return np.array(middles), np.array(medians)
+
+
+def fusion(samples: Path) -> None:
+    """The picture of docs/fusion.md: errors of sensors and filter over the range, and its σ."""
+    rows = json.loads(samples.read_text())
+    range_m = np.array([row["range_m"] for row in rows])
+    figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
+    panels = ((0, 1e3, "ring's centre, mm"), (2, 180.0 / np.pi, "ring's axis, °"))
+    for panel, (k, scale, label) in zip(axes, panels, strict=True):
+        for name in ("appearance", "ring", "laser"):
+            index = 1 if name == "laser" and k == 0 else k  # a ranger knows the depth only
+            error = np.array([row["single"].get(name, [np.nan] * 4)[index] for row in rows])
+            x, y = curve(range_m, scale * error)
+            if len(x):
+                panel.plot(x, y, color=COLOURS[name], lw=1.4, label=name)
+        x, y = curve(range_m, scale * np.array([row["fused"][k] for row in rows]))
+        panel.plot(x, y, color=COLOURS["fused"], lw=2.2, label="fused")
+        panel.set(xscale="log", yscale="log", xlabel="camera to ring, m", ylabel=label)
+        panel.invert_xaxis()
+        panel.grid(True, which="major", alpha=0.3)
+    axes[0].legend(frameon=False)
+    figure.savefig((PICTURES / "fusion.png"), dpi=110)
+    print(PICTURES / "fusion.png")

@@ -1,0 +1,83 @@
+"""The service as a process, and frames for it."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+
+from rendezview.io.sequences import open_sequence
+
+
+class Loop:
+    """Frames of a scene to and fro, with times that rise."""
+
+    def __init__(self, scene: Path) -> None:
+        sequence = open_sequence(scene)
+        self.camera = sequence.frames[0].camera
+        self.prior = sequence.frames[0].camera_from_target
+        images = [frame.read() for frame in sequence]
+        self.images = images + images[-2:0:-1]
+
+    def __call__(self, k: int) -> tuple[float, np.ndarray]:
+        return k / 30.0, self.images[k % len(self.images)]
+
+
+class Served:
+    """`rendezview serve` as a process, or as a process group; ``settings``: RENDEZVIEW_SERVE_…"""
+
+    def __init__(self, model: Path, *flags: str, group: bool = False, **settings: object) -> None:
+        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+        names = {f"RENDEZVIEW_SERVE_{n.upper()}": str(value) for n, value in settings.items()}
+        self.process = subprocess.Popen(
+            [*command, "serve", str(model), "--port", "0", *flags],
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=group,
+            env=os.environ | names,
+        )
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            if "serves at" in line:
+                self.url = line.split("serves at")[1].strip()
+                break
+        else:
+            raise SystemExit("the service does not start")
+        threading.Thread(target=self.process.stderr.read, daemon=True).start()
+
+    def pids(self) -> list[int]:
+        """Of the service and its workers."""
+        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
+        return [self.process.pid, *map(int, children.read_text().split())]
+
+    def processor_s(self) -> float:
+        """Processor time of the service and its workers."""
+        ticks = 0
+        for pid in self.pids():
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+            ticks += int(fields[11]) + int(fields[12])
+        return ticks / os.sysconf("SC_CLK_TCK")
+
+    def each_mb(self) -> list[float]:
+        """Resident memory of the service and of each worker."""
+        pages = [int(Path(f"/proc/{p}/statm").read_text().split()[1]) for p in self.pids()]
+        return [count * resource.getpagesize() / 1e6 for count in pages]
+
+    def resident_mb(self) -> float:
+        """Of the service and its workers."""
+        return sum(self.each_mb())
+
+    def kill(self) -> None:
+        """`kill -9` of the whole group at once."""
+        os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def stop(self) -> None:
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(60)

@@ -1,0 +1,67 @@
+"""Frames for the page's tests, and waiting for what it shows."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rendezview.client import SessionClient
+
+MOST_S = 15.0
+
+
+def browser_path(play: Any) -> str | None:
+    """RENDEZVIEW_TEST_BROWSER, the system's Chromium, or the one that playwright installs."""
+    given = os.environ.get("RENDEZVIEW_TEST_BROWSER")
+    names = ("chromium", "chromium-browser", "google-chrome")
+    own = play.chromium.executable_path
+    found = given or next(filter(None, map(shutil.which, names)), None)
+    return found or (own if Path(own).exists() else None)
+
+
+def until(page: Any, expression: str) -> Any:
+    """The value of an expression, once it is true: the page's own policy forbids to wait in it."""
+    end_s = time.monotonic() + MOST_S
+    while not (value := page.evaluate(expression)):
+        if time.monotonic() > end_s:
+            shown = page.inner_text("#banner")
+            pytest.fail(f"never came true: {expression}; the page says {shown!r}")
+        time.sleep(0.02)
+    return value
+
+
+def word_is(page: Any, word: str) -> None:
+    until(page, f"document.getElementById('word').textContent === '{word}'")
+
+
+class Feed:
+    """Frames of a tour to and fro, at some a second, until it is told otherwise."""
+
+    def __init__(self, session: SessionClient, images: list[np.ndarray], rate_hz: float = 20.0):
+        self.images = images
+        self.step_s = 0.1  # of the frames' own time
+        self._done = threading.Event()
+        self._stream = session.stream()
+        self._rate_hz = rate_hz
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        with self._stream as stream:
+            k, time_s = 0, 0.0
+            while not self._done.wait(1.0 / self._rate_hz):
+                images = self.images
+                stream.send(images[k % len(images)], time_s)
+                stream.receive()
+                k, time_s = k + 1, time_s + self.step_s
+
+    def stop(self) -> None:
+        self._done.set()
+        self._thread.join(10.0)

@@ -1,0 +1,76 @@
+"""The filter of a session, without a service."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.service.sensors import Sensors, plain
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.observation import Observation, Status
+from rendezview.service.fusion_messages import FusionRequest
+from rendezview.service.messages import ObservationMessage, State
+from rendezview.service.sensor_lines import split_records
+from rendezview.service.session_filter import SessionFilter
+
+
+def _observed(time_s: float, pose: Pose) -> Observation:
+    return Observation(Status.OK, time_s=time_s, pose=pose, covariance=1e-4 * np.eye(6))
+
+
+def test_a_state_has_the_keys_of_every_sensors_record():
+    record = Observation(Status.OK).record()
+    assert set(ObservationMessage.model_fields) == set(record)
+    assert set(record) < set(State.model_fields)
+
+
+def test_the_filter_begins_anew_where_the_cameras_clock_jumps(tour):
+    truth = tour[0][1]
+    one = SessionFilter(FusionRequest())
+    sensors = Sensors()
+    for k in range(5):
+        text = json.dumps(sensors.pose(float(k), truth)).encode()
+        (line,) = one.check("mirrors", text, float(k))
+        one.take("mirrors", line)
+        state = one.track(_observed(float(k), truth))
+    assert state["status"] == "tracking"
+    state = one.track(_observed(1e6, truth))
+    assert state["status"] == "starting"
+    assert "camera's time" in state["reason"]
+    assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m)
+    for k in range(1, 3):
+        state = one.track(_observed(1e6 + k, truth))
+    assert (state["status"], state["reason"]) == ("tracking", None)
+
+
+def test_a_frame_older_than_what_is_remembered_is_late(tour):
+    truth = tour[0][1]
+    one = SessionFilter(FusionRequest())
+    sensors = Sensors()
+    for k in range(40):
+        (line,) = one.check("m", json.dumps(sensors.pose(float(k), truth)).encode(), 0.0, 1e3)
+        one.take("m", line)
+    state = one.track(_observed(2.0, truth))
+    assert (state["status"], state["pose"]) == ("late", None)
+    assert "before what is remembered" in state["reason"]
+
+
+def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):
+    truth = tour[0][1]
+    mount = Pose(Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix(), [0.5, 0.1, -0.2])
+    fusion = plain({"mounts": {"side": mount}})
+    one = SessionFilter(FusionRequest.model_validate(fusion))
+    record = Sensors().pose(0.0, mount @ truth)
+    (line,) = one.check("side", json.dumps(record).encode(), 0.0)
+    assert line.marks is None  # its pixels are not the camera's
+    _, state = one.take("side", line)
+    assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m, abs=0.2)
+
+
+def test_a_message_is_one_object_or_one_a_line():
+    assert split_records(b'{"a": 1}\n\n{"b": 2}\n') == [{"a": 1}, {"b": 2}]
+    assert split_records(b'{\n "a": {\n  "b": 1\n }\n}') == [{"a": {"b": 1}}]
+    assert split_records('{"a": "\u2028"}'.encode()) == [{"a": "\u2028"}]

@@ -1,0 +1,216 @@
+"""The stages of a training job, from views and contours to trees and calibration."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.contours import Contours
+from rendezview.sensors.appearance.edges.shading import Surface
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.outline.signature import Readings
+from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.training.calibrate import prior_errors, recognition_errors
+from rendezview.training.contours import contour_points
+from rendezview.training.learn import Samples, TreeSet, learn_trees
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.projection import SilhouetteRenderer
+from rendezview.training.shadowed_silhouettes import SunMaps, shadowed_silhouettes, sun_maps
+from rendezview.training.shard_executor import ShardExecutor, Shared, Task
+from rendezview.training.stages import Arrays, Progress, Shards, shares
+from rendezview.training.surface_palette import surface_palette
+from rendezview.training.surface_points import (
+    SURFACE_ORDER,
+    candidate_points,
+    chosen_surface,
+    visible_points,
+)
+from rendezview.training.views import (
+    ViewSet,
+    clean_views,
+    far_views,
+    lattice_slopes,
+    perturbed_views,
+)
+
+# Shards take about a second each.
+_VIEWS_PER_SHARD = 256
+_SLOW_VIEWS_PER_SHARD = 64  # of contours and shadowed silhouettes
+_NODES_PER_SHARD = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingStages:
+    """The stages of one training job, each computed in shards, and the data they share."""
+
+    shards: Shards
+    mesh: Mesh
+    beside: npt.NDArray[np.int32]  # (F, 3) faces over the edges
+    renderer: SilhouetteRenderer
+    geometry: ViewGeometry
+    options: TrainingOptions
+    executor: ShardExecutor
+    progress: Progress | None
+
+    def lattice(self) -> tuple[ViewSet, Array, Readings | None]:
+        """Clean views at the sphere radius, slopes of their area with range, and far readings."""
+        directions = Geodesic.of_order(self.options.order + 1).nodes
+        near = self._views(
+            "lattice",
+            clean_views,
+            [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
+        )
+        if self.options.perturbed_views == 0:  # the paper assumes weak perspective
+            return near, np.zeros(len(near)), None
+        far = self._views(
+            "perspective",
+            far_views,
+            [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)],
+        )
+        return near, lattice_slopes(near, far, self.geometry), far.readings
+
+    def perturbed(self, stage: str, stream: int, count: int) -> ViewSet | None:
+        """Random views, or ``None`` if ``count`` is 0."""
+        if count == 0:
+            return None
+        parts = [(stream, p) for p in shares(count, _VIEWS_PER_SHARD)]
+        return self._views(stage, perturbed_views, parts)
+
+    def contours(self) -> Contours | None:
+        """Contour points of every view of the lattice at every shell."""
+        radii = self.options.contour_radii
+        if self.options.contour_points == 0:
+            return None
+        directions = Geodesic.of_order(self.options.order + 1).nodes
+        shells_m = np.array(radii) * self.geometry.sphere_radius_m
+        shared = (self.mesh, self.beside, self.geometry, self.options)
+        parts = [
+            (directions[p.start : p.stop], range_m)
+            for range_m in shells_m
+            for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
+        ]
+        shards = self._run("contours", _contour_arrays, shared, parts)
+        views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        palette, views["strip"] = surface_palette(views.pop("surfaces"))
+        shape = (len(shells_m), len(directions))
+        return Contours(
+            shells_m=shells_m,
+            palette=palette,
+            **{n: a.reshape(*shape, *a.shape[1:]) for n, a in views.items()},
+        )
+
+    def shadowed_silhouettes(self) -> ShadowedSilhouettes | None:
+        """Silhouettes of the sunlit parts of every view of the lattice, for every Sun direction."""
+        if not self.options.shadowed_silhouettes:
+            return None
+        directions = Geodesic.of_order(self.options.order + 1).nodes
+        maps = sun_maps(self.mesh, self.geometry)
+        shared = (self.mesh, maps, self.geometry)
+        parts = [
+            (directions[p.start : p.stop], p.start)
+            for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
+        ]
+        shards = self._run("shadows", _silhouette_arrays, shared, parts)
+        views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
+        return ShadowedSilhouettes(suns=maps.suns, **views)
+
+    def surface(self) -> Surface | None:
+        """Points of the surface, and the directions from which each is visible, for shading."""
+        if 0 in (self.options.surface_points, self.options.contour_points):
+            return None
+        directions = Geodesic.of_order(SURFACE_ORDER).nodes
+        points, faces = candidate_points(self.mesh, self.geometry, self.options)
+        shared = (self.mesh, self.geometry, points, faces, self.options)
+        parts = [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)]
+        shards = self._run("surface", _surface_arrays, shared, parts)
+        visible = np.concatenate([a["visible"] for a in shards])
+        return chosen_surface(self.mesh, self.geometry, points, faces, visible, self.options)
+
+    def trees(self, samples: Samples) -> TreeSet:
+        """Trees of all nodes."""
+        nodes = len(Geodesic.of_order(self.options.order).nodes)
+        parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
+        shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
+        return TreeSet.joined([_tree_set(a) for a in shards])
+
+    def calibration(self, model: ViewModel, held_out: ViewSet) -> Array:
+        """Errors of recognition on the held-out views."""
+        priors = prior_errors(len(held_out), self.options.seed)
+        parts = [(slice(p.start, p.stop),) for p in shares(len(held_out), _VIEWS_PER_SHARD)]
+        shards = self._run("calibration", _error_arrays, (model, held_out, priors), parts)
+        return np.concatenate([a["errors"] for a in shards])
+
+    def _views(self, stage: str, draw: Any, parts: list[tuple[Any, ...]]) -> ViewSet:
+        shared = (draw, self.renderer, self.geometry, self.options)
+        shards = self._run(stage, _view_arrays, shared, parts)
+        return ViewSet.joined([ViewSet(**a) for a in shards])
+
+    def _run(
+        self, stage: str, task: Task, shared: Shared, parts: list[tuple[Any, ...]]
+    ) -> list[Arrays]:
+        return self.shards.run(stage, task, shared, parts, self.executor, self.progress)
+
+
+def _view_arrays(draw: Any, *arguments: Any) -> Arrays:
+    views = draw(*arguments)
+    return {f.name: getattr(views, f.name) for f in dataclasses.fields(ViewSet)}
+
+
+def _contour_arrays(
+    mesh: Mesh,
+    beside: npt.NDArray[np.int32],
+    geometry: ViewGeometry,
+    options: TrainingOptions,
+    directions: Array,
+    range_m: float,
+) -> Arrays:
+    views = [contour_points(mesh, beside, geometry, d, range_m, options) for d in directions]
+    return {name: np.stack([view[name] for view in views]) for name in views[0]}
+
+
+def _silhouette_arrays(
+    mesh: Mesh, maps: SunMaps, geometry: ViewGeometry, directions: Array, first: int
+) -> Arrays:
+    views = [
+        shadowed_silhouettes(mesh, maps, geometry, first + k, d) for k, d in enumerate(directions)
+    ]
+    return {name: np.concatenate([view[name] for view in views]) for name in views[0]}
+
+
+def _surface_arrays(
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    points: Array,
+    faces: npt.NDArray[np.int32],
+    options: TrainingOptions,
+    directions: Array,
+) -> Arrays:
+    views = [visible_points(mesh, geometry, points, faces, d, options) for d in directions]
+    return {"visible": np.stack(views)}
+
+
+def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Arrays:
+    trees = learn_trees(samples, options, nodes)
+    arrays: Arrays = {f.name: getattr(trees.forest, f.name) for f in dataclasses.fields(Forest)}
+    return arrays | {
+        "leaf_on": trees.leaf_on,
+        "leaf_off": trees.leaf_off,
+        "training_accuracy": trees.training_accuracy,
+    }
+
+
+def _error_arrays(model: ViewModel, held_out: ViewSet, priors: Array, rows: slice) -> Arrays:
+    return {"errors": recognition_errors(model, held_out, priors, rows)}
+
+
+def _tree_set(arrays: Arrays) -> TreeSet:
+    forest = Forest(**{f.name: arrays[f.name] for f in dataclasses.fields(Forest)})
+    return TreeSet(forest, arrays["leaf_on"], arrays["leaf_off"], arrays["training_accuracy"])
