@@ -85,6 +85,7 @@ def measure_edges(
     noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
     point, tangent = views.point[shell, view], views.tangent[shell, view]
     kind, run = views.kind[shell, view], views.run[shell, view]
+    strip, start = views.strip[shell, view], views.start[shell, view]
     camera, radius_m = lens[0], views.radius_m
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     unit_m = radius_m * POINT_UNIT
@@ -97,7 +98,9 @@ def measure_edges(
     grainy = _BILINEAR_NOISE * noise / np.sqrt(lines)
     eye = views.directions[view] * views.shells_m[shell]  # of the model's view
     sunward = rotation.T @ sun
-    scratch = np.empty((3, SURFACES)), np.empty(6), np.empty(3), np.empty(2)
+    places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
+    axes, away, fitted = np.empty(6), np.empty(3), np.empty(2)
+    scratch = places, depths, levels, axes, away, fitted
     total = 0
     for j in range(point.shape[0]):
         if kind[j] == NO_POINT:
@@ -154,12 +157,11 @@ def measure_edges(
         placed = False
         if fit:
             placed = place_by_profile(
-                profile, count, back, margin, at, j, views, shell, view, eye, px, py, pz, x, y,
-                gx, gy, radius_m * fx * inverse, rotation, centre, shade, sunward, frame, grainy,
-                scratch,
+                profile, count, back, margin, at, outline, tangent[j], strip[j], start[j], views,
+                eye, px, py, pz, x, y, gx, gy, radius_m * fx * inverse, rotation, centre, shade,
+                sunward, frame, grainy, scratch,
             )  # fmt: skip
         if placed:
-            fitted = scratch[3]
             at = fitted[0]
             # Where the craft may differ from its mesh, all edges are uncertain by as much.
             strain_px = _STRAINED * views.shape_error * (radius_m * fx * inverse)

@@ -13,14 +13,15 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.contours import (
     DEPTH_UNIT,
-    OUTLINE,
     SURFACES,
     start_radii,
 )
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.view_tables import Two, ViewTables
 
-Scratch = tuple[Array, Array, Array, Array]
+Scratch = tuple[Array, Array, Array, Array, Array, Array]
+Tangent = npt.NDArray[np.int8]
+Starts = npt.NDArray[np.int8]
 Kinds = npt.NDArray[np.uint8]
 
 
@@ -32,32 +33,30 @@ _SLACK_PX = 3.0  # px; a surface moves no more than this and three times its pla
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def place_by_profile(
-    profile: Array, count: int, back: int, margin: int, at: float, j: int, views: ViewTables,
-    shell: int, view: int, eye: Array, px: float, py: float, pz: float, x: float,
-    y: float, gx: float, gy: float, body_px: float, rotation: Array, centre: Array, shade: Array,
-    sunward: Array, frame: Array, noise: float, scratch: Scratch,
+    profile: Array, count: int, back: int, margin: int, at: float, outline: bool, tangent: Tangent,
+    strip: Kinds, start: Starts, views: ViewTables, eye: Array, px: float, py: float, pz: float,
+    x: float, y: float, gx: float, gy: float, body_px: float, rotation: Array, centre: Array,
+    shade: Array, sunward: Array, frame: Array, noise: float, scratch: Scratch,
 ) -> bool:  # fmt: skip
     """Fit the model's edge profile of a contour point, as seen from the pose.
 
     Args:
         at: place of the steepest slope.
-        j: of the contour point; it lies at (px, py, pz), target axes, and at
-            (x, y), normalised.
+        outline, tangent, strip, start: of the contour point, as in ``Contours``.
+        px, py, pz: the point, target axes, m; x, y: the same, normalised.
         eye: (3,) camera of the model's view, and ``sunward``: (3,) to the Sun or 0, target axes.
         noise: of a grey level of the profile.
         gx, gy: derivatives of a place along the normal with x and y, px.
         body_px: radius of the target at the depth of the point.
-        scratch: places, depths and levels (3, SURFACES); axes (6,) of the edge in the model's
+        scratch: places, depths and levels (SURFACES,) each; axes (6,) of the edge in the model's
             view; direction (3,) from its camera; place and variance (2,) of the edge, the result.
 
     Returns:
         Whether the profile has an edge and fits.
     """
-    surfaces, axes, away, fitted = scratch
-    places, depths, levels = surfaces[0], surfaces[1], surfaces[2]
-    start, radius_m = views.start[shell, view, j], views.radius_m
-    edge_axes(eye, px, py, pz, views.tangent[shell, view, j], axes)
-    outline = views.kind[shell, view, j] == OUTLINE
+    places, depths, levels, axes, away, fitted = scratch
+    radius_m = views.radius_m
+    edge_axes(eye, px, py, pz, tangent, axes)
     places[0] = 0.0 if outline else -_FAR_PX
     for k in range(1, SURFACES):
         inside = start_radii(start[k - 1, 0])
@@ -74,9 +73,7 @@ def place_by_profile(
         away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
         away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
         shaded = in_shadow(start_radii(start[0, 0]), -start[0, 1] * DEPTH_UNIT, sunward, axes, away)
-    steps = profile_steps(
-        outline, views.strip[shell, view, j], shade, places, shaded, depths, levels
-    )
+    steps = profile_steps(outline, strip, shade, places, shaded, depths, levels)
     contrast = 0.0
     for step in range(steps):
         contrast = max(contrast, abs(levels[step]))
