@@ -39,7 +39,7 @@ _NO_RANGE = np.array([0.0, np.inf])  # m. Source: by construction
 class AcquisitionOptions:
     """Which triplets pass for the target. Tolerances are those of one spot, one σ."""
 
-    # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, asks for ±40° on the
+    # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
     # boresight.
     tilt_rad: float = math.radians(45.0)
     nearest_m: float = 0.3
