@@ -180,7 +180,7 @@ def run(
           f"({tally['frames refused']} refused by both or one)")  # fmt: skip
     print(f"all {len(nodes)} trees        identical {tally['all trees identical']} of {total} "
           f"({tally['active nodes, all spheres'] / total:.1f} nodes on a signature)")  # fmt: skip
-    print(f"active-node search       identical {tally['searches identical']} of {total} "
+    print(f"node search          identical {tally['searches identical']} of {total} "
           f"({tally['searches with active nodes']} with active nodes)")  # fmt: skip
     print(f"search around 20°    identical {tally['sweeps identical']} of {total} "
           f"({tally['sweeps with active nodes']} with active nodes)")  # fmt: skip
@@ -192,7 +192,7 @@ def run(
     print(f"all {len(nodes)} trees        median {np.median(all_us):.1f} µs, worst "
           f"{all_us.max():.1f} µs (limit {LIMIT_US:.0f}); the runtime's loop "
           f"{np.median(python_us):.1f} µs: ratio {ratio:.2f}")  # fmt: skip
-    print(f"active-node search       median {np.median(search_us):.1f} µs, worst "
+    print(f"node search          median {np.median(search_us):.1f} µs, worst "
           f"{search_us.max():.1f} µs; around 20°: median {np.median(sweep_us):.0f} µs, worst "
           f"{sweep_us.max():.0f} µs")  # fmt: skip
     right = (

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -35,23 +36,10 @@ def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, Po
     nodes = PointCloud.of_nodes(
         times[data["node_frame"]], data["node_m"] - centre, data["node_weight"]
     )
-    parts = [
-        camera_place(Pose(rotation, translation), covariance, centre)
-        for rotation, translation, covariance in zip(
-            data["rotation"], data["translation_m"], data["covariance"], strict=True
-        )
-    ]
-    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
-    refined = PointCloud.of_places(times[data["pose_frame"]], places, spreads)
+    refined = PointCloud.of_places(times[data["pose_frame"]], *placed(camera_place, data))
     # The camera's axes known to the chaser, so that the target's attitude takes no part.
     known = np.swapaxes(data["jitter"] @ data["true_rotation"], 1, 2)[data["pose_frame"]]
-    parts = [
-        centre_place(Pose(rotation, translation), covariance, centre)
-        for rotation, translation, covariance in zip(
-            data["rotation"], data["translation_m"], data["covariance"], strict=True
-        )
-    ]
-    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
+    places, spreads = placed(centre_place, data)
     own = PointCloud.of_places(
         times[data["pose_frame"]],
         np.einsum("nij,nj->ni", known, places),
@@ -61,6 +49,16 @@ def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, Po
     if between is not None:
         found["between nodes"] = PointCloud.of_nodes(*between_nodes(data, between))
     return found
+
+
+def placed(
+    place_of: Callable[[Pose, Array, Array], tuple[Array, Array]], data: dict[str, Array]
+) -> tuple[Array, Array]:
+    """Places (N, 3) and covariances (N, 3, 3) of the refined poses."""
+    poses = zip(data["rotation"], data["translation_m"], data["covariance"], strict=True)
+    parts = [place_of(Pose(turn, move), spread, data["centre_m"]) for turn, move, spread in poses]
+    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
+    return places, spreads
 
 
 def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
@@ -153,6 +151,27 @@ def row(name: str, values: list[Array], count: int) -> str:
     return f"| {name} | {len(values)} of {count} | " + " | ".join(cells) + " |"
 
 
+def judge(
+    kinds: tuple[str, ...],
+    kept: dict[tuple[str, int], dict[str, Array]],
+    errors: Callable[..., Array],
+    fits: Callable[[dict[str, Array], str], Mapping[str, Any]],
+) -> None:
+    """Print a row for each kind of path and source of points."""
+    for kind in kinds:
+        there = [seed for one, seed in kept if one == kind]
+        found = {seed: fits(kept[kind, seed], kind) for seed in there}
+        for source in found[there[0]] if there else ():
+            values = []
+            for seed in there:
+                fit = found[seed][source]
+                if isinstance(fit, Nothing):
+                    print(f"{kind} {source} seed {seed}: {fit.reason}")
+                else:
+                    values.append(errors(fit, kept[kind, seed], kind, seed))
+            print(row(f"{kind}, {source}", values, len(there)))
+
+
 def run(
     folder: Path, *, target: str = "client", seeds: tuple[int, int] = (0, 20),
     model: Annotated[Path | None, "also between its nodes (has far readings)"] = None,
@@ -168,31 +187,24 @@ def run(
     place in the middle: three for perfect statistics. Rows: median, 90 % and largest over seeds.
     """
     between = None if model is None else Interpolator(ViewModel.load(model))
-    chosen = range(*seeds)
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")
     kept: dict[tuple[str, int], dict[str, Array]] = {}
     for kind in KINDS:
-        for seed in chosen:
+        for seed in range(*seeds):
             path = folder / f"{target}-{kind}-{seed}.npz"
             if not path.exists():
                 continue
             with np.load(path) as file:
                 kept[kind, seed] = {name: file[name] for name in file.files}
-    frame_errors: list[float] = []
-    for kind, shape in SHAPES.items():
-        there = [seed for seed in chosen if (kind, seed) in kept]
-        found = {seed: clouds(kept[kind, seed], between) for seed in there}
-        for source in found[there[0]] if there else ():
-            values = []
-            for seed in there:
-                data = kept[kind, seed]
-                segment = fit_segment(found[seed][source], shape)
-                if isinstance(segment, Nothing):
-                    print(f"{kind} {source} seed {seed}: {segment.reason}")
-                    continue
-                values.append(segment_errors(segment, data, kind, seed))
-            print(row(f"{kind}, {source}", values, len(there)))
+    judge(
+        tuple(SHAPES), kept, segment_errors,
+        lambda data, kind: {
+            source: fit_segment(cloud, SHAPES[kind])
+            for source, cloud in clouds(data, between).items()
+        },
+    )  # fmt: skip
+    frame_errors = []
     for data in kept.values():
         places = clouds(data, None)["refined"].places_m + data["centre_m"]
         truth = data["truth_m"][data["pose_frame"]]
@@ -202,15 +214,5 @@ def run(
     print()
     print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
     print("|---|---|---|---|---|---|")
-    for kind in ("spin", "tumble", "circular", "spiral"):
-        there = [seed for seed in chosen if (kind, seed) in kept]
-        turns = {seed: spins(kept[kind, seed], kind, between) for seed in there}
-        for source in turns[there[0]] if there else ():
-            values = []
-            for seed in there:
-                spin = turns[seed][source]
-                if isinstance(spin, Nothing):
-                    print(f"{kind} {source} seed {seed}: {spin.reason}")
-                    continue
-                values.append(spin_errors(spin, kept[kind, seed], kind, seed))
-            print(row(f"{kind}, {source}", values, len(there)))
+    turning = ("spin", "tumble", "circular", "spiral")
+    judge(turning, kept, spin_errors, lambda data, kind: spins(data, kind, between))
