@@ -4,8 +4,8 @@
         session = client.open(camera)
         state = session.track(image, time_s)
 
-A `State` is what the service says, field for field; `pose` and `covariance` of it are given as
-this package's own types by `pose_of_state` and ``numpy.array``.
+A `StateDict` is the service's `State` message, key by key. `pose_of_state` and ``numpy.array``
+convert its pose and covariance to the types of this package.
 """
 
 from __future__ import annotations
@@ -31,35 +31,34 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
 
 Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
-State = dict[str, Any]
+StateDict = dict[str, Any]
 
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
-_IDLE_S = 30.0
 
 
 class ServiceError(RendezviewError):
-    """The service refused; ``status`` is that of HTTP."""
+    """The service refused a request; ``status`` is the HTTP status."""
 
     def __init__(self, message: str, status: int) -> None:
         super().__init__(message)
         self.status = status
 
 
-def pose_of_state(state: State) -> Pose | None:
-    """camera_from_target of a state; None where the frame gave none."""
+def pose_of_state(state: StateDict) -> Pose | None:
+    """camera_from_target of a state; None without a pose."""
     pose = state["pose"]
     return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
 
 
-def fused_pose_of_state(state: State) -> Pose | None:
-    """camera_from_target by all sensors, of a state or the answer to a sensor's lines."""
+def fused_pose_of_state(state: StateDict) -> Pose | None:
+    """camera_from_target by all sensors, from a state or the answer to sensor lines."""
     fused = state.get("fused")
     pose = None if fused is None else fused["pose"]
     return None if pose is None else Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
 
 
 class Client:
-    """One connection to a service; not to be shared between threads."""
+    """One connection to a service. Each thread needs its own client."""
 
     def __init__(
         self,
@@ -68,14 +67,14 @@ class Client:
         timeout_s: float = 30.0,
         certificate: Path | str | None = None,
     ) -> None:
-        """The connection is made at the first request.
+        """A client; it connects with the first request.
 
         Args:
-            certificate: PEM file of whom to trust, where the system does not know the service's
-                own (``https``).
+            certificate: PEM file of the authority to trust, if the system does not trust the
+                service's certificate (``https``).
 
         Raises:
-            RendezviewError: the address is none, or the certificate cannot be read.
+            RendezviewError: the address is wrong, or the certificate cannot be read.
         """
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
@@ -102,14 +101,14 @@ class Client:
         record: bool | None = None,
         fusion: Mapping[str, Any] | None = None,
     ) -> SessionClient:
-        """Open a session; what is left out is as the service was started.
+        """Open a session; the service has defaults for all arguments.
 
         Args:
-            fusion: what is known of other sensors, as `FusionRequest` has it: ``ring`` (a
-                `DockingRing`, say), ``surfaces``, ``mounts`` (a `Pose` by name), ``options``.
+            fusion: data on other sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
+                ``surfaces``, ``mounts`` (a `Pose` by sensor name), ``options``.
 
         Raises:
-            RendezviewError: the service is not reached, or refuses.
+            RendezviewError: the service cannot be reached, or refuses.
         """
         request: dict[str, Any] = {"id": name, "model": model, "trees": trees, "record": record}
         if camera is not None:
@@ -126,7 +125,7 @@ class Client:
         return SessionClient(self, info["id"])
 
     def session(self, name: str) -> SessionClient:
-        """A session that is open already."""
+        """A session that is already open."""
         return SessionClient(self, name)
 
     def sessions(self) -> list[dict[str, Any]]:
@@ -135,14 +134,14 @@ class Client:
         return found
 
     def send_model(self, name: str, path: Path | str) -> dict[str, Any]:
-        """Send a model file."""
+        """Upload a model file; its `ModelInfo`."""
         content = Path(path).read_bytes()
         kind = "application/octet-stream"
         info: dict[str, Any] = self.request("PUT", f"/v1/models/{quote(name)}", content, kind)
         return info
 
     def train(self, name: str, mesh: Path | str, unit: str = "m", **options: int) -> dict[str, Any]:
-        """Send a mesh and have a model trained; the job."""
+        """Upload a mesh and train a model of it; the `JobInfo`."""
         query = {"model": name, "file": Path(mesh).name, "unit": unit} | options
         path = f"/v1/jobs?{urlencode(query)}"
         content = Path(mesh).read_bytes()
@@ -161,11 +160,11 @@ class Client:
         body: bytes | memoryview | None = None,
         kind: str = "application/json",
     ) -> Any:
-        """One request; what JSON it answers.
+        """Send one request; the JSON of its answer.
 
         Raises:
-            ServiceError: it is refused.
-            RendezviewError: the service is not reached.
+            ServiceError: the service refuses.
+            RendezviewError: the service cannot be reached.
         """
         content = self.fetch(method, path, body, kind)
         return json.loads(content) if content else None
@@ -177,7 +176,7 @@ class Client:
         body: bytes | memoryview | None = None,
         kind: str = "application/json",
     ) -> bytes:
-        """One request; the bytes of its answer. Errors as `request`."""
+        """Send one request; the bytes of its answer. Errors as in `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
         try:
             response = self._send(method, path, body, headers)
@@ -185,7 +184,7 @@ class Client:
         except (OSError, HTTPException) as error:
             self._connection.close()
             raise RendezviewError(
-                f"{self._url.geturl()}: the service is not reached ({error}): is it running?"
+                f"{self._url.geturl()}: the service cannot be reached ({error}): is it running?"
             ) from None
         if response.status >= 400:
             try:
@@ -200,7 +199,7 @@ class Client:
     ) -> HTTPResponse:
         now_s = time.monotonic()
         if now_s - self._used_s > _IDLE_S:
-            self._connection.close()  # the service may have: it closes what is idle
+            self._connection.close()  # the service may have closed it
         self._used_s = now_s
         if self._connection.sock is None:
             self._connection.connect()
@@ -210,18 +209,18 @@ class Client:
         return self._connection.getresponse()
 
     def stream_url(self, name: str, what: str) -> str:
-        """Address of a WebSocket."""
+        """The address of a WebSocket."""
         scheme = "wss" if self._url.scheme == "https" else "ws"
         return f"{scheme}://{self._url.netloc}/v1/sessions/{quote(name)}/{what}"
 
     @property
     def headers(self) -> dict[str, str]:
-        """What every request says."""
+        """The headers of every request."""
         return dict(self._headers)
 
     @property
     def tls(self) -> ssl.SSLContext | None:
-        """Whom the connection trusts; None where it is plain."""
+        """TLS settings; None for plain HTTP."""
         return self._tls
 
     def close(self) -> None:
@@ -248,62 +247,62 @@ class SessionClient:
         self.name = name
         self._path = f"/v1/sessions/{quote(name)}"
 
-    def track(self, frame: Frame, time_s: float | None = None) -> State:
-        """Have a frame looked at.
+    def track(self, frame: Frame, time_s: float | None = None) -> StateDict:
+        """Track a frame; its state.
 
         Raises:
-            ServiceError: the frame is refused (422), or too many wait (429).
-            RendezviewError: the service is not reached.
+            ServiceError: the frame is refused (422), or too many frames wait (429).
+            RendezviewError: the service cannot be reached.
         """
         content, kind = _content(frame)
         query = "" if time_s is None else f"?time_s={float(time_s)!r}"
-        state: State = self.client.request("POST", f"{self._path}/frames{query}", content, kind)
+        state: StateDict = self.client.request("POST", f"{self._path}/frames{query}", content, kind)
         return state
 
-    def measure(self, sensor: str, *records: Mapping[str, Any]) -> State:
-        """Lines of another sensor's log, one after another: what became of them.
+    def measure(self, sensor: str, *records: Mapping[str, Any]) -> StateDict:
+        """Send lines of another sensor's log to the filter; its answer.
 
         Raises:
-            ServiceError: a line is wrong (422), or too many wait (429).
-            RendezviewError: the service is not reached.
+            ServiceError: a line is wrong (422), or too many lines wait (429).
+            RendezviewError: the service cannot be reached.
         """
         lines = "\n".join(map(json_line, records)).encode()
         path = f"{self._path}/measurements?sensor={quote(sensor, safe='')}"
-        told: State = self.client.request("POST", path, lines, "application/x-ndjson")
-        return told
+        answer: StateDict = self.client.request("POST", path, lines, "application/x-ndjson")
+        return answer
 
     def stream(self) -> StreamClient:
-        """A WebSocket for frames and states: the way where frames come fast."""
+        """A WebSocket for frames and states, for high frame rates."""
         url = self.client.stream_url(self.name, "stream")
         return StreamClient(url, self.client.headers, self.client.tls)
 
-    def state(self) -> State:
+    def state(self) -> StateDict:
         """The last state."""
-        state: State = self.client.request("GET", f"{self._path}/state")
+        state: StateDict = self.client.request("GET", f"{self._path}/state")
         return state
 
     def info(self) -> dict[str, Any]:
-        """The session as it stands."""
+        """The session's `SessionInfo`."""
         info: dict[str, Any] = self.client.request("GET", self._path)
         return info
 
-    def history(self, seconds: float = 300.0, limit: int = 2000) -> list[State]:
+    def history(self, seconds: float = 300.0, limit: int = 2000) -> list[StateDict]:
         """States of the last minutes."""
         path = f"{self._path}/history?seconds={seconds!r}&limit={limit}"
-        states: list[State] = self.client.request("GET", path)["states"]
+        states: list[StateDict] = self.client.request("GET", path)["states"]
         return states
 
     def log(self) -> bytes:
-        """The log so far, MCAP."""
+        """The log so far, as an MCAP file."""
         return self.client.fetch("GET", f"{self._path}/log")
 
     def close(self) -> None:
-        """End the session; its log is complete afterwards."""
+        """End the session and complete its log."""
         self.client.request("DELETE", self._path)
 
 
 class StreamClient:
-    """Frames in, states out, each when it can be."""
+    """Sends frames and receives states, independently of each other."""
 
     def __init__(
         self, url: str, headers: dict[str, str], tls: ssl.SSLContext | None = None
@@ -323,7 +322,7 @@ class StreamClient:
             raise RendezviewError(f"{url}: the stream does not open ({error})") from None
 
     def send(self, frame: Frame, time_s: float | None = None) -> None:
-        """Send a frame; it is dropped if a newer one comes before it is looked at."""
+        """Send a frame; it is dropped if a newer one arrives before it is tracked."""
         content, _ = _content(frame)
         head = struct.pack("<d", float("nan") if time_s is None else time_s)
         self._socket.send(b"".join((head, content)))
@@ -332,25 +331,25 @@ class StreamClient:
         """Send a line of another sensor's log; its answer has the type ``measured``."""
         self._socket.send(json_line({"sensor": sensor, "record": record}))
 
-    def receive(self, timeout_s: float | None = None) -> State:
-        """The next state, or answer to a sensor's line.
+    def receive(self, timeout_s: float | None = None) -> StateDict:
+        """The next state, or the next answer to a sensor line.
 
         Raises:
             ServiceError: a frame or a line was refused.
-            TimeoutError: none came in time.
+            TimeoutError: none arrives in time.
             RendezviewError: the stream has ended.
         """
         from websockets.exceptions import ConnectionClosed
 
         try:
-            told: State = json.loads(self._socket.recv(timeout_s))
+            answer: StateDict = json.loads(self._socket.recv(timeout_s))
         except ConnectionClosed as error:
             raise RendezviewError(f"the stream has ended ({error})") from None
-        if "error" in told:
-            raise ServiceError(told["error"], told["status"])
-        return told
+        if "error" in answer:
+            raise ServiceError(answer["error"], answer["status"])
+        return answer
 
-    def __iter__(self) -> Iterator[State]:
+    def __iter__(self) -> Iterator[StateDict]:
         """States until the stream ends."""
         while True:
             try:
@@ -380,11 +379,13 @@ def _tls(certificate: Path | str | None) -> ssl.SSLContext:
     try:
         return ssl.create_default_context(cafile=certificate)
     except OSError as error:  # of ssl too
-        raise RendezviewError(f"{certificate}: no certificate (PEM) to be read: {error}") from None
+        raise RendezviewError(
+            f"{certificate}: not a certificate (PEM) that can be read: {error}"
+        ) from None
 
 
 def _content(frame: Frame) -> tuple[bytes | memoryview, str]:
-    """The bytes to send, and their type."""
+    """The bytes to send, and their media type."""
     if isinstance(frame, bytes):
         kind = "image/png" if frame[:4] == b"\x89PNG" else "image/jpeg"
         return frame, kind

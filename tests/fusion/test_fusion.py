@@ -1,12 +1,16 @@
 """The filter as a whole: late measurements, trust, start, outage, new start."""
 
+import threading
+
 import numpy as np
 import pytest
 
+from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions, MotionOptions, SensorOptions
+from rendezview.fusion.logs import read_options
 from rendezview.sensors.observation import Status
 
-WHITE = SensorOptions(lasting=0.0)
+WHITE = SensorOptions(bias_share=0.0)
 OPTIONS = FusionOptions(
     motion=MotionOptions(angular=1e-5, linear=1e-4, pointing=1e-5),
     pose=WHITE,
@@ -60,7 +64,7 @@ def test_late_measurements_give_what_they_give_in_order(world):
     }
 
 
-def test_what_is_too_late_is_turned_away_and_changes_nothing(world):
+def test_what_is_too_late_is_rejected_and_changes_nothing(world):
     fusion = Fusion(OPTIONS)
     run(fusion, world, 0, 30)
     before = fusion.state_at(30.0)
@@ -170,7 +174,7 @@ def test_the_only_sensor_that_lies_is_not_believed_when_the_forecast_has_grown_w
     assert away(fusion, world, 65.0) < 30.0
 
 
-def test_a_dead_sensor_is_bridged_and_then_the_state_is_lost_and_begun_anew(world):
+def test_a_dead_sensor_is_bridged_and_then_the_state_is_lost_and_restarted(world):
     fusion = Fusion(OPTIONS)
     run(fusion, world, 0, 10)
     estimate = fusion.state_at(20.0)
@@ -180,7 +184,7 @@ def test_a_dead_sensor_is_bridged_and_then_the_state_is_lost_and_begun_anew(worl
     assert late.status is Status.LOST
     assert late.pose is None
     assert late.reason is not None
-    # A jump while nobody looked: begun anew from the first pose.
+    # A jump while nobody looked: restarted from the first pose.
     world.start = world.start.perturbed(np.array([0.5, 0.0, 0.0, 3.0, 0.0, 0.0]))
     time_s = 4000.0
     steady = world.truth(0.0)
@@ -221,7 +225,7 @@ def test_a_clock_that_is_late_is_noticed(make_world):
 def test_an_error_that_each_gate_passes_is_noticed_by_the_mean_of_nis(world):
     fusion = Fusion(OPTIONS)
     run(fusion, world, 0, 20, sensors=("camera", "ring"))
-    noisy = SensorOptions(lasting=0.0)
+    noisy = SensorOptions(bias_share=0.0)
     assert noisy.nis_limit == 3.0
     for k in range(40, 160):
         fusion.add(world.pose(0.5 * k))
@@ -232,3 +236,56 @@ def test_an_error_that_each_gate_passes_is_noticed_by_the_mean_of_nis(world):
         fusion.add(type(one)(0.5 * k, "laser", one.range_m + 0.02 * draw, 0.02, one.surfaces))
     assert fusion.trusts["laser"].lockouts >= 1
     assert fusion.trusts["camera"].lockouts == 0
+
+
+def test_threads_that_add_and_ask_get_what_one_thread_gets(make_world):
+    world = make_world(11)
+    series = [make(0.1 * k) for k in range(60) for make in (world.pose, world.ring, world.range)]
+    alone, shared = Fusion(OPTIONS), Fusion(OPTIONS)
+    for measurement in series:
+        alone.add(measurement)
+    # One thread adds in order, others ask at the same time.
+    done = threading.Event()
+
+    def ask() -> None:
+        while not done.is_set():
+            shared.state_at(100.0)
+
+    askers = [threading.Thread(target=ask) for _ in range(3)]
+    for thread in askers:
+        thread.start()
+    for measurement in series:
+        shared.add(measurement)
+    done.set()
+    for thread in askers:
+        thread.join()
+    expected, found = alone.state_at(6.0), shared.state_at(6.0)
+    assert found.covariance.tobytes() == expected.covariance.tobytes()
+    assert found.pose.translation_m.tobytes() == expected.pose.translation_m.tobytes()
+    # Several threads add: none is lost.
+    many = Fusion(OPTIONS)
+    adders = [
+        threading.Thread(target=lambda k=k: [many.add(m) for m in series[k::3]]) for k in range(3)
+    ]
+    for thread in adders:
+        thread.start()
+    for thread in adders:
+        thread.join()
+    assert sum(trust.received for trust in many.trusts.values()) >= len(series) - 2
+
+
+def test_nothing_to_take_changes_nothing(world):
+    fusion = Fusion(OPTIONS)
+    assert fusion.add(None) is None
+    assert fusion.trusts == {}
+
+
+def test_options_take_the_keys_of_files_and_the_names_of_fields(tmp_path):
+    file = tmp_path / "options.json"
+    file.write_text('{"pose": {"lasting": 0.5, "bias_s": 7.0}, "ring": {"lasting_range": 0.1}}')
+    options = read_options(file)
+    assert (options.pose.bias_share, options.pose.bias_s) == (0.5, 7.0)
+    assert options.ring.bias_range == 0.1
+    file.write_text('{"pose": {"share": 0.5}}')
+    with pytest.raises(RendezviewError, match="share"):
+        read_options(file)

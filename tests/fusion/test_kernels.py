@@ -77,7 +77,7 @@ def test_the_gain_is_that_of_the_textbook():
     assert np.allclose(after, (np.eye(15) - weight @ design) @ covariance)
 
 
-def test_a_distance_is_that_of_the_gain_with_the_lasting_error_in_it():
+def test_a_distance_is_that_of_the_gain_with_the_bias_in_it():
     rng = np.random.default_rng(4)
     covariance = random_covariance(rng, 20)
     slope, root = rng.standard_normal((5, 14)), np.tril(rng.standard_normal((5, 5)))

@@ -1,4 +1,4 @@
-"""Prediction and update: slopes, lasting errors, consistency."""
+"""Prediction and update: slopes, biases, consistency."""
 
 from dataclasses import replace
 
@@ -9,6 +9,7 @@ from scipy.special import chdtri
 
 from rendezview.fusion import (
     BeamSurface,
+    FilterState,
     FusionOptions,
     MotionOptions,
     PoseMeasurement,
@@ -17,7 +18,6 @@ from rendezview.fusion import (
     RingCandidate,
     RingMeasurement,
     SensorOptions,
-    State,
     innovation,
     predict,
     update,
@@ -27,7 +27,7 @@ from rendezview.fusion.models import expected
 from rendezview.fusion.state import begin
 from rendezview.geometry.pose import Pose
 
-WHITE = SensorOptions(lasting=0.0)
+WHITE = SensorOptions(bias_share=0.0)
 QUIET = FusionOptions(
     motion=MotionOptions(angular=0.0, linear=0.0, pointing=0.0),
     pose=WHITE,
@@ -37,7 +37,7 @@ QUIET = FusionOptions(
 )
 
 
-def moved(state: State, step: np.ndarray) -> State:
+def moved(state: FilterState, step: np.ndarray) -> FilterState:
     return replace(
         state,
         rotation=turned(step[:3], state.rotation),
@@ -108,16 +108,16 @@ def test_normalised_errors_are_those_of_their_degrees_of_freedom(make_world):
     assert chdtri(360, 0.999) < total < chdtri(360, 0.001)
 
 
-def test_a_lasting_error_is_not_averaged_away(world):
-    lasting = FusionOptions(
+def test_a_bias_is_not_averaged_away(world):
+    bias = FusionOptions(
         motion=MotionOptions(angular=0.0, linear=0.0, pointing=0.0),
-        pose=SensorOptions(lasting=0.9, lasting_s=1e9, lasting_range=1e9),
+        pose=SensorOptions(bias_share=0.9, bias_s=1e9, bias_range=1e9),
     )
-    state = begin(world.pose(0.0), lasting)
+    state = begin(world.pose(0.0), bias)
     frozen = world.pose(0.0)
     for _ in range(1, 100):
-        state = predict(state, 0.01, lasting)
-        state = innovation(state, replace(frozen, time_s=state.time_s), lasting).updated
+        state = predict(state, 0.01, bias)
+        state = innovation(state, replace(frozen, time_s=state.time_s), bias).updated
     sigma = np.sqrt(np.diag(state.covariance)[:6])
     assert np.all(sigma > 0.9 * np.sqrt(0.9) * world.sigma)
     white = begin(world.pose(0.0), QUIET)
@@ -127,8 +127,8 @@ def test_a_lasting_error_is_not_averaged_away(world):
     assert np.all(np.sqrt(np.diag(white.covariance)[:6]) < 0.5 * world.sigma)
 
 
-def test_two_sensors_with_lasting_errors_share_the_weight(world):
-    options = FusionOptions(pose=SensorOptions(lasting=0.9))
+def test_two_sensors_with_biases_share_the_weight(world):
+    options = FusionOptions(pose=SensorOptions(bias_share=0.9))
     state = begin(world.pose(0.0), options)
     one = np.sqrt(np.diag(state.covariance)[:6])
     both = innovation(state, world.pose(0.0, sensor="stereo"), options).updated
@@ -272,7 +272,7 @@ def test_what_is_far_off_is_rejected_with_its_distance(world):
     assert isinstance(found, Rejected)
     assert found.nis > 100.0
     assert "σ away" in found.reason
-    assert isinstance(update(state, world.pose(0.0), QUIET), State)
+    assert isinstance(update(state, world.pose(0.0), QUIET), FilterState)
 
 
 def test_a_beam_along_the_surface_or_a_ring_behind_the_camera_cannot_be_compared(world):
@@ -299,7 +299,7 @@ def test_a_spot_beyond_the_surface_says_nothing(world):
     narrow = replace(world.plane, outer_m=0.1)
     other = replace(world.plane, relief_m=0.3)
     found = innovation(state, replace(beam, surfaces=(narrow, other)), QUIET)
-    assert found.lasting == pytest.approx(0.09)
+    assert found.bias == pytest.approx(0.09)
 
 
 def test_wrong_arguments_are_named(world):

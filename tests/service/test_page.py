@@ -268,7 +268,7 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     until(page, "document.getElementById('fused').innerText.includes('m/s')")
     sensors = page.inner_text("#sensors")
     assert "mirrors" in sensors
-    assert "heard · taken · NIS" in sensors
+    assert "received · accepted · NIS" in sensors
     picture = os.environ.get("RENDEZVIEW_TEST_PICTURES")
     if picture:
         page.screenshot(path=f"{picture}/fused.png")

@@ -124,7 +124,7 @@ def _record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) -> dict
             name: {
                 "locked_out": trust.locked,
                 "mean_nis": trust.mean_nis,
-                "heard": trust.heard,
+                "heard": trust.received,
                 "accepted": trust.accepted,
                 "lockouts": trust.lockouts,
             }
@@ -148,7 +148,7 @@ def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:
 
 def _say_outcome(fusion: Fusion, summary: Summary) -> None:
     sensors = "; ".join(
-        f"{name}: {trust.accepted} of {trust.heard} taken"
+        f"{name}: {trust.accepted} of {trust.received} taken"
         + (f", locked out {trust.lockouts} times" if trust.lockouts else "")
         for name, trust in fusion.trusts.items()
     )

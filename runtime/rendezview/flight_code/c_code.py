@@ -1,4 +1,4 @@
-"""A view model as C99: the code of ``c/`` and beside it the tables of one target."""
+"""A view model as C99: the code of ``c/`` and the tables of one target."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PER_PAIR = 9  # operations per pair of active nodes, without exp. Source: by co
 
 
 def write_c(model: ViewModel, folder: Path) -> list[Path]:
-    """Write the flight code of a model into a folder, which is made where it is missing.
+    """Write the flight code of a model into a folder, which is created if it does not exist.
 
     Returns:
         The files written: headers, sources, README.md.
@@ -197,7 +197,7 @@ def _describe(
 
 
 def _most_within(sphere: Geodesic, reach_rad: float) -> int:
-    """No direction has more nodes than this within reach: each lies within an edge of a node."""
+    """Upper bound of the nodes within reach of a direction: each lies within an edge of a node."""
     farther = reach_rad + 1.1 * sphere.mean_edge_rad
     return max(len(sphere.within(node, farther)) for node in sphere.nodes)
 
@@ -216,12 +216,12 @@ def _comment(lines: list[str]) -> str:
 
 
 def _plain(text: str) -> str:
-    """A name that can stand in a comment of C."""
+    """A name that is safe in a C comment."""
     return "".join(c if c.isascii() and (c.isalnum() or c in " ._-+") else "_" for c in text)
 
 
 def _rows(array: npt.NDArray[np.float64]) -> list[str]:
-    """Numbers of a table of rows, the braces of each row with its first and its last."""
+    """Numbers of a table of rows; the braces of a row go with its first and last number."""
     words = []
     for row in array:
         numbers = [_hex(value) for value in row]
@@ -230,7 +230,7 @@ def _rows(array: npt.NDArray[np.float64]) -> list[str]:
 
 
 def _hex(value: float) -> str:
-    """A number as C99 has it, to the last bit."""
+    """A number as a C99 literal, exact to the last bit."""
     return float(value).hex()
 
 

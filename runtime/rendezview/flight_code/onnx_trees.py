@@ -1,4 +1,4 @@
-"""The trees of a model as an ONNX graph, for runtimes and accelerators that have that.
+"""The trees of a model as an ONNX graph, for runtimes and accelerators that read it.
 
 One signature and a roll for every node in, the trust of every node out. The graph rolls the
 signature for each tree as the flight code does, and asks all trees in one
@@ -18,7 +18,7 @@ from rendezview.io.files import atomic_write
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.outline.votes import Matcher
 
-_OPSET, _ML_OPSET = 17, 3  # read by every runtime of the last years
+_OPSET, _ML_OPSET = 17, 3  # supported by recent runtimes
 _IR_VERSION = 8  # of the ONNX format that goes with the opset. Source: ONNX's table of versions
 
 
@@ -57,7 +57,7 @@ def write_onnx(model: ViewModel, path: Path) -> None:
         constant("flat", [trees], np.int64),
         constant("every_bin", np.arange(bins)[None], np.int64),
     ]
-    steps: list[tuple[Any, ...]] = [  # as `rolled`: floats of the same size in the same order
+    steps: list[tuple[Any, ...]] = [  # as in `rolled`: floats of the same size in the same order
         ("Neg", ["rolls_rad"], "unroll"),
         ("Mul", ["unroll", "bins_double"], "unroll_bins"),
         ("Div", ["unroll_bins", "turn"], "shift"),

@@ -1,4 +1,4 @@
-"""A forest packed for flight: six bytes a branch, leaves inside the reference to them.
+"""A forest packed for flight: six bytes per branch, leaves inside the references to them.
 
 The branches of a tree stand in depth-first order, left before right, so a child is a few
 entries ahead of its parent. A child is one small number: 0 a leaf that means off; up to
@@ -24,21 +24,21 @@ MOST_16_BIT = 65535  # Source: by construction
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedForest:
-    """T trees of B branches and L leaves that mean on."""
+    """T trees with B branches and L leaves for on."""
 
     roots: npt.NDArray[np.uint32]  # (T,) first branch of each tree
-    bins: npt.NDArray[np.uint16]  # (B,) reading looked at
-    thresholds: npt.NDArray[np.uint16]  # (B,) go left where reading <= threshold
+    bins: npt.NDArray[np.uint16]  # (B,) reading to compare
+    thresholds: npt.NDArray[np.uint16]  # (B,) go left if reading <= threshold
     children: npt.NDArray[np.uint16]  # (B, 2) left, right
     longest_step: int  # greatest distance from a branch to its child
-    depths: npt.NDArray[np.int64]  # (T,) branches on the longest way to a leaf
+    depths: npt.NDArray[np.int64]  # (T,) branches on the longest path to a leaf
     first_on: npt.NDArray[np.uint32]  # (T,) where each tree's leaves begin in on_leaves
     on_leaves: npt.NDArray[np.uint16]  # (L,) index of a leaf's trust
-    trusts: Array  # (K,) how surely such a leaf means on, ascending
+    trusts: Array  # (K,) probability of on at such a leaf, ascending
 
 
 def pack_forest(model: ViewModel) -> PackedForest:
-    """The trees of a model as flight code has them.
+    """The trees of a model, packed for flight code.
 
     A tree that is one leaf becomes a branch with that leaf on both sides.
 
@@ -92,7 +92,7 @@ def pack_forest(model: ViewModel) -> PackedForest:
 
 
 def _whole(forest: Forest, entry: int) -> int:
-    """A threshold as a whole number: readings are whole, so the fraction decides nothing."""
+    """A threshold as a whole number: readings are whole, so the fraction never decides."""
     threshold = float(np.floor(forest.threshold[entry]))
     if not 0.0 <= threshold <= MOST_16_BIT:
         raise RendezviewError(

@@ -2,8 +2,9 @@
 
 from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions
-from rendezview.fusion.state import Innovation, Rejected, State, innovation, predict, update
+from rendezview.fusion.state import FilterState, predict
 from rendezview.fusion.trust import Trust, Verdict
+from rendezview.fusion.update import Innovation, Rejected, innovation, update
 from rendezview.sensors.measurement import (
     BeamSurface,
     Measurement,
@@ -16,6 +17,7 @@ from rendezview.sensors.measurement import (
 __all__ = [
     "BeamSurface",
     "Estimate",
+    "FilterState",
     "Fusion",
     "FusionOptions",
     "Innovation",
@@ -27,7 +29,6 @@ __all__ = [
     "RingCandidate",
     "RingMeasurement",
     "SensorOptions",
-    "State",
     "Trust",
     "Verdict",
     "innovation",

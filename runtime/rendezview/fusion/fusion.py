@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import overload
 
 from rendezview.fusion.options import FusionOptions
-from rendezview.fusion.state import State, predict
+from rendezview.fusion.state import FilterState, predict
 from rendezview.fusion.step import Snapshot, step, useless
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry.pose import Array, Pose
@@ -125,7 +125,7 @@ class Fusion:
         with self._lock:
             return self._after[-1] if self._after else self._base
 
-    def _estimate(self, snapshot: Snapshot, state: State) -> Estimate:
+    def _estimate(self, snapshot: Snapshot, state: FilterState) -> Estimate:
         options = self.options
         status, reason = Status.TRACKING, None
         why = useless(state, options)

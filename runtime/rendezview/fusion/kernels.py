@@ -170,16 +170,16 @@ def gain(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def with_lasting(
+def with_bias(
     extras: Array, slope: Array, root: Array, start: int, measured: Array
 ) -> tuple[Array, Array]:
-    """(m, n) slope by every state, and (m,) residual less the lasting error at ``start``.
+    """(m, n) slope by every state, and (m,) residual less the bias at ``start``.
 
     Args:
         extras: (n - 12,) all states but those of motion.
         slope: (m, 14) by motion, ring radius and depth.
-        root: (m, b) by the lasting error.
-        measured: (m,) measured − expected, the lasting error left out.
+        root: (m, b) by the bias.
+        measured: (m,) measured − expected, the bias left out.
     """
     m = len(measured)
     design = np.zeros((m, 12 + len(extras)))
@@ -206,13 +206,13 @@ def corrected(
     white: Array,
     measured: Array,
 ) -> tuple[bool, float, float, Array, Array, Array, Array, Array, Array]:
-    """The state after a measurement: arguments of `with_lasting`, ``white`` (m, m) is what is new.
+    """The state after a measurement: arguments of `with_bias`, ``white`` (m, m) is what is new.
 
     Returns:
-        Whether it can be used; NIS; ln|S|; (m,) residual less the lasting error; rotation,
+        Whether it can be used; NIS; ln|S|; (m,) residual less the bias; rotation,
         translation, rates, extras and covariance after it.
     """
-    design, residual = with_lasting(extras, slope, root, start, measured)
+    design, residual = with_bias(extras, slope, root, start, measured)
     fits, nis, logarithm, step, after = gain(covariance, design, white, residual)
     for i in range(len(step)):
         fits = fits and np.isfinite(step[i])
@@ -233,6 +233,6 @@ def distance(
     measured: Array,
 ) -> tuple[bool, float, float]:
     """As `corrected`, but only whether it can be used, NIS and ln|S|."""
-    design, residual = with_lasting(extras, slope, root, start, measured)
+    design, residual = with_bias(extras, slope, root, start, measured)
     fits, nis, logarithm, _, _, _ = whitened(covariance, design, white, residual)
     return fits, nis, logarithm

@@ -26,15 +26,15 @@ def pose_model(
     inflation: float,
     floor_rad: float,
     floor_range: float,
-    lasting: float,
+    share: float,
 ) -> tuple[Array, Array, Array]:
-    """(6,) residual, (6, 6) white covariance and (6, 6) root of the lasting one, of a pose."""
+    """(6,) residual, (6, 6) white covariance and (6, 6) root of the bias's, of a pose."""
     residual = np.empty(6)
     residual[:3] = so3.between(measured_rotation, rotation)
     for i in range(3):
         residual[3 + i] = measured_translation[i] - translation[i]
     whole = pose_covariance(measured_translation, covariance, inflation, floor_rad, floor_range)
-    return residual, (1.0 - lasting) * whole, square_root(lasting * whole)
+    return residual, (1.0 - share) * whole, square_root(share * whole)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -101,9 +101,9 @@ def ring_look(
     inflation: float,
     floor_rad: float,
     floor_range: float,
-    lasting: float,
+    share: float,
 ) -> tuple[Array, Array, Array]:
-    """(5,) residual, (5, 5) white covariance and (5, 10) root of the lasting one, of a circle."""
+    """(5,) residual, (5, 5) white covariance and (5, 10) root of the bias's, of a circle."""
     facing = 0.0
     for i in range(3):
         facing += measured_axis[i] * axis[i]
@@ -133,13 +133,13 @@ def ring_look(
     for i in range(3, 5):
         whole[i, i] += floor_rad**2
     both = np.zeros((5, 10))
-    both[:, :5] = square_root(lasting * whole)
-    return residual, (1.0 - lasting) * whole, both
+    both[:, :5] = square_root(share * whole)
+    return residual, (1.0 - share) * whole, both
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def other_edge(place: Array) -> tuple[Array, Array]:
-    """(5, 5) white covariance and (5, 10) root of the lasting one, of an edge near the ring's.
+    """(5, 5) white covariance and (5, 10) root of the bias's, of an edge near the ring's.
 
     ``place`` (3,) is where it would be if it were the ring's.
     """
@@ -170,7 +170,7 @@ def ring_expected(
     inflation: float,
     floor_rad: float,
     floor_range: float,
-    lasting: float,
+    share: float,
     chance_of_other: float,
 ) -> tuple[bool, bool, Array, Array, Array, Array]:
     """Candidates (K, 3), (K, 3), (K, 6, 6) of a ring, and another edge, as one measurement.
@@ -181,7 +181,7 @@ def ring_expected(
 
     Returns:
         Whether the ring is before the camera; whether the likeliest is another edge; (5,)
-        residual, (5, 14) slope, (5, 5) white covariance, (5, 10) root of the lasting one.
+        residual, (5, 14) slope, (5, 5) white covariance, (5, 10) root of the bias's.
     """
     # The radius that the sensor takes is too small by this factor: so is its centre's distance.
     centre, axis, basis, slope = ring_model(
@@ -195,7 +195,7 @@ def ring_expected(
     for k in range(known):
         residuals[k], whites[k], roots[k] = ring_look(
             centres[k], axes[k], covariances[k], centre, axis, basis,
-            inflation, floor_rad, floor_range, lasting,
+            inflation, floor_rad, floor_range, share,
         )  # fmt: skip
         logs[k] = np.log((1.0 - chance_of_other) / known)
     if count > known:

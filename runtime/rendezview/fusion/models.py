@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtri
 
-from rendezview.estimation.linear_algebra import square_root
 from rendezview.fusion.model_kernels import pose_model, ring_expected
 from rendezview.fusion.options import SensorOptions
+from rendezview.fusion.state import FilterState
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import (
     Measurement,
@@ -22,9 +21,6 @@ from rendezview.sensors.measurement import (
     RangeMeasurement,
     RingMeasurement,
 )
-
-if TYPE_CHECKING:
-    from rendezview.fusion.state import State
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth
 _SURELY = 2.0  # σ of the place by which a spot must lie within its surface
@@ -35,10 +31,10 @@ _GRAZING = 0.05  # cosine of beam and surface normal below which a range says no
 class Expected:
     """A measurement linearised at a state."""
 
-    residual: Array  # (m,) measured − expected, the lasting error left out
+    residual: Array  # (m,) measured − expected, the bias left out
     slope: Array  # (m, 14) slope by motion, ring radius and depth
     white: Array  # (m, m) covariance of what is new each time
-    lasting_root: Array  # (m, b) slope by the lasting error, which has unit variance
+    bias_root: Array  # (m, b) slope by the bias, which has unit variance
     loose: bool = False  # it says little: another edge than the ring's was taken
 
 
@@ -48,13 +44,8 @@ def gate_of(size: int, chance: float) -> float:
     return float(chdtri(size, chance))
 
 
-def root_of_lasting(covariance: Array, sensor: SensorOptions) -> Array:
-    """Lower triangular root of the share of a covariance that lasts."""
-    return np.asarray(square_root(sensor.lasting * covariance))
-
-
 def expected(
-    state: State,
+    state: FilterState,
     measurement: Measurement,
     sensor: SensorOptions,
     chance_of_other: float = 0.0,
@@ -62,7 +53,7 @@ def expected(
 ) -> Expected | str:
     """The measurement beside the state; words where the two cannot be compared.
 
-    ``start`` is where the sensor's lasting error stands in the state: of several candidates it
+    ``start`` is where the sensor's bias stands in the state: of several candidates it
     says which is likely.
     """
     if isinstance(measurement, PoseMeasurement):
@@ -72,18 +63,18 @@ def expected(
     return _range(state, measurement)
 
 
-def _pose(state: State, measurement: PoseMeasurement, sensor: SensorOptions) -> Expected:
+def _pose(state: FilterState, measurement: PoseMeasurement, sensor: SensorOptions) -> Expected:
     pose = measurement.pose
     residual, white, root = pose_model(
         pose.rotation, pose.translation_m, measurement.covariance, state.rotation,
         state.translation_m, sensor.inflation, sensor.floor_rad, sensor.floor_range,
-        sensor.lasting,
+        sensor.bias_share,
     )  # fmt: skip
     return Expected(residual, _POSE_SLOPE, white, root)
 
 
 def _ring(
-    state: State,
+    state: FilterState,
     measurement: RingMeasurement,
     sensor: SensorOptions,
     chance_of_other: float,
@@ -95,14 +86,14 @@ def _ring(
     before, loose, residual, slope, white, root = ring_expected(
         measurement.centres_m, measurement.axes, measurement.covariances, ring.centre_m, ring.axis,
         state.rotation, state.translation_m, state.extras, state.covariance, start,
-        sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.lasting, chance_of_other,
+        sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.bias_share, chance_of_other,
     )  # fmt: skip
     if not before:
         return "the ring would be behind the camera"
     return Expected(residual, slope, white, root, loose)
 
 
-def _range(state: State, measurement: RangeMeasurement) -> Expected | str:
+def _range(state: FilterState, measurement: RangeMeasurement) -> Expected | str:
     beam = measurement.direction
     from_origin = state.translation_m - measurement.origin_m
     told = "no surface"

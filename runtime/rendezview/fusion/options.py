@@ -1,28 +1,44 @@
-"""How freely the craft move, how far each sensor is believed, and when to let go."""
+"""Options of the filter: motion of the craft, belief in each sensor, and when the state is lost."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from typing import Annotated, Any
 
-from pydantic import ConfigDict
+from pydantic import (
+    AliasChoices,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+)
 
 _FORBID = ConfigDict(extra="forbid")  # in files: an unknown key is an error
 
 
+# Keys in files of the fields that have another name
+_KEYS = {"bias_share": "lasting", "bias_s": "lasting_s", "bias_range": "lasting_range"}
+
+
+def _key(field_name: str) -> Any:
+    """In files, the documented key or the name of the field."""
+    return Field(validation_alias=AliasChoices(_KEYS[field_name], field_name))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionOptions:
-    """White accelerations, as spectral densities, and what is not known at the start."""
+    """White accelerations, as spectral densities, and what is unknown at the start."""
 
     __pydantic_config__ = _FORBID
 
     angular: float = 3e-4  # rad/s² √s, of the target
     linear: float = 1e-3  # m/s² √s, of one craft against the other
-    along: float = 0.0  # m/s² √s, more along the line of sight: a chaser brakes there
-    pointing: float = 1e-4  # rad/s² √s, of the camera: turns the target and swings it round
+    along: float = 0.0  # m/s² √s, further along the line of sight: a chaser brakes there
+    pointing: float = 1e-4  # rad/s² √s, of the camera: rotates the target and swings its place
     first_rate: float = 0.01  # rad/s, σ of the unknown first rates
-    first_velocity: float = 0.5  # m/s
+    first_velocity: float = 0.5  # m/s, σ of the unknown first velocity
 
     def __post_init__(self) -> None:
         for name in (f.name for f in fields(self)):
@@ -34,44 +50,51 @@ class MotionOptions:
 class SensorOptions:
     """What a sensor's covariance means over time, and when the sensor is believed.
 
-    A camera's error on one frame is nearly that on the next: most of it lasts. So a share of
-    the variance is a bias, first-order Gauss–Markov in the sensor's own σ, and a part of the state.
+    The errors of a camera on neighbouring frames are nearly the same. A share of the variance is
+    therefore a bias: a first-order Gauss–Markov process in the sensor's own σ, and part of the
+    state. In files its keys are ``lasting``, ``lasting_s`` and ``lasting_range``.
     """
 
     __pydantic_config__ = _FORBID
 
-    inflation: float = 1.0  # of the variance that the sensor gives
-    floor_rad: float = 0.0  # σ that its attitude or axis has besides, whatever it says
-    floor_range: float = 0.0  # … and its place, over the range
-    lasting: float = 0.8  # share of the variance that lasts
-    lasting_s: float = 30.0  # for so long (1/e)
-    lasting_range: float = 0.5  # … and over so much change of the logarithm of the range
-    gate: float = 1e-4  # chance that a good measurement is turned away
-    lock_after: int = 3  # turned away in a row: locked out
+    inflation: float = 1.0  # of the variance that the sensor reports
+    floor_rad: float = 0.0  # rad, σ added to its attitude or axis
+    floor_range: float = 0.0  # σ added to its place, over the range
+    bias_share: Annotated[float, _key("bias_share")] = 0.8  # of the variance, that is a bias
+    bias_s: Annotated[float, _key("bias_s")] = 30.0  # s, correlation time of the bias
+    bias_range: Annotated[float, _key("bias_range")] = (
+        0.5  # change of ln(range) over which the bias decorrelates
+    )
+    gate: float = 1e-4  # probability that a good measurement is rejected
+    lock_after: int = 3  # rejected in a row: locked out
     loose_after: int = 8  # edges beside the ring in a row: locked out
-    unlock_after: int = 3  # in agreement in a row: let in again
+    unlock_after: int = 3  # in agreement in a row: unlocked
     window: int = 20  # measurements over which NIS is averaged
-    nis_limit: float = 3.0  # mean NIS over its degrees of freedom at which a sensor is locked out
+    nis_limit: float = 3.0  # mean NIS per degree of freedom above which a sensor is locked out
 
     def __post_init__(self) -> None:
-        if not (0.0 < self.inflation < math.inf and 0.0 <= self.lasting < 1.0):
+        if not (0.0 < self.inflation < math.inf and 0.0 <= self.bias_share < 1.0):
             raise ValueError(
                 f"inflation must be positive and lasting from 0 to below 1: "
-                f"{self.inflation}, {self.lasting}"
+                f"{self.inflation}, {self.bias_share}"
             )
         if not (0.0 <= self.floor_rad < math.inf and 0.0 <= self.floor_range < math.inf):
             raise ValueError("floor_rad and floor_range must not be negative")
-        if not (self.lasting_s > 0.0 and self.lasting_range > 0.0 and self.nis_limit > 0.0):
+        if not (self.bias_s > 0.0 and self.bias_range > 0.0 and self.nis_limit > 0.0):
             raise ValueError("lasting_s, lasting_range and nis_limit must be positive")
         if not 0.0 < self.gate < 1.0:
             raise ValueError(f"gate must be a probability, not {self.gate}")
         if min(self.lock_after, self.loose_after, self.unlock_after, self.window) < 1:
             raise ValueError("lock_after, loose_after, unlock_after and window must be at least 1")
 
+    @model_serializer(mode="wrap")
+    def _by_key(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {_KEYS.get(name, name): value for name, value in write(self).items()}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FusionOptions:
-    """Everything that can be chosen."""
+    """All options of the filter."""
 
     __pydantic_config__ = _FORBID
 
@@ -81,13 +104,13 @@ class FusionOptions:
     range: SensorOptions = field(default_factory=SensorOptions)
     sensors: Mapping[str, SensorOptions] = field(default_factory=dict)  # by name; wins
     ring_radius_sigma: float = 0.0  # relative, of the ring's radius; 0: it is known
-    ring_depth_sigma_m: float = 0.0  # of the ring's place along its axis; 0: it is known
-    ring_other_edge: float = 0.1  # chance that an edge near the ring's was taken for it; then
-    # only its bearing says something
+    ring_depth_sigma_m: float = 0.0  # m, of the ring's place along its axis; 0: it is known
+    ring_other_edge: float = 0.1  # probability that another edge was taken for the ring's; then
+    # only its bearing counts
     start_with: int = 3  # poses that must agree before the state is believed
-    history_s: float = 10.0  # late measurements are still taken in for so long
-    history_most: int = 1000  # measurements
-    coasting_after_s: float = 5.0  # without a measurement that was believed
+    history_s: float = 10.0  # s, how late a measurement may be
+    history_most: int = 1000  # measurements kept for late ones
+    coasting_after_s: float = 5.0  # s without an accepted measurement
     lost_range_fraction: float = 0.05  # σ of the place over the range at which the state is lost
-    lost_rad: float = math.radians(10.0)  # σ of the attitude
-    recent_s: float = 5.0  # what sensors said longer ago is no vote on a new start
+    lost_rad: float = math.radians(10.0)  # rad, σ of the attitude at which the state is lost
+    recent_s: float = 5.0  # s; an older measurement is no vote on a restart

@@ -3,7 +3,7 @@
 Error state, perturbation on the left in the camera frame as in every covariance here:
 attitude (rad), place of the target's origin (m), angular rate (rad/s), velocity (m/s); then the
 ring's radius (relative) and depth (m) where they are not known; then one block for each sensor,
-its lasting error in its own σ (Gauss–Markov of unit variance; Schmidt's bias, but estimated).
+its bias in its own σ (Gauss–Markov of unit variance; Schmidt's bias, but estimated).
 The joint covariance remembers what of the pose came from which sensor, so that a hundred frames
 with one common error do not count as a hundred.
 """
@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rendezview.fusion.kernels import corrected, predicted
+from rendezview.estimation.linear_algebra import square_root
+from rendezview.fusion.kernels import predicted
 from rendezview.fusion.model_kernels import pose_covariance
-from rendezview.fusion.models import expected, gate_of, root_of_lasting
 from rendezview.fusion.options import FusionOptions, SensorOptions
-from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
@@ -30,24 +29,24 @@ FIRST_BIAS = 14
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Where a sensor's lasting error stands in the state."""
+    """Where a sensor's bias stands in the state."""
 
     sensor: str
     start: int
     size: int
-    lasting_s: float
-    lasting_range: float
+    bias_s: float
+    bias_range: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
-    """Relative pose and rates at a time, with what is known of the sensors' lasting errors."""
+class FilterState:
+    """Relative pose and rates at a time, with what is known of the sensors' biases."""
 
     time_s: float
     rotation: Array  # (3, 3) camera from target
     translation_m: Array  # (3,)
     rates: Array  # (6,) rotation vector rad/s, velocity of the target's origin m/s; camera frame
-    extras: Array  # (n - 12,) ring radius (relative error), ring depth (m), lasting errors (σ)
+    extras: Array  # (n - 12,) ring radius (relative error), ring depth (m), biases (σ)
     covariance: Array  # (n, n)
     fading: Array  # (n - 12, 2) how fast the extras are forgotten: 1/s, and per ln of the range
     slots: tuple[Slot, ...] = ()
@@ -63,45 +62,11 @@ class State:
         return self.covariance[:MOTION, :MOTION]
 
     def slot(self, sensor: str) -> Slot | None:
-        """Where a sensor's lasting error stands; ``None`` before it was first heard."""
+        """Where a sensor's bias stands; ``None`` before its first measurement."""
         for slot in self.slots:
             if slot.sensor == sensor:
                 return slot
         return None
-
-
-@dataclass(frozen=True, slots=True)
-class Rejected:
-    """A measurement that was not taken, and why."""
-
-    sensor: str
-    nis: float  # squared distance in σ
-    size: int  # degrees of freedom
-    reason: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Innovation:
-    """A measurement beside what was expected of it."""
-
-    residual: Array  # (m,) measured − expected, less the lasting error as it is known
-    raw: Array  # (m,) with it
-    nis: float  # its squared distance in σ
-    log_volume: float  # ln|S|
-    white: Array  # (m, m) the part of its covariance that is new each time
-    lasting_root: Array  # (m, b) root of the part that lasts
-    updated: State  # the state if it is believed
-    loose: bool = False  # a ring, of which another edge was taken: only its bearing counts
-
-    @property
-    def size(self) -> int:
-        """Degrees of freedom."""
-        return len(self.residual)
-
-    @property
-    def lasting(self) -> Array:
-        """(m, m) the part of its covariance that lasts."""
-        return self.lasting_root @ self.lasting_root.T
 
 
 def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOptions:
@@ -116,8 +81,8 @@ def sensor_options(measurement: Measurement, options: FusionOptions) -> SensorOp
 
 def begin(
     measurement: PoseMeasurement, options: FusionOptions, rates: Array | None = None
-) -> State:
-    """The state at a first pose, whose lasting error is known to be in it.
+) -> FilterState:
+    """The state at a first pose, whose bias is known to be in it.
 
     Args:
         rates: (6,) where they are known better than zero.
@@ -135,25 +100,25 @@ def begin(
         covariance[9 + i, 9 + i] = motion.first_velocity**2
     covariance[RADIUS, RADIUS] = options.ring_radius_sigma**2
     covariance[DEPTH, DEPTH] = options.ring_depth_sigma_m**2
-    # The estimate is wrong by −(A b + white): what is in it of the lasting error b.
-    root = root_of_lasting(first, sensor)
+    # The estimate is wrong by −(A b + white): what is in it of the bias b.
+    root = square_root(sensor.bias_share * first)
     bias = slice(FIRST_BIAS, FIRST_BIAS + 6)
     covariance[bias, bias] = np.eye(6)
     covariance[:6, bias], covariance[bias, :6] = -root, -root.T
-    slot = Slot(measurement.sensor, FIRST_BIAS, 6, sensor.lasting_s, sensor.lasting_range)
-    return State(
+    slot = Slot(measurement.sensor, FIRST_BIAS, 6, sensor.bias_s, sensor.bias_range)
+    return FilterState(
         measurement.time_s,
         np.array(measurement.pose.rotation),
         np.array(measurement.pose.translation_m),
         np.zeros(6) if rates is None else rates.copy(),
         np.zeros(FIRST_BIAS - MOTION + 6),
         covariance,
-        np.vstack([np.zeros((2, 2)), _fading(slot)]),  # radius and depth are constants
+        np.vstack([np.zeros((2, 2)), fading_of(slot)]),  # radius and depth are constants
         (slot,),
     )
 
 
-def predict(state: State, dt_s: float, options: FusionOptions) -> State:
+def predict(state: FilterState, dt_s: float, options: FusionOptions) -> FilterState:
     """The state ``dt_s`` later: rates go on, white accelerations widen it.
 
     Raises:
@@ -169,88 +134,12 @@ def predict(state: State, dt_s: float, options: FusionOptions) -> State:
         state.fading, dt_s, motion.angular**2, motion.linear**2, motion.along**2,
         motion.pointing**2,
     )  # fmt: skip
-    return State(
+    return FilterState(
         state.time_s + dt_s, rotation, translation, state.rates, extras, covariance, state.fading,
         state.slots,
     )  # fmt: skip
 
 
-def innovation(
-    state: State, measurement: Measurement, options: FusionOptions
-) -> Innovation | Rejected:
-    """A measurement beside the state at its time; rejected only where it cannot be compared.
-
-    Raises:
-        ValueError: the state is not at the time of the measurement.
-    """
-    if abs(state.time_s - measurement.time_s) > 1e-9:
-        raise ValueError(
-            f"{measurement.sensor}: predict the state from {state.time_s} s to "
-            f"{measurement.time_s} s first"
-        )
-    sensor = sensor_options(measurement, options)
-    heard = _with_slot(state, measurement, sensor)
-    slot = heard.slot(measurement.sensor)
-    assert slot is not None
-    seen = expected(heard, measurement, sensor, options.ring_other_edge, slot.start)
-    if isinstance(seen, str):
-        return Rejected(measurement.sensor, math.inf, measurement.size, seen)
-    fits, nis, log_volume, residual, rotation, place, rates, extras, covariance = corrected(
-        heard.rotation, heard.translation_m, heard.rates, heard.extras, heard.covariance,
-        seen.slope, seen.lasting_root, slot.start, seen.white, seen.residual,
-    )  # fmt: skip
-    if not fits:
-        return Rejected(
-            measurement.sensor, math.inf, measurement.size, "its covariance cannot be used"
-        )
-    updated = State(
-        heard.time_s, rotation, place, rates, extras, covariance, heard.fading, heard.slots
-    )
-    return Innovation(
-        residual, seen.residual, nis, log_volume, seen.white, seen.lasting_root, updated,
-        seen.loose,
-    )  # fmt: skip
-
-
-def update(state: State, measurement: Measurement, options: FusionOptions) -> State | Rejected:
-    """The state after a measurement at its time, if it passes the gate.
-
-    Raises:
-        ValueError: the state is not at the time of the measurement.
-    """
-    found = innovation(state, measurement, options)
-    if isinstance(found, Rejected):
-        return found
-    gate = gate_of(found.size, sensor_options(measurement, options).gate)
-    if found.nis > gate:
-        return Rejected(
-            measurement.sensor, found.nis, found.size,
-            f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}",
-        )  # fmt: skip
-    return found.updated
-
-
-def difference(one: State, other: State) -> Array:
-    """(6,) perturbation of the pose that leads from the other state to this one."""
-    turn = so3.between(one.rotation, other.rotation)
-    return np.concatenate([turn, one.translation_m - other.translation_m])
-
-
-def _with_slot(state: State, measurement: Measurement, sensor: SensorOptions) -> State:
-    """With room for the lasting error of a sensor that is heard for the first time."""
-    if state.slot(measurement.sensor) is not None:
-        return state
-    n, size = len(state.covariance), measurement.bias_size
-    covariance = np.zeros((n + size, n + size))
-    covariance[:n, :n] = state.covariance
-    covariance[n:, n:] = np.eye(size)
-    slot = Slot(measurement.sensor, n, size, sensor.lasting_s, sensor.lasting_range)
-    return State(
-        state.time_s, state.rotation, state.translation_m, state.rates,
-        np.concatenate([state.extras, np.zeros(size)]), covariance,
-        np.vstack([state.fading, _fading(slot)]), (*state.slots, slot),
-    )  # fmt: skip
-
-
-def _fading(slot: Slot) -> Array:
-    return np.tile([1.0 / slot.lasting_s, 1.0 / slot.lasting_range], (slot.size, 1))
+def fading_of(slot: Slot) -> Array:
+    """(size, 2) how fast a bias is forgotten: 1/s, and per ln of the range."""
+    return np.tile([1.0 / slot.bias_s, 1.0 / slot.bias_range], (slot.size, 1))

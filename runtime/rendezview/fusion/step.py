@@ -1,7 +1,7 @@
-"""One measurement through the filter: start, prediction, trust, update, and a new start.
+"""One measurement through the filter: start, prediction, trust, update, and restart.
 
-Everything is a value: `step` makes the next `Snapshot` from the last, so that a late measurement
-is put where it belongs and the rest said again.
+Everything is a value: `step` makes the next `Snapshot` from the last. A late measurement is
+inserted at its time, and the later ones are processed again.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from rendezview.fusion.models import gate_of
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import (
     MOTION,
-    Rejected,
-    State,
+    FilterState,
     begin,
-    innovation,
     predict,
     sensor_options,
 )
 from rendezview.fusion.trust import Trust, Verdict, is_sharp, judge
+from rendezview.fusion.update import Rejected, innovation
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
@@ -37,16 +36,16 @@ _WIDER = 4.0  # variance of the rates that are taken over into a new start
 class Snapshot:
     """The filter after a measurement."""
 
-    state: State | None = None
+    state: FilterState | None = None
     trusts: Mapping[str, Trust] = field(default_factory=dict)
     recent: Mapping[str, Measurement] = field(default_factory=dict)  # the last of each sensor
-    agreed: int = 0  # full measurements that bore the start out
-    begun_by: str = ""  # the sensor that began it
+    agreed: int = 0  # measurements that confirmed the start
+    started_by: str = ""  # the sensor that began it
     last_accepted_s: float = -math.inf
     starts: int = 0
 
 
-def useless(state: State, options: FusionOptions) -> str | None:
+def useless(state: FilterState, options: FusionOptions) -> str | None:
     """Why a forecast says nothing any more; ``None`` while it does."""
     place = state.covariance[3:6, 3:6]
     limit_m = options.lost_range_fraction * math.sqrt(state.translation_m @ state.translation_m)
@@ -66,7 +65,7 @@ def _within(block: Array, sigma: float) -> bool:
     return bool(np.linalg.eigvalsh(block)[-1] < sigma**2)
 
 
-def _blind(state: State) -> bool:
+def _blind(state: FilterState) -> bool:
     """Whether not even a contradiction would say something: begin where the first pose is."""
     covariance = state.covariance
     place = covariance[3, 3] + covariance[4, 4] + covariance[5, 5]
@@ -86,46 +85,46 @@ def step(
     why = useless(state, options) if isinstance(measurement, PoseMeasurement) else None
     if why is not None and _blind(state):
         assert isinstance(measurement, PoseMeasurement)
-        return _start(replace(before, recent=recent), measurement, options, f"begun anew: {why}")
+        return _start(replace(before, recent=recent), measurement, options, f"restarted: {why}")
     trust = before.trusts.get(name) or Trust(name)
     found = innovation(state, measurement, options)
     if isinstance(found, Rejected):
-        heard = replace(trust, heard=trust.heard + 1, last_s=time_s)
-        trusts = {**before.trusts, name: heard}
+        trust = replace(trust, received=trust.received + 1, last_s=time_s)
+        trusts = {**before.trusts, name: trust}
         after = replace(before, state=state, trusts=trusts, recent=recent)
         return after, Verdict(name, time_s, False, found.reason, None, found.size)
     if why is not None and found.nis <= _gate(measurement, options):
         # A forecast that is lost believes every pose that it does not contradict.
-        trust = replace(trust, locked=False, turned_away=0, lie=None)
+        trust = replace(trust, locked=False, rejected=0, fault=None)
     trust, reason = judge(trust, found, time_s, sensor_options(measurement, options))
     trusts = {**before.trusts, name: trust}
     if reason is None:
         agreed = before.agreed + (1 if found.size > 1 and not found.loose else 0)
         after = Snapshot(
-            found.updated, trusts, recent, agreed, before.begun_by, time_s, before.starts
+            found.updated, trusts, recent, agreed, before.started_by, time_s, before.starts
         )
         told = _LOOSE if found.loose else None
         return after, Verdict(name, time_s, True, told, found.nis, found.size)
     after = replace(before, state=state, trusts=trusts, recent=recent)
     # A start that its own sensor takes back, or that another one contradicts for good before
-    # anything bears it out, is none.
+    # anything confirms it, is none.
     if (
         before.agreed < options.start_with
         and isinstance(measurement, PoseMeasurement)
-        and (name == before.begun_by or trust.locked)
+        and (name == before.started_by or trust.locked)
     ):
         return _start(
-            after, measurement, options, f"begun anew, the start was not borne out: {reason}"
+            after, measurement, options, f"restarted, the start was not confirmed: {reason}"
         )
     if why is not None and trust.locked and isinstance(measurement, PoseMeasurement):
-        return _start(after, measurement, options, f"begun anew: {why}")
+        return _start(after, measurement, options, f"restarted: {why}")
     if (
         isinstance(measurement, PoseMeasurement)
         and trust.locked
         and trust.returned
         and not is_sharp(found)
     ):
-        told = f"begun anew: the sensor was silent and the forecast is not sharp, {reason}"
+        told = f"restarted: the sensor was silent and the forecast is not sharp, {reason}"
         return _start(after, measurement, options, told)
     overruled = _overruled(after, state, options)
     if overruled is not None:
@@ -148,7 +147,7 @@ def _start(
     pose: PoseMeasurement,
     options: FusionOptions,
     told: str,
-    old: State | None = None,
+    old: FilterState | None = None,
 ) -> tuple[Snapshot, Verdict]:
     """Begin at a pose; from a state that was overruled the rates are taken over."""
     now_s = pose.time_s if old is None else old.time_s
@@ -158,9 +157,9 @@ def _start(
         name: replace(
             t,
             locked=False,
-            turned_away=0,
+            rejected=0,
             agreed=0,
-            lie=None,
+            fault=None,
             mean_nis=1.0,
             loose=0,
             returned=False,
@@ -168,9 +167,9 @@ def _start(
         for name, t in {**before.trusts, pose.sensor: trust}.items()
     }
     own = trusts[pose.sensor]
-    heard = own.heard + (1 if before.state is None or old is None else 0)
+    received = own.received + (1 if before.state is None or old is None else 0)
     trusts[pose.sensor] = replace(
-        own, heard=heard, accepted=own.accepted + 1, last_s=now_s, last_accepted_s=now_s
+        own, received=received, accepted=own.accepted + 1, last_s=now_s, last_accepted_s=now_s
     )
     after = Snapshot(
         predict(state, max(now_s - state.time_s, 0.0), options), trusts, before.recent, 1,
@@ -179,7 +178,7 @@ def _start(
     return after, Verdict(pose.sensor, now_s, True, told, None, 6, began=True)
 
 
-def _trial(pose: PoseMeasurement, old: State, options: FusionOptions) -> State:
+def _trial(pose: PoseMeasurement, old: FilterState, options: FusionOptions) -> FilterState:
     """A start at a pose with the rates of another state."""
     state = begin(pose, options, old.rates)
     state.covariance[6:MOTION, 6:MOTION] = _WIDER * old.covariance[6:MOTION, 6:MOTION]
@@ -187,13 +186,13 @@ def _trial(pose: PoseMeasurement, old: State, options: FusionOptions) -> State:
 
 
 def _overruled(
-    before: Snapshot, state: State, options: FusionOptions
+    before: Snapshot, state: FilterState, options: FusionOptions
 ) -> tuple[PoseMeasurement, str] | None:
     """The pose on which at least two sensors agree against the state, and more than not."""
     doubting = [
         name
         for name, t in before.trusts.items()
-        if (t.locked or max(t.turned_away, t.loose) >= _DOUBT)
+        if (t.locked or max(t.rejected, t.loose) >= _DOUBT)
         and state.time_s - t.last_s <= options.recent_s
     ]
     if len(doubting) < _VOTES:
@@ -210,11 +209,11 @@ def _overruled(
             if o not in doubting and state.time_s - t.last_accepted_s <= options.recent_s
         )
         if votes >= _VOTES and votes > against:
-            return pose, f"begun anew: {votes} sensors agree against the forecast"
+            return pose, f"restarted: {votes} sensors agree against the forecast"
     return None
 
 
-def _fits(trial: State, measurement: Measurement, options: FusionOptions) -> bool:
+def _fits(trial: FilterState, measurement: Measurement, options: FusionOptions) -> bool:
     """Whether a measurement passes the gate of a trial state, from before it or after."""
     ahead_s = measurement.time_s - trial.time_s
     if ahead_s < 0.0:

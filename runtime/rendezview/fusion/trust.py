@@ -15,11 +15,11 @@ import numpy as np
 
 from rendezview.fusion.models import gate_of
 from rendezview.fusion.options import SensorOptions
-from rendezview.fusion.state import Innovation
+from rendezview.fusion.update import Innovation
 from rendezview.geometry.pose import Array
 
 _SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
-_SILENT_S = 5.0  # of a sensor, before its next word
+_SILENT_S = 5.0  # s without a measurement, after which a sensor returns
 _WHOLE = 6  # degrees of freedom of a pose
 _BESIDE = 3.0  # squared distance of a place, in σ of another edge
 _FOLLOW = 0.5  # weight of the latest residual in the place of a lie
@@ -27,18 +27,18 @@ _FOLLOW = 0.5  # weight of the latest residual in the place of a lie
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trust:
-    """What is thought of one sensor; a value, replaced at each measurement."""
+    """How far one sensor is believed; a value, replaced at each measurement."""
 
     sensor: str
     locked: bool = False
-    heard: int = 0  # measurements in all
+    received: int = 0  # measurements in all
     accepted: int = 0
-    turned_away: int = 0  # in a row
+    rejected: int = 0  # in a row
     agreed: int = 0  # in a row, while locked out
     mean_nis: float = 1.0  # over degrees of freedom; 1 is as it should be
-    last_s: float = -math.inf  # when it last spoke
+    last_s: float = -math.inf  # of its last measurement
     last_accepted_s: float = -math.inf
-    lie: Array | None = None  # (m,) where its residuals stood when it was turned away
+    fault: Array | None = None  # (m,) its residual when it was rejected
     lockouts: int = 0
     returned: bool = False  # it was silent before, so that the forecast may be what is wrong
     loose: int = 0  # in a row: neither the ring's edge nor about it
@@ -54,7 +54,7 @@ class Verdict:
     reason: str | None  # words, where it was not accepted or began something
     nis: float | None = None  # squared distance in σ; None: not compared
     size: int = 0  # its degrees of freedom
-    began: bool = False  # the filter began here, or began anew
+    began: bool = False  # the filter started or restarted here
 
 
 def judge(
@@ -63,7 +63,7 @@ def judge(
     """The sensor's trust after a measurement, and why it is not taken (``None``: it is)."""
     gate = gate_of(found.size, options.gate)
     passes = found.nis <= gate
-    count = trust.heard + 1
+    count = trust.received + 1
     level = trust.mean_nis + (found.nis / found.size - trust.mean_nis) / min(count, options.window)
     loose = trust.loose + 1 if found.loose and _beside(found) else 0
     noisy = count > options.window and level > options.nis_limit
@@ -76,24 +76,24 @@ def judge(
             None,
         )  # fmt: skip
     returned = trust.returned or time_s - trust.last_s > _SILENT_S
-    heard = replace(trust, heard=count, last_s=time_s, returned=returned)
-    if heard.locked:
-        return _locked(heard, found, passes and not found.loose, time_s, options)
+    after = replace(trust, received=count, last_s=time_s, returned=returned)
+    if after.locked:
+        return _locked(after, found, passes and not found.loose, time_s, options)
     if passes and loose >= options.loose_after:
         told = f"an edge beside the ring, {loose} times in a row: locked out"
-        return _lock(replace(heard, lie=found.raw, loose=0)), told
+        return _lock(replace(after, fault=found.raw, loose=0)), told
     if passes:
         return (
-            _lock(replace(heard, mean_nis=level, lie=found.raw)),
+            _lock(replace(after, mean_nis=level, fault=found.raw)),
             f"mean NIS {level:.1f} of a degree of freedom, at most {options.nis_limit:g}: "
             "locked out",
         )
-    row = heard.turned_away + 1
-    heard = replace(heard, turned_away=row, lie=_followed(heard.lie, found.raw))
+    row = after.rejected + 1
+    after = replace(after, rejected=row, fault=_followed(after.fault, found.raw))
     away = f"{math.sqrt(found.nis):.1f} σ away, the gate is at {math.sqrt(gate):.1f}"
     if row >= options.lock_after:
-        return _lock(heard), f"{away}, {row} times in a row: locked out"
-    return heard, away
+        return _lock(after), f"{away}, {row} times in a row: locked out"
+    return after, away
 
 
 def _lock(trust: Trust) -> Trust:
@@ -107,58 +107,58 @@ def _locked(
     time_s: float,
     options: SensorOptions,
 ) -> tuple[Trust, str | None]:
-    total = found.white + found.lasting
-    same = trust.lie is not None and _still(trust.lie, found, total, options)
+    total = found.white + found.bias
+    same = trust.fault is not None and _still(trust.fault, found, total, options)
     sharp = is_sharp(found)
     if not passes or (same and not sharp):
-        lie = _followed(trust.lie if same else None, found.raw)
+        fault = _followed(trust.fault if same else None, found.raw)
         reason = "locked out, and still off" if not passes else (
             "locked out: it agrees only because the forecast is wide"
         )  # fmt: skip
-        return replace(trust, agreed=0, turned_away=trust.turned_away + 1, lie=lie), reason
+        return replace(trust, agreed=0, rejected=trust.rejected + 1, fault=fault), reason
     agreed = trust.agreed + 1
     if agreed < options.unlock_after:
         told = f"locked out, agrees {agreed} of {options.unlock_after} times"
-        return replace(trust, agreed=agreed, turned_away=0), told
+        return replace(trust, agreed=agreed, rejected=0), told
     return (
         replace(
-            trust, locked=False, agreed=0, turned_away=0, lie=None, mean_nis=1.0, returned=False,
+            trust, locked=False, agreed=0, rejected=0, fault=None, mean_nis=1.0, returned=False,
             accepted=trust.accepted + 1, last_accepted_s=time_s,
         ),
         None,
     )  # fmt: skip
 
 
-def _followed(lie: Array | None, residual: Array) -> Array:
-    return residual if lie is None else lie + _FOLLOW * (residual - lie)
+def _followed(fault: Array | None, residual: Array) -> Array:
+    return residual if fault is None else fault + _FOLLOW * (residual - fault)
 
 
 def is_sharp(found: Innovation) -> bool:
     """Whether the forecast knows nearly as much as the sensor says."""
-    total = found.white + found.lasting
+    total = found.white + found.bias
     return bool(found.log_volume - _log_volume(total) < _SHARP * found.size)
 
 
 def _beside(found: Innovation) -> bool:
     """Whether another edge than the ring's is not even about the ring: then it is no edge."""
-    total = found.white + found.lasting
+    total = found.white + found.bias
     place = found.raw[:3]
     return bool(place @ np.linalg.solve(total[:3, :3], place) > _BESIDE)
 
 
-def _still(lie: Array, found: Innovation, total: Array, options: SensorOptions) -> bool:
-    """Whether a residual is where the sensor lied before.
+def _still(fault: Array, found: Innovation, total: Array, options: SensorOptions) -> bool:
+    """Whether the sensor still has the fault that it was rejected for.
 
-    A whole pose that lies by a constant is there to within its noise. Of a ring or a range the lie
-    wanders with what is taken for them: it is left when the residual at once falls by half. A
-    forecast that drifts towards a lie takes many measurements for that, and the lie is followed.
+    A constant offset of a whole pose stays within its noise. The fault of a ring or a range changes
+    with what is mistaken for them: it has ended when the residual halves at once. A forecast that
+    drifts towards a fault takes many measurements for that; the fault is updated meanwhile.
     """
     if found.size == _WHOLE:
-        away = found.raw - lie
-        spread = 2.0 * found.white + 0.2 * found.lasting
+        away = found.raw - fault
+        spread = 2.0 * found.white + 0.2 * found.bias
         return bool(away @ np.linalg.pinv(spread) @ away <= gate_of(found.size, options.gate))
     weight = np.linalg.pinv(total)
-    return bool(found.raw @ weight @ found.raw > 0.25 * (lie @ weight @ lie))
+    return bool(found.raw @ weight @ found.raw > 0.25 * (fault @ weight @ fault))
 
 
 def _log_volume(matrix: Array) -> float:

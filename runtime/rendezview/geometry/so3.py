@@ -140,3 +140,9 @@ def hat(w: Array) -> Array:
     """(3, 3) matrix [w]× with ``[w]× v = w × v``."""
     x, y, z = w
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def about_z(angle_rad: float) -> Array:
+    """(3, 3) rotation by an angle about z; about the boresight, in a camera frame."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -1,1 +1,1 @@
-"""Runs handed on to the tools of others."""
+"""Runs exported for other tools."""

@@ -42,7 +42,7 @@ _PICTURE = "camera/image"
 
 
 def write_rerun(path: Path, run: Iterable[Moment], model: ViewModel | None = None) -> int:
-    """Write a run as a Rerun recording, all of it or nothing; how many moments it has.
+    """Write a run as a Rerun recording, all or nothing; the number of its moments.
 
     Args:
         path: the file, ``.rrd``.
@@ -84,7 +84,7 @@ class _Recorder:
         self._rr, self._stream, self._model = rr, stream, model
         self._camera: Camera | None = None
         self._status: str | None = None
-        self._drawn: set[str] = set()  # what a picture has on it now
+        self._drawn: set[str] = set()  # what is drawn over the picture
 
     def write(self, run: Iterable[Moment]) -> int:
         rr, log = self._rr, self._stream.log
@@ -119,7 +119,7 @@ class _Recorder:
         where = f"frame {moment.index}"
         pose = pose_of(record, where)
         self._picture(moment, pose)
-        # A scale of zero is nowhere: the last pose must not stay where there is none.
+        # Without a pose, a scale of zero hides the last one.
         log("target", self._transform(pose))
         if moment.camera is not None or moment.truth is not None:
             log("truth", self._transform(moment.truth))
@@ -196,7 +196,7 @@ class _Recorder:
 
 
 def _numbers(record: dict[str, Any]) -> Iterator[tuple[str, float]]:
-    """Every number of a record and of the mappings in it, with its path."""
+    """Every number in a record and its mappings, with its path."""
     for name, value in record.items():
         if name in _NO_NUMBERS or name in ("pose", "segment"):
             continue
@@ -215,7 +215,7 @@ def _numbers(record: dict[str, Any]) -> Iterator[tuple[str, float]]:
 
 
 def _sigmas(record: dict[str, Any]) -> Iterator[tuple[str, float]]:
-    """σ of attitude and position, all axes together, where the record has a pose's covariance."""
+    """σ of attitude and position over all axes, if the record has a pose's covariance."""
     covariance = record.get("covariance")
     if record.get("pose") is None or covariance is None or np.shape(covariance)[:1] < (6,):
         return
@@ -225,7 +225,7 @@ def _sigmas(record: dict[str, Any]) -> Iterator[tuple[str, float]]:
 
 
 def _ellipse(ellipse: dict[str, Any]) -> Any:
-    """(65, 2) px around it."""
+    """Points (65, 2) px along an ellipse."""
     turns = np.linspace(0.0, 2.0 * np.pi, 65)
     a, b = ellipse["semi_axes_px"]
     c, s = math.cos(ellipse["angle_rad"]), math.sin(ellipse["angle_rad"])

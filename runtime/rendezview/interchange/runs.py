@@ -1,4 +1,4 @@
-"""What a run left behind, moment by moment: JSON lines of any sensor, or a log of the service."""
+"""Reads the moments of a run from JSON lines of any sensor or a log of the service."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from rendezview.io.sequences.frame import GreyImage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moment:
-    """One line of a log, and what else is known of that moment."""
+    """One line of a log, with the frame's other data."""
 
-    index: int  # number of the frame, else of the line
+    index: int  # frame number, else line number
     time_s: float | None
     record: dict[str, Any]
     camera: Camera | None = None
@@ -44,7 +44,7 @@ def moments(log: Path, scene: Sequence | None = None) -> Iterator[Moment]:
 
 
 def pose_of(record: dict[str, Any], where: str) -> Pose | None:
-    """The pose in a record, camera_from_target; None where it has none.
+    """The pose in a record, camera_from_target; None if it has none.
 
     Raises:
         RendezviewError: what stands there is no pose.
@@ -82,7 +82,7 @@ def _of_lines(log: Path, scene: Sequence | None) -> Iterator[Moment]:
         try:
             image = frame.read()
         except RendezviewError:
-            image = None  # as the run found it: its status says so
+            image = None  # the record's status gives the reason
         yield Moment(index, time_s, record, frame.camera, image, frame.camera_from_target)
 
 

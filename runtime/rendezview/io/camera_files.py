@@ -1,21 +1,21 @@
-"""Camera files of several origins, read into the seven numbers of a camera.
+"""Camera files of OpenCV, ROS, BOP and SPEED.
 
-The file's kind is told by its content, not by its name:
+The content of a file decides its kind, not its name:
 
 - OpenCV YAML, XML or JSON: ``camera_matrix`` and ``distortion_coefficients`` with
   ``image_width`` and ``image_height``; also ``cameraMatrix``/``distCoeffs``, ``K``/``D``
   and ``M1``/``D1`` (the left camera of a stereo calibration).
 - ROS ``CameraInfo`` YAML, as a calibration file or as a printed message; lens models
   ``plumb_bob`` and ``rational_polynomial``.
-- BOP ``camera.json``: ``fx fy cx cy width height``, and ``distCoeffs`` where we wrote it.
+- BOP ``camera.json``: ``fx fy cx cy width height``, and ``distCoeffs`` in our own files.
 - SPEED ``camera.json``: ``fx``, ``fy`` in metres, pixel pitch ``ppx``, ``ppy`` in metres, size
-  ``Nu`` × ``Nv``; SPEED+ has ``cameraMatrix`` and ``distCoeffs`` besides, and those win.
+  ``Nu`` × ``Nv``; SPEED+ also has ``cameraMatrix`` and ``distCoeffs``, which take precedence.
 
-SPEED's principal point is (Nu/2, Nv/2), as its own projection code and SPEED+'s
-``cameraMatrix`` have it. Both are taken unchanged: SPEED+'s matrix is meant for OpenCV,
-whose pixel (0, 0) is a pixel's centre as here, and SPEED's axes are drawn over the picture
-in that convention too. Read as measured from the corner of the picture it would be half a
-pixel less, 0.2 mrad for its lens of 3000 px.
+SPEED's principal point is (Nu/2, Nv/2), as in its own projection code and in
+SPEED+'s ``cameraMatrix``. Both are used unchanged: SPEED+'s matrix is for OpenCV, whose pixel (0,
+0) is the centre of a pixel, as here, and SPEED draws its axes over the picture in that convention.
+Measured from the corner of the picture, it would be half a pixel less: 0.2 mrad for its lens of
+3000 px.
 """
 
 from __future__ import annotations
@@ -95,10 +95,10 @@ def read_intrinsics(path: StrPath) -> Intrinsics:
 
 
 def intrinsics_of(data: dict[Any, Any], where: str) -> Intrinsics:
-    """The intrinsics in what a camera file, or a message of a recording, holds.
+    """The intrinsics in the content of a camera file or of a recorded message.
 
     Raises:
-        RendezviewError: not a camera's, or of an unknown lens model.
+        RendezviewError: not those of a camera, or of an unknown lens model.
     """
     try:
         return _interpret(data)
@@ -110,7 +110,7 @@ def intrinsics_to_opencv_yaml(
     width: int, height: int, matrix: npt.ArrayLike, distortion: tuple[float, ...]
 ) -> str:
     """The text of an OpenCV YAML camera file; every number keeps its full precision."""
-    coefficients = distortion or (0.0,) * 5  # OpenCV's readers expect some
+    coefficients = distortion or (0.0,) * 5  # OpenCV's readers require some
     return (
         "%YAML:1.0\n---\n"
         f"image_width: {width}\n"
@@ -135,7 +135,7 @@ def _parse(text: str, where: str) -> Any:
             return _xml_value(ElementTree.fromstring(text))
         except (ElementTree.ParseError, ValueError) as error:
             raise RendezviewError(
-                f"{where}: not valid XML ({error}): mend or replace the camera file"
+                f"{where}: not valid XML ({error}): correct or replace the camera file"
             ) from error
     try:
         return parse_yaml(text)
@@ -147,7 +147,7 @@ def _parse(text: str, where: str) -> Any:
 
 
 def _xml_value(element: ElementTree.Element) -> Any:
-    """Children as a dict; text as numbers where all of it is numbers, else as it stands."""
+    """Children as a dict; text as numbers if all of it is numbers, else unchanged."""
     if len(element):
         return {child.tag: _xml_value(child) for child in element}
     text = (element.text or "").strip()
@@ -202,7 +202,7 @@ def _distortion(data: dict[Any, Any]) -> tuple[float, ...]:
             f"distortion_model: {model!r} is not supported: calibrate with "
             f"{' or '.join(_LENS_MODELS)}, or undistort the images first"
         )
-    # OpenCV writes 12 or 14 numbers when asked for models whose terms may all be zero.
+    # OpenCV writes 12 or 14 numbers for some models, although their terms may be zero.
     while len(values) > 8 and values[-1] == 0.0:
         values.pop()
     if len(values) > 8:

@@ -1,8 +1,8 @@
-"""Fitted path and attitude as flight dynamics teams read them: CCSDS OEM and AEM, KVN.
+"""Fitted path and attitude for flight dynamics: CCSDS OEM and AEM, KVN.
 
 Orbit Ephemeris Message 2.0 (CCSDS 502.0-B-2) and Attitude Ephemeris Message 1.0 (504.0-B-1). The
-orbit message is of the chaser about the target: ``CENTER_NAME`` is the target. Kilometres in the
-file, as the standard wants them.
+orbit message describes the chaser about the target: ``CENTER_NAME`` is the target. Lengths
+in the file are kilometres, as the standard requires.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from rendezview.geometry.pose import Array
 
 @dataclass(frozen=True, kw_only=True)
 class Names:
-    """What the headers say."""
+    """Names in the headers."""
 
     chaser: str = "CHASER"
-    chaser_id: str = "0000-000A"  # international designator; this one says that there is none
+    chaser_id: str = "0000-000A"  # international designator; this value means none
     target: str = "TARGET"
     target_id: str = "0000-000B"
     originator: str = "RENDEZVIEW"
@@ -55,13 +55,13 @@ def orbit_message(
     names: Names | None = None,
     created: datetime | None = None,
 ) -> str:
-    """An OEM of places and velocities (N, 3) about the target.
+    """An OEM of positions and velocities (N, 3) about the target.
 
     Args:
         frame: ``REF_FRAME``: ``RSW_ROTATING`` for Hill's frame, else a name the reader knows.
 
     Raises:
-        ValueError: no states, times that do not rise, values not finite.
+        ValueError: no states, times that do not rise, or values that are not finite.
     """
     names = names or Names()
     times, states = _checked(times_s, np.hstack([places_m, velocities_m_s]))
@@ -97,15 +97,16 @@ def attitude_message(
 ) -> str:
     """An AEM of the target's attitudes (N, 3, 3), as quaternions, scalar last.
 
-    The quaternion turns the reference frame A into the body frame B, as a change of coordinates:
-    that of ``target_from_reference``. Signs are kept from line to line, as interpolation wants.
+    The quaternion is that of ``target_from_reference``: the change of coordinates from the
+    reference frame A to the body frame B. Its sign is continuous from line to line, for
+    interpolation.
 
     Raises:
-        ValueError: no states, times that do not rise, values not finite.
+        ValueError: no states, times that do not rise, or values that are not finite.
     """
     names = names or Names()
     times, turned = _checked(times_s, np.asarray(reference_from_target).reshape(-1, 9))
-    # CCSDS: the quaternion of the frame's turn from A to B is that of body axes seen from A.
+    # CCSDS: the quaternion of the frame rotation from A to B is that of the body axes in A.
     quats = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_quat()
     for k in range(1, len(quats)):
         if quats[k] @ quats[k - 1] < 0.0:

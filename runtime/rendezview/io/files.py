@@ -1,7 +1,7 @@
-"""Reading and writing whole files: errors a user understands, and no half-written file.
+"""Reading and writing whole files, with clear errors and no half-written files.
 
-Every writer of this package goes through :func:`atomic_write`: the content is
-written beside the destination under a temporary name and renamed when complete.
+Every writer of this package uses :func:`atomic_write`: it writes to a temporary name beside
+the destination and renames the file when it is complete.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ def write_error(path: Path, error: OSError) -> RendezviewError:
 
 @contextlib.contextmanager
 def atomic_write(path: StrPath, *, durable: bool = True) -> Iterator[BinaryIO]:
-    """A binary file object whose content appears at ``path`` only when all of it is written.
+    """A binary file object; its content appears at ``path`` only when all of it is written.
 
     The content goes to a temporary name in the same folder and replaces ``path``
-    on success; on any exception (Ctrl-C too) the temporary file is removed and
-    ``path`` is left as it was. A symbolic link is followed. What exists and is no
-    regular file (``/dev/stdout``, a named pipe) is written to directly.
+    on success. On any exception (Ctrl-C too) the temporary file is removed and ``path`` does not
+    change. A symbolic link is followed. An existing file that is not regular (``/dev/stdout``, a
+    named pipe) is written directly.
 
     Args:
         path: the destination.
-        durable: force the content to the disk before the rename. False where
-            another file, written last, says that this one is complete.
+        durable: force the content to the disk before the rename. Use False if another file,
+            written last, marks this one as complete.
 
     Raises:
         RendezviewError: the folder is missing, the disk full, permission denied …
@@ -64,7 +64,7 @@ def atomic_write(path: StrPath, *, durable: bool = True) -> Iterator[BinaryIO]:
     if special:
         temporary, flags = destination, os.O_WRONLY
     else:
-        # The name is cut so that a long destination name still leaves room.
+        # The name is cut, so that a long destination name leaves room.
         temporary = destination.with_name(f".{destination.name[:40]}.{secrets.token_hex(6)}.tmp")
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
     done = False
@@ -78,7 +78,7 @@ def atomic_write(path: StrPath, *, durable: bool = True) -> Iterator[BinaryIO]:
             os.replace(temporary, destination)
         done = True
     except OSError as error:
-        # An error of another file, opened by the caller's block, is not ours to explain.
+        # An error of another file, opened in the caller's block, is not explained here.
         if error.filename is not None and os.fspath(error.filename) != str(temporary):
             raise
         raise write_error(given, error) from error
@@ -89,23 +89,23 @@ def atomic_write(path: StrPath, *, durable: bool = True) -> Iterator[BinaryIO]:
 
 
 def atomic_write_text(path: StrPath, text: str, *, durable: bool = True) -> None:
-    """Write ``text`` as UTF-8, all of it or nothing; arguments and errors of `atomic_write`."""
+    """Write ``text`` as UTF-8, all or nothing; arguments and errors as in `atomic_write`."""
     with atomic_write(path, durable=durable) as file:
         file.write(text.encode("utf-8"))
 
 
 def check_place(path: StrPath | None, what: str) -> None:
-    """Refuse at once a file name (None: no file) that cannot be written when ``what`` is ready.
+    """Refuse a file name (None: no file) that cannot be written later, when ``what`` is ready.
 
     Raises:
-        RendezviewError: it is a folder, or in none.
+        RendezviewError: it is a folder, or its folder does not exist.
     """
     if path is not None and (Path(path).is_dir() or not Path(path).parent.is_dir()):
         raise RendezviewError(f"{path}: give a file name in an existing folder for {what}")
 
 
 def make_folder(path: StrPath) -> None:
-    """Create a folder and its parents where missing.
+    """Create a folder and its parents if they do not exist.
 
     Raises:
         RendezviewError: a file has that name, or permission is denied.
@@ -167,11 +167,11 @@ def parse_json(text: str, where: str) -> Any:
     except json.JSONDecodeError as error:
         raise RendezviewError(
             f"{where}: not valid JSON ({error.msg} at line {error.lineno}, column {error.colno}): "
-            f"mend or replace the file"
+            f"correct or replace the file"
         ) from error
     except (ValueError, RecursionError) as error:
         raise RendezviewError(
-            f"{where}: not valid JSON ({error}): mend or replace the file"
+            f"{where}: not valid JSON ({error}): correct or replace the file"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""A grey frame: whether it is one that the camera took, and its noise."""
+"""A grey frame: the check that it fits the camera, and its noise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Picture = npt.NDArray[np.uint8]
 
 
 def check_frame(image: npt.ArrayLike, width: int, height: int) -> Picture:
-    """The frame itself, if it is an 8-bit grey picture of the camera's size.
+    """The frame, if it is an 8-bit grey picture of the camera's size.
 
     Raises:
         RendezviewError: another type, shape or size; a floating frame that is not finite.
@@ -39,9 +39,9 @@ def check_frame(image: npt.ArrayLike, width: int, height: int) -> Picture:
 
 @njit(cache=True, nogil=True)
 def grain(image: Picture, rows: int) -> float:
-    """Noise of a frame (one σ, grey levels), from second differences along about so many rows.
+    """Noise of a frame (one σ, grey levels), from second differences along about ``rows`` rows.
 
-    The mean of the smaller half, so that edges and clouds do not count.
+    It uses the mean of the smaller half, so that edges and clouds do not count.
     """
     height, width = image.shape
     step = max(1, height // rows)

@@ -37,7 +37,7 @@ class ResultRow:
     scene_id: int
     im_id: int
     obj_id: int
-    score: float  # higher is surer
+    score: float  # higher is more confident
     camera_from_target: Pose
     time_s: float | None = None  # computing time of the image; None: not measured
 
@@ -49,7 +49,7 @@ class ResultRow:
 
 
 def write_results(path: StrPath, rows: Iterable[ResultRow]) -> None:
-    """Write a BOP results CSV, atomically, numbers in full precision.
+    """Write a BOP results CSV, atomically, with numbers in full precision.
 
     Raises:
         RendezviewError: it cannot be written.
@@ -85,7 +85,7 @@ def read_results(path: StrPath) -> list[ResultRow]:
         if header != HEADER:
             raise RendezviewError(
                 f"{path}: line 1: the header must be {','.join(HEADER)}, not "
-                f"{','.join(header)[:80]!r}: these are no BOP results"
+                f"{','.join(header)[:80]!r}: these are not BOP results"
             )
         for cells in reader:
             if cells:
@@ -106,7 +106,7 @@ def _row(cells: list[str]) -> ResultRow:
         try:
             whole.append(int(named[name]))
         except ValueError:
-            raise ValueError(f"{name}: {named[name]!r} is no whole number") from None
+            raise ValueError(f"{name}: {named[name]!r} is not a whole number") from None
     rotation, translation_mm = _numbers(named, "R", 9), _numbers(named, "t", 3)
     score, time_s = _numbers(named, "score", 1)[0], _numbers(named, "time", 1)[0]
     try:
@@ -123,18 +123,20 @@ def _numbers(named: dict[str, str], name: str, count: int) -> list[float]:
     try:
         numbers = [float(word) for word in words]
     except ValueError:
-        raise ValueError(f"{name}: {named[name][:60]!r} has what is no number") from None
+        raise ValueError(
+            f"{name}: {named[name][:60]!r} has something that is not a number"
+        ) from None
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{name}: needs {count} finite numbers, has {named[name][:60]!r}")
     return numbers
 
 
 class JsonLinesWriter:
-    """Writes JSON lines, one mapping a line, each flushed when written.
+    """Writes JSON lines, one mapping per line, flushed after each.
 
-    Lines go to ``<path>.partial``, which `close` renames to ``path``. Left by an
-    exception or a kill, the partial file stays: it holds every line computed so far,
-    and ``path`` is as it was. A later writer of the same ``path`` begins it anew.
+    Lines go to ``<path>.partial``, which `close` renames to ``path``. After an exception or a
+    kill, the partial file stays with every line so far, and ``path`` does not change. A later
+    writer of the same ``path`` starts the partial file again.
 
     Arrays become lists; a `Pose` ``{"quat_wxyz": [...], "translation_m": [...]}``; paths
     text; dataclasses mappings; NaN and infinity, which JSON lacks, null.
@@ -149,7 +151,7 @@ class JsonLinesWriter:
         if self.path.exists() and not self.path.is_file():
             raise RendezviewError(f"{self.path}: is no regular file: give the name of a file")
         try:
-            self._file: BinaryIO = open(self.partial_path, "wb")  # noqa: SIM115 (lives as long as we)
+            self._file: BinaryIO = open(self.partial_path, "wb")  # noqa: SIM115 (closed by `close`)
         except OSError as error:
             raise write_error(self.path, error) from error
         self._written = False
@@ -187,7 +189,7 @@ class JsonLinesWriter:
             raise write_error(self.path, error) from error
 
     def keep(self) -> None:
-        """`close` if a line was written, else leave no file: also for work cut short."""
+        """`close` if a line was written, else leave no file; also for interrupted work."""
         if self._written:
             self.close()
             return
@@ -207,7 +209,7 @@ class JsonLinesWriter:
         if kind is None:
             self.close()
             return
-        with contextlib.suppress(OSError):  # the exception under way says more
+        with contextlib.suppress(OSError):  # the current exception says more
             self._file.close()
 
 
@@ -215,7 +217,7 @@ def read_json_lines(path: StrPath) -> list[dict[str, Any]]:
     """The mappings of a JSON-lines file; blank lines are skipped.
 
     Raises:
-        RendezviewError: missing, or a line (named) is no JSON object.
+        RendezviewError: missing, or a line (named) is not a JSON object.
     """
     records = []
     # Not splitlines(): it breaks at characters that JSON strings may hold, such as U+2028.

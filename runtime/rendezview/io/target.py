@@ -1,6 +1,6 @@
-"""The target vehicle: its mesh file and what is known of it besides, from ``target.toml``.
+"""The target vehicle: its mesh file and its other data, from ``target.toml``.
 
-Everything but the mesh is in the target frame, in metres, whatever the mesh's own unit.
+Everything but the mesh is in the target frame, in metres, whatever the unit of the mesh.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class DockingRing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reflector:
-    """A retro-reflector; those of one ``group`` are looked for together."""
+    """A retro-reflector; those of one ``group`` are searched together."""
 
     name: str
     group: str
@@ -71,22 +71,22 @@ class Target:
     name: str
     description: str
     mesh_path: Path
-    unit: str | None  # a key of METRES_PER_UNIT; None: not known, the mesh reader has to ask
+    unit: str | None  # a key of METRES_PER_UNIT; None: not known
     docking_ring: DockingRing | None = None
     reflectors: tuple[Reflector, ...] = ()
     leds: tuple[Led, ...] = ()
     symmetries: tuple[Symmetry, ...] = ()
-    shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
+    shape_error: float = 0.0  # σ of the strain between mesh and craft
 
     @classmethod
     def load(cls, path: StrPath) -> Target:
         """Read a ``*.toml`` target file, a folder with a ``target.toml``, or a bare mesh.
 
-        A bare mesh is named by its file name and its unit is None.
+        A bare mesh has its file name as name, and its unit is None.
 
         Raises:
             RendezviewError: missing, not TOML, an unknown or wrong key (named), or
-                the mesh file is not where the target file says.
+                the mesh file is not where the target file names it.
         """
         given = Path(path)
         if given.is_dir():

@@ -1,4 +1,4 @@
-"""Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them."""
+"""Time of a filter step: prediction, gate, trust and update, as Fusion.add does them."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def measurements(seed: int) -> dict[str, list[Measurement]]:
     return found
 
 
-WHITE = SensorOptions(lasting=0.1)  # as these are made
+WHITE = SensorOptions(bias_share=0.1)  # as these are made
 OPTIONS = FusionOptions(pose=WHITE, ring=WHITE, range=WHITE)
 
 
 def started(kinds: dict[str, list[Measurement]]) -> Fusion:
-    """All three sensors have been heard: the state has its full size."""
+    """All three sensors have reported: the state has its full size."""
     fusion = Fusion(OPTIONS)
     for kind in ("pose", "ring", "range"):
         fusion.add(kinds[kind][0])
@@ -90,10 +90,10 @@ def plain_numpy() -> Callable[[], None]:
 
 
 def run(*, seed: int = 0, repeats: int = 15) -> None:
-    """Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them.
+    """Time of a filter step: prediction, gate, trust and update, as Fusion.add does them.
 
     Beside it, in the same run, a 12-state Kalman filter in plain numpy: prediction and update
-    with six numbers, no gate, no attitude, no lasting errors.
+    with six numbers, no gate, no attitude, no biases.
     """
     kinds = measurements(seed)
     spent_us: dict[str, list[float]] = {kind: [] for kind in (*kinds, "state_at", "late", "numpy")}

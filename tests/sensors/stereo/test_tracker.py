@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -224,3 +228,67 @@ def test_wrong_use_is_refused(laboratory, tracker, read):
         tracker.update(3.0, [Spots([[0.0, 0.0]], [[1e-5, 1e-5]], [9]), Spots.none()])
     with pytest.raises(ValueError, match="finite"):
         Spots([[np.nan, 0.0]], [[1.0, 1.0]], [0])
+
+
+def test_threads_get_what_one_thread_gets(laboratory, scole, read):
+    rng = np.random.default_rng(12)
+    currents = laboratory.currents([POSE] * 40, rng)
+    spots = [read(laboratory.rig, reading) for reading in currents]
+    options = TrackerOptions(motion=MotionOptions())
+
+    def run() -> list[bytes]:
+        tracker = StereoTracker.of_target(laboratory.rig, scole, options)
+        found = [tracker.update(0.1 * k, one) for k, one in enumerate(spots)]
+        return [one.pose.translation_m.tobytes() + one.covariance.tobytes() for one in found]
+
+    alone = run()
+    with ThreadPoolExecutor(4) as pool:
+        assert all(future.result() == alone for future in [pool.submit(run) for _ in range(4)])
+
+
+def test_one_tracker_in_two_threads_answers_one_call_after_the_other(laboratory, scole, read):
+    rng = np.random.default_rng(13)
+    spots = [read(laboratory.rig, one) for one in laboratory.currents([POSE] * 60, rng)]
+    tracker, clock = StereoTracker.of_target(laboratory.rig, scole), itertools.count()
+    order = threading.Lock()
+
+    def work(part: list) -> int:
+        done = 0
+        for one in part:
+            with order:  # times must rise
+                done += tracker.update(float(next(clock)), one).status is Status.OK
+        return done
+
+    with ThreadPoolExecutor(2) as pool:
+        assert sum(pool.map(work, (spots[::2], spots[1::2]))) == len(spots)
+
+
+def test_an_observation_is_a_measurement_and_a_line_of_the_log(tracker, laboratory, read):
+    observation = tracker.update(2.5, read(laboratory.rig, laboratory.currents([POSE], None)[0]))
+    taken = observation.measurement("stereo")
+    assert (taken.time_s, taken.sensor, taken.pose) == (2.5, "stereo", observation.pose)
+    assert taken.covariance == pytest.approx(observation.covariance, rel=1e-12)
+    line = observation.record()
+    assert list(line) == [
+        "time_s", "status", "reason", "pose", "covariance", "rig_from_target",
+        "yaw_pitch_roll_rad", "rates", "sum_of_squares", "degrees_of_freedom", "left_out",
+        "exchanged", "leds", "found_anew", "stage_ms",
+    ]  # fmt: skip
+    assert line["leds"][0] == list(tracker.names.leds)
+    assert list(line["stage_ms"]) == ["track"]
+    nothing = tracker.update(3.0, [Spots.none(), Spots.none()])
+    assert nothing.measurement("stereo") is None
+
+
+def test_pose_and_covariance_in_the_first_camera_are_those_of_dense_matrices(
+    tracker, laboratory, read
+):
+    reading = laboratory.currents([POSE], np.random.default_rng(14))[0]
+    observation = tracker.update(0.0, read(laboratory.rig, reading))
+    first = laboratory.rig.cameras[0].camera_from_rig
+    expected = first @ observation.rig_from_target
+    assert observation.pose.rotation == pytest.approx(expected.rotation, abs=1e-14)
+    assert observation.pose.translation_m == pytest.approx(expected.translation_m, abs=1e-13)
+    both = np.kron(np.eye(2), first.rotation)
+    spread = both @ np.linalg.inv(observation.fit.information) @ both.T
+    assert observation.covariance == pytest.approx(spread, rel=1e-9, abs=1e-16)

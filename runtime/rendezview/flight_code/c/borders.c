@@ -1,4 +1,4 @@
-/* Outer borders of what is marked, after Suzuki and Abe, those of holes left out.
+/* Outer borders of the marked pixels, after Suzuki and Abe, without those of holes.
  *
  * The operations and their order are those of rendezview's own runtime, so that the outlines are
  * the same: keep them when the code is edited. */
@@ -92,7 +92,7 @@ static void measure(const rdv_frame *frame, rdv_blob *blob)
         uint32_t last;
 
         rdv_look_ahead(frame, &walker);
-        /* East was looked at and is sky: the blob ends here */
+        /* East was examined and is sky: the blob ends here */
         from_east = (8u - walker.ahead) & 7u;
         last = (8u - walker.back) & 7u;
         if ((from_east > 0u) && ((from_east - 1u) < last))
@@ -119,7 +119,7 @@ static void measure(const rdv_frame *frame, rdv_blob *blob)
     blob->area = ((fabs((rdv_f64)twice) * 0.5) + (0.5 * (rdv_f64)blob->length)) + 1.0;
 }
 
-/* Keeps a blob, where there is no room instead of the one with the shortest border. Blobs stay in
+/* Keeps a blob; if there is no room, in place of the one with the shortest border. Blobs stay in
  * their order. `dropped` is the longest border of those left out that are more than a speck. */
 static void keep(const rdv_blob *blob, rdv_blob blobs[RDV_MOST_BLOBS], uint32_t *count,
                  uint32_t *dropped)

@@ -1,7 +1,7 @@
-/* rendezview: a spacecraft's view recognised from its outline, as flight code in plain C99.
+/* rendezview: recognises a spacecraft's view from its outline; flight code in plain C99.
  *
  * grey frame --rdv_silhouette--> outline --rdv_rays--> rays --rdv_signature_of--> signature
- *            --rdv_search--> on nodes and the direction on which they agree
+ *            --rdv_search--> active nodes and the direction on which they agree
  *
  * No allocation, no recursion, no state between calls, nothing of the library but math.h. All
  * memory is the caller's or on the stack. Sizes and worst-case counts: rendezview_model.h, which
@@ -33,7 +33,7 @@ typedef enum
     RDV_BORDER,       /* the silhouette touches the border */
     RDV_SMALL,        /* too few pixels, or the outline encloses nothing */
     RDV_RIVALS,       /* several bodies of like size */
-    RDV_UNRECOGNIZED, /* no node is on */
+    RDV_UNRECOGNIZED, /* no node is active */
     RDV_NO_ROOM,      /* more blobs or outline points than there is room for */
     RDV_BAD_INPUT     /* a null pointer, a size out of range, or a number that is not finite */
 } rdv_status;
@@ -43,7 +43,7 @@ typedef enum
 #define RDV_LEAST_SIDE 8u    /* smallest width and height of a frame, pixels */
 #define RDV_MOST_SIDE 16384u /* largest */
 
-/* Bodies, parts and specks told apart in one frame; each takes 52 bytes of the stack. */
+/* Bodies, parts and specks distinguished in one frame; each takes 52 bytes of the stack. */
 #ifndef RDV_MOST_BLOBS
 #define RDV_MOST_BLOBS 256u
 #endif
@@ -65,7 +65,7 @@ typedef struct
     rdv_f64 speck_fraction;      /* of the largest blob: below it, noise */
     rdv_f64 merge_gap;           /* of the largest blob's size: parts within it belong together */
     rdv_f64 rival_fraction;      /* of the largest blob's area: another body */
-    uint32_t reach_px;           /* inside its border the target's own level is looked for */
+    uint32_t reach_px;           /* inside the border, to find the target's own level */
 } rdv_silhouette_options;
 
 extern const rdv_silhouette_options rdv_default_silhouette;
@@ -112,17 +112,17 @@ typedef struct
  * own inverse here. */
 void rdv_rays(const rdv_pinhole *camera, rdv_point *points, uint32_t count);
 
-/* Signature of outlines given as rays (x, y, 1); RDV_SMALL where they enclose nothing. */
+/* Signature of outlines given as rays (x, y, 1); RDV_SMALL if they enclose nothing. */
 rdv_status rdv_signature_of(const rdv_point *rays, const uint32_t *ends, uint32_t outlines,
                             rdv_signature *signature);
 
-/* ---- Signature to on nodes: trees.c ---- */
+/* ---- Signature to active nodes: trees.c ---- */
 
 typedef struct
 {
     uint32_t count;
-    uint16_t nodes[RDV_NODES];  /* that are on, ascending */
-    rdv_f64 trust[RDV_NODES];   /* how surely each means on, 0 ... 1 */
+    uint16_t nodes[RDV_NODES];  /* active ones, ascending */
+    rdv_f64 trust[RDV_NODES];   /* probability that each is active, 0 ... 1 */
     rdv_f64 weights[RDV_NODES]; /* trust times nearness to the direction */
     rdv_f64 support;            /* sum of the weights: how well the nodes agree */
     rdv_f64 direction[3];       /* unit, view centre to camera, target frame */
@@ -133,12 +133,12 @@ typedef struct
 rdv_status rdv_all_trees(const rdv_f32 readings[RDV_BINS], const rdv_f64 rolls_rad[RDV_NODES],
                          rdv_f64 trust[RDV_NODES]);
 
-/* Attitude of the camera turned to the centroid, where the camera has `camera_from_target`;
+/* Attitude of the camera turned to the centroid, when the camera has `camera_from_target`;
  * rotations row by row. */
 void rdv_centred(const rdv_signature *signature, const rdv_f64 camera_from_target[9],
                  rdv_f64 centred_from_target[9]);
 
-/* On nodes within `reach_rad` of the view that an attitude means (RDV_REACH_RAD where it is known
+/* Active nodes within `reach_rad` of the view of an attitude (RDV_REACH_RAD where it is known
  * well), each asked at its own roll; RDV_UNRECOGNIZED where there are none. */
 rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from_target[9],
                       rdv_f64 reach_rad, rdv_on_nodes *found);

@@ -1,4 +1,4 @@
-/* What sky.c, borders.c and silhouette.c share; nothing here is for callers. */
+/* Shared by sky.c, borders.c and silhouette.c; not for callers. */
 #ifndef RENDEZVIEW_FRAME_H
 #define RENDEZVIEW_FRAME_H
 
@@ -76,10 +76,10 @@ static inline int32_t rdv_within(int32_t value, int32_t least, int32_t most)
 /* Median and spread of 3 x 3 means along the border, where only sky should be. */
 void rdv_look_at_sky(const rdv_frame *frame, rdv_f64 *level, rdv_f64 *noise);
 
-/* Marks what is brighter than a level in the mean over 3 x 3 pixels. */
+/* Marks pixels brighter than a level in the mean over 3 x 3 pixels. */
 void rdv_mark_target(const rdv_frame *frame, rdv_f64 level);
 
-/* Outer borders of all that is marked, row by row, the longest; 0 where there are more that may
+/* Outer borders of all marked pixels, row by row, the longest; 0 where there are more that may
  * belong to the target. */
 uint8_t rdv_find_blobs(const rdv_frame *frame, rdv_blob blobs[RDV_MOST_BLOBS], uint32_t *count);
 
@@ -89,7 +89,7 @@ void rdv_start_walk(const rdv_frame *frame, int32_t x, int32_t y, rdv_walker *wa
 /* Finds the direction of the next pixel: counter-clockwise from where the border came from. */
 void rdv_look_ahead(const rdv_frame *frame, rdv_walker *walker);
 
-/* Goes on to the next pixel; 0 where the border is closed. */
+/* Moves to the next pixel; 0 where the border is closed. */
 uint8_t rdv_go_on(const rdv_blob *blob, rdv_walker *walker);
 
 #endif

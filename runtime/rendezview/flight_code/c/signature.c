@@ -1,4 +1,4 @@
-/* Outline to signature: bearing and area, the outermost edge in each direction, whole readings.
+/* Outline to signature: bearing and area, the outermost edge in each direction, integer readings.
  *
  * The operations and their order are those of rendezview's own runtime, so that the readings are
  * the same: keep them when the code is edited. */
@@ -133,7 +133,7 @@ static void turn_to_boresight(const rdv_f64 direction[3], rdv_f64 rotation[9])
     }
 }
 
-/* atan2 to 1e-5 rad, which only decides the bins that a segment is asked about: Abramowitz and
+/* atan2 to 1e-5 rad, which only decides the bins that a segment is tested for: Abramowitz and
  * Stegun 4.4.49. */
 static rdv_f64 nearly_atan2(rdv_f64 y, rdv_f64 x)
 {
@@ -167,7 +167,7 @@ static rdv_f64 nearly_atan2(rdv_f64 y, rdv_f64 x)
     return angle;
 }
 
-/* One segment of an outline: its crossings with the rays of the bins, where they lie farther. */
+/* One segment of an outline: its crossings with the rays of the bins, if they lie farther out. */
 static void reach_out(const rdv_f64 from[3], const rdv_f64 to[3], rdv_f64 maxima[RDV_BINS])
 {
     const rdv_f64 half = 0.5 * (rdv_f64)RDV_BINS;

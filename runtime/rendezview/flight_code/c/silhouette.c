@@ -21,7 +21,7 @@ static rdv_f64 outside(rdv_f64 value, int32_t least, int32_t most)
 
 static rdv_f64 distance_to(const rdv_point *point, const rdv_blob *blob)
 {
-    /* of two boxes around the point, the one centred on it */
+    /* of two boxes around the point, use the one centred on it */
     const rdv_f64 off = hypot((0.5 * (rdv_f64)(blob->left + blob->right)) - point->x,
                               (0.5 * (rdv_f64)(blob->top + blob->bottom)) - point->y);
 
@@ -88,7 +88,7 @@ static uint32_t main_blob(rdv_blob blobs[RDV_MOST_BLOBS], uint32_t count,
     return result;
 }
 
-/* Joins what lies within reach of the target so far, until nothing is left. The order of the
+/* Joins the blobs within reach of the target until none is left. The order of the
  * outlines, from below, is the runtime's. */
 static void join(rdv_blob blobs[RDV_MOST_BLOBS], uint32_t count,
                  const rdv_silhouette_options *options, const rdv_blob *body, uint32_t *order,

@@ -1,4 +1,4 @@
-/* Level and noise of the sky, and what stands out of it.
+/* Level and noise of the sky, and what exceeds it.
  *
  * The operations and their order are those of rendezview's own runtime, so that the outlines are
  * the same: keep them when the code is edited. */
@@ -88,7 +88,7 @@ void rdv_mark_target(const rdv_frame *frame, rdv_f64 level)
         const int32_t here = rdv_within(y, 0, frame->height - 1);
         const int32_t below = rdv_within(y + 1, 0, frame->height - 1);
         int32_t before = rdv_grey_at(frame, 0, above) + rdv_grey_at(frame, 0, here) +
-                         rdv_grey_at(frame, 0, below); /* outermost pixels are repeated */
+                         rdv_grey_at(frame, 0, below); /* the outermost pixels are repeated */
         int32_t middle = before;
 
         *rdv_mark_at(frame, -1, y) = RDV_MARK_SKY;

@@ -1,4 +1,4 @@
-/* Signature to on nodes: the trees, each at its own roll, and the direction they agree on. */
+/* Signature to active nodes: the trees, each at its own roll, and their common direction. */
 #include <math.h>
 #include <stddef.h>
 
@@ -14,7 +14,7 @@
 typedef struct
 {
     rdv_f32 part;    /* of the way from one bin to the next */
-    uint16_t start;  /* bin of the view that the tree calls bin 0 */
+    uint16_t start;  /* bin of the view that is bin 0 of the tree */
     rdv_index entry; /* branch or, at the end, sum of steps */
     uint16_t end;    /* reference to the leaf */
 } rdv_walk;
@@ -40,12 +40,12 @@ static rdv_walk begin(uint32_t tree, rdv_f64 roll_rad)
     return walk;
 }
 
-/* Trust of each of `count` trees (0: off). All trees go down one level at a time and drop out at
+/* Trust of each of `count` trees (0: off). All trees descend one level at a time and stop at
  * their leaves: no branch depends on the data, so the time does not either but for the depth. */
 static void ask(const rdv_f32 readings[RDV_BINS], const uint16_t *trees, const rdv_f64 *rolls_rad,
                 uint32_t count, rdv_f64 *trust)
 {
-    rdv_f32 twice[(2u * RDV_BINS) + 1u]; /* so that no index needs to wrap */
+    rdv_f32 twice[(2u * RDV_BINS) + 1u]; /* so no index wraps */
     rdv_walk walks[RDV_NODES];
     uint16_t waiting[RDV_NODES];
     uint32_t left = count;
@@ -81,7 +81,7 @@ static void ask(const rdv_f32 readings[RDV_BINS], const uint16_t *trees, const r
             walk->entry = (rdv_index)(walk->entry + child);
             walk->end = child;
             waiting[still] = place;
-            /* 0 is a leaf that means off, above the longest step are leaves that mean on */
+            /* 0 is a leaf for off; values above the longest step are leaves for on */
             still += (((uint32_t)child - 1u) < RDV_LONGEST_STEP) ? 1u : 0u;
         }
         left = still;
@@ -110,7 +110,7 @@ static rdv_f64 kernel(rdv_f64 cosine)
     return exp((cosine - 1.0) / RDV_KERNEL_WIDTH);
 }
 
-/* Mode of the on nodes' directions: from the best supported, a few steps of a mean shift. */
+/* Mode of the active nodes' directions: from the best supported, a few steps of a mean shift. */
 static void agree(rdv_on_nodes *found)
 {
     uint32_t start = 0u;

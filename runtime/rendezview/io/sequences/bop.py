@@ -1,7 +1,7 @@
 """BOP scenes: ``scene_camera.json``, ``scene_gt.json`` and ``gray/`` or ``rgb/``.
 
-Lengths in the files are millimetres, here metres. Our own scenes have a ``camera.json``
-besides, with the image size and the lens distortion, which BOP leaves out.
+Lengths are millimetres in the files, metres here. Our own scenes also have a ``camera.json``
+with the image size and the lens distortion, which BOP does not have.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ _CAMERA_EXTRA = TypeAdapter(dict[str, object])
 def open_bop_scene(
     folder: Path, camera: Camera | None = None, obj_id: int | None = None
 ) -> Sequence:
-    """A BOP scene, frames in rising number.
+    """Open a BOP scene; frames are in ascending order.
 
-    The focal lengths and principal point are those of ``scene_camera.json``; image size and
-    distortion come from the scene's ``camera.json``, else the size is that of the first
-    image and there is no distortion. The scene's number is the folder's name if that is
-    a number, else ``scene_id`` of ``camera.json``, else 1.
+    Focal lengths and principal point come from ``scene_camera.json``; image size and distortion
+    from the scene's ``camera.json``. Without it, the size is that of the first image and there is
+    no distortion. The scene's number is the folder's name if that is a number, else ``scene_id`` of
+    ``camera.json``, else 1.
 
     Args:
-        folder: holds ``scene_camera.json``.
+        folder: has ``scene_camera.json``.
         camera: used for all frames instead of the scene's own.
-        obj_id: which object is the target, where frames show several.
+        obj_id: the object that is the target, if frames show several.
 
     Raises:
         RendezviewError: a file is missing or wrong, or frames show several objects
-            and ``obj_id`` does not say which one.
+            and ``obj_id`` is not given.
     """
     cameras_path, truth_path = folder / "scene_camera.json", folder / "scene_gt.json"
     cameras = _by_number(
@@ -107,13 +107,13 @@ def _by_number(entries: dict[str, Entry], path: Path) -> dict[int, Entry]:
     numbered: dict[int, Entry] = {}
     for key, entry in entries.items():
         if not (key.isascii() and key.isdigit()):
-            raise RendezviewError(f"{path}: {key!r} is no frame number: correct the file")
+            raise RendezviewError(f"{path}: {key!r} is not a frame number: correct the file")
         numbered[int(key)] = entry
     return numbered
 
 
 def _images(folder: Path) -> tuple[Path, dict[int, Path]]:
-    """The folder of the pictures, and those named by a number; grey ones are preferred."""
+    """The image folder, and its images with numbers as names; grey ones are preferred."""
     for name in ("gray", "rgb"):
         if (folder / name).is_dir():
             images = {

@@ -25,19 +25,19 @@ _PICTURE_FOLDERS = ("gray", "rgb", "mask_visib")
 class BopSceneWriter:
     """Writes a BOP scene: ``gray/``, ``mask_visib/`` and, when closed, the JSON files.
 
-    Use as a context manager. Leaving it by an exception (Ctrl-C too) removes the
-    pictures written so far, so that a folder either holds a whole scene or none.
-    ``scene_gt.json`` is written last: where it is, the scene is complete.
+    Use it as a context manager. An exception (Ctrl-C too) removes the pictures written so far, so a
+    folder has a complete scene or none. ``scene_gt.json`` is written last: if it exists, the scene
+    is complete.
 
     Args:
-        folder: of the scene; made where missing.
+        folder: of the scene; created if it does not exist.
         camera: of all frames; saved with its distortion as ``camera.json``.
-        scene_id: the folder's name where that is a number, which it must then equal; else
-            saved in ``camera.json``; 1 if not given.
-        overwrite: remove a scene that is there already.
+        scene_id: saved in ``camera.json``, default 1. If the folder's name is a number, that is the
+            scene's number, and ``scene_id`` must equal it.
+        overwrite: remove a scene that is already there.
 
     Raises:
-        RendezviewError: the folder already holds a scene, or cannot be written.
+        RendezviewError: the folder already has a scene, or cannot be written.
         ValueError: ``scene_id`` is negative or contradicts the folder's name.
     """
 
@@ -54,7 +54,7 @@ class BopSceneWriter:
         name = self.folder.resolve().name
         named = int(name) if name.isascii() and name.isdigit() else None
         if scene_id is not None and (scene_id < 0 or named not in (None, scene_id)):
-            raise ValueError(f"scene_id {scene_id} does not fit the folder {self.folder}")
+            raise ValueError(f"scene_id {scene_id} contradicts the folder {self.folder}")
         self.scene_id = next((n for n in (scene_id, named) if n is not None), 1)
         self._cameras: dict[str, dict[str, Any]] = {}
         self._truth: dict[str, list[dict[str, Any]]] = {}
@@ -63,8 +63,8 @@ class BopSceneWriter:
         if _holds_scene(self.folder):
             if not overwrite:
                 raise RendezviewError(
-                    f"{self.folder}: already holds a scene: choose another folder, or let "
-                    f"it be overwritten (--overwrite)"
+                    f"{self.folder}: already has a scene: choose another folder, or "
+                    f"overwrite it (--overwrite)"
                 )
             _remove_scene(self.folder)
         make_folder(self.folder / "gray")
@@ -81,12 +81,12 @@ class BopSceneWriter:
         """Write one frame.
 
         Args:
-            im_id: its number, 0 or more, each once.
+            im_id: its number, 0 or more, used once.
             image: uint8 (height, width) of the camera.
-            camera_from_target: the truth, or None if not known.
+            camera_from_target: the truth, or None if unknown.
             time_s: the time, or None.
             obj_id: the object's number in ``scene_gt.json``.
-            mask: (height, width), the target's visible pixels are not 0.
+            mask: (height, width), nonzero at the target's visible pixels.
 
         Raises:
             RendezviewError: a picture cannot be written.
@@ -133,7 +133,7 @@ class BopSceneWriter:
             return
         if not self._cameras:
             self.abort()
-            raise RendezviewError(f"{self.folder}: a scene needs at least one frame: add some")
+            raise RendezviewError(f"{self.folder}: a scene needs at least one frame: add one")
         camera = self.camera
         files: dict[str, Any] = {
             "camera.json": {
@@ -160,7 +160,7 @@ class BopSceneWriter:
         self._closed = True
 
     def abort(self) -> None:
-        """Remove what was written; nothing more can be added."""
+        """Remove the written files; nothing more can be added."""
         if self._closed:
             return
         self._closed = True
@@ -168,7 +168,7 @@ class BopSceneWriter:
             with contextlib.suppress(OSError):
                 path.unlink()
         for folder in ("gray", "mask_visib", "."):
-            with contextlib.suppress(OSError):  # not empty: something of the user's is in it
+            with contextlib.suppress(OSError):  # not empty: it has files of the user
                 (self.folder / folder).rmdir()
 
     def __enter__(self) -> Self:
@@ -193,7 +193,7 @@ class BopSceneWriter:
 
 
 def _lines(content: dict[str, Any]) -> str:
-    """JSON with one top-level entry a line, as the BOP toolkit writes it."""
+    """JSON with one top-level entry per line, as the BOP toolkit writes it."""
     entries = (f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in content.items())
     return "{\n" + ",\n".join(entries) + "\n}\n"
 
@@ -204,7 +204,7 @@ def _holds_scene(folder: Path) -> bool:
 
 
 def _remove_scene(folder: Path) -> None:
-    """Remove the files of a scene, and only those: numbered pictures and the JSON files."""
+    """Remove only the files of a scene: numbered pictures and the JSON files."""
     pictures = [
         path
         for name in _PICTURE_FOLDERS

@@ -1,9 +1,10 @@
-"""Packed pictures to grey levels, whoever sent them."""
+"""Encoded pictures (PNG, JPEG …) to grey levels."""
 
 from __future__ import annotations
 
 import contextlib
 import struct
+import threading
 import zlib
 from collections.abc import Iterator
 
@@ -13,9 +14,9 @@ import numpy.typing as npt
 
 from rendezview.io.sequences.frame import GreyImage
 
-PNG = b"\x89PNG\r\n\x1a\n"  # a file begins so
+PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a file
 
-# Turned by its EXIF tag, a picture would no longer be the one the camera was calibrated for.
+# A picture rotated by its EXIF tag does not fit its calibration.
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
 _ANIMATED = (b"acTL", b"fcTL", b"fdAT")
 
@@ -24,20 +25,44 @@ Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
 
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Keep OpenCV's own complaints off the screen: our error says what is wrong."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    """Silence OpenCV's own messages: our error says what is wrong. Threads may overlap."""
+    _silence.enter()
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        _silence.leave()
+
+
+class _Silence:
+    """OpenCV's log level, which is global: the first thread silences it, the last restores it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._threads = 0
+        self._level = 0
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._threads == 0:
+                self._level = cv2.utils.logging.getLogLevel()
+                cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+            self._threads += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._threads -= 1
+            if self._threads == 0:
+                cv2.utils.logging.setLogLevel(self._level)
+
+
+_silence = _Silence()
 
 
 def decode_grey(content: Bytes) -> GreyImage | None:
-    """A PNG, JPEG … as grey uint8 (height, width), as stored: not turned by its EXIF tag.
+    """A PNG, JPEG … as grey uint8 (height, width), as stored: not rotated by its EXIF tag.
 
-    None: damaged, cut short, animated, or no picture. Of a PNG the checksums are looked at first,
-    for OpenCV's decoder can hang over one that is damaged.
+    None if it is damaged, cut short, animated, or not a picture. The checksums of a PNG are checked
+    first, because OpenCV's decoder can hang over a damaged one.
     """
     if len(content) == 0:
         return None
@@ -53,7 +78,7 @@ def decode_grey(content: Bytes) -> GreyImage | None:
 
 
 def _png_is_whole(view: memoryview) -> bool:
-    """Every chunk with its right checksum up to the last, and a single picture."""
+    """Whether all chunks have the right checksum, and there is a single picture."""
     place = len(PNG)
     while place + 12 <= len(view):
         length, kind = struct.unpack(">I4s", view[place : place + 8])

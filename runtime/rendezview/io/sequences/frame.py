@@ -18,13 +18,13 @@ GreyImage = npt.NDArray[np.uint8]  # (height, width)
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One picture, with what the sequence says of it."""
+    """One picture, with its data in the sequence."""
 
     im_id: int
     name: str  # of the file, or the frame's number in a video
     time_s: float | None
     camera: Camera
-    camera_from_target: Pose | None  # truth, where the sequence has it
+    camera_from_target: Pose | None  # truth, if the sequence has it
     obj_id: int  # 1 where unknown
     fetch: Callable[[], GreyImage] = field(repr=False, compare=False)  # see `read`
 
@@ -32,7 +32,7 @@ class Frame:
         """The grey picture, uint8 (height, width) of the camera.
 
         Raises:
-            RendezviewError: missing, not an image, or of another size than the camera's.
+            RendezviewError: missing, not an image, or not of the camera's size.
         """
         image = self.fetch()
         height, width = image.shape
@@ -46,7 +46,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Frames in order; ``scene_id`` is the number results files give them."""
+    """Frames in order; ``scene_id`` is their scene number in results files."""
 
     scene_id: int
     frames: tuple[Frame, ...]

@@ -23,7 +23,7 @@ CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml")
 
 
 def read_grey(path: Path) -> GreyImage:
-    """An image file as grey uint8 (height, width), not turned by its EXIF tag.
+    """An image file as grey uint8 (height, width), not rotated by its EXIF tag.
 
     Raises:
         RendezviewError: missing, unreadable, not an image, or cut short.
@@ -52,7 +52,7 @@ def write_png(path: Path, picture: npt.NDArray[np.uint8]) -> None:
 
 
 def list_images(folder: Path) -> list[Path]:
-    """The image files of a folder in natural order: 2.png before 10.png; hidden files left out."""
+    """The image files of a folder in natural order (2.png before 10.png), without hidden files."""
     try:
         found = [
             path
@@ -69,7 +69,7 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def natural_key(name: str) -> tuple[list[tuple[int, str]], str]:
-    """Sorting key that compares runs of digits as numbers."""
+    """Sort key that compares runs of digits as numbers."""
     parts = re.findall(r"[0-9]+|[^0-9]+", name)
     return [(int(p), "") if p[0] in "0123456789" else (-1, p.lower()) for p in parts], name
 

@@ -1,6 +1,6 @@
 """MCAP files: Foxglove's messages (protobuf or JSON) and ROS's (CDR or ROS 1).
 
-Read record by record, so that a file that was cut off gives what is whole before its end.
+They are read record by record, so a file that was cut off is read up to its last complete record.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ def mcap_messages(path: Path) -> Iterator[Message]:
                     if decoder is not None:
                         yield decoder(topics[record.channel_id], record.log_time, record.data)
     except EndOfFile:
-        return  # it was cut off
+        return  # the file was cut off
     except RendezviewError:
         raise
     except OSError as error:
         raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
-    except Exception as error:  # a reader of others, over bytes of others
+    except Exception as error:  # another package's reader, over any bytes
         raise RendezviewError(
             f"{path}: not an MCAP file that can be read ({type(error).__name__}: "
             f"{str(error)[:200]}): check the file, or recover it with the mcap tool"
@@ -69,7 +69,7 @@ def mcap_messages(path: Path) -> Iterator[Message]:
 
 
 def _decoder(path: Path, encoding: str, schema: Any) -> _Decoder | None:
-    """What reads a channel's messages; None where they are of no interest."""
+    """The decoder of a channel's messages; None if they are not needed."""
     if schema is None:
         return None
     if schema.name in _FOXGLOVE and encoding in ("protobuf", "json"):

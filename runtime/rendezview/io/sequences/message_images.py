@@ -1,7 +1,7 @@
-"""Pictures and calibrations as recordings hold them: ROS's and Foxglove's messages.
+"""Pictures and calibrations in the messages of ROS and Foxglove.
 
-Both describe a raw picture alike: size, bytes from row to row (``step``), and an encoding by
-the names of ROS's ``sensor_msgs/image_encodings.h``.
+Both describe a raw picture by size, bytes per row (``step``) and an encoding with the names of
+ROS's ``sensor_msgs/image_encodings.h``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from rendezview.io.camera_files import intrinsics_of
 from rendezview.io.sequences.decoding import decode_grey
 from rendezview.io.sequences.frame import GreyImage
 
-# Channels, and how they become grey; None: they are.
+# Channels, and the conversion to grey; None: already grey.
 _EIGHT_BIT: dict[str, tuple[int, int | None]] = {
     "mono8": (1, None),
     "8UC1": (1, None),
@@ -70,10 +70,10 @@ class Calibration:
     projection: tuple[float, ...]  # P, 12, row-wise: of rectified pictures
 
     def camera(self, where: str, *, rectified: bool = False) -> Camera:
-        """The camera; of rectified pictures that of P, without distortion.
+        """The camera; for rectified pictures that of P, without distortion.
 
         Raises:
-            RendezviewError: an unknown lens model, or numbers that are no camera.
+            RendezviewError: an unknown lens model, or impossible numbers.
         """
         matrix, distortion = list(self.matrix), list(self.distortion)
         if rectified:
@@ -101,7 +101,7 @@ def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
     """The picture as grey uint8 (height, width).
 
     Raises:
-        RendezviewError: cut short, damaged, or of an encoding that is not read.
+        RendezviewError: cut short, damaged, or of an unsupported encoding.
     """
     if isinstance(picture, PackedPicture):
         image = decode_grey(picture.data)
@@ -113,8 +113,8 @@ def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
     content = np.frombuffer(picture.data, dtype=np.uint8)
     if picture.encoding not in _EIGHT_BIT:
         raise RendezviewError(
-            f"{where}: encoding {picture.encoding!r} is not read (how many of its bits count is "
-            f"not said): record one of {', '.join(_EIGHT_BIT)}"
+            f"{where}: encoding {picture.encoding!r} is not supported (it does not say which bits "
+            f"count): record one of {', '.join(_EIGHT_BIT)}"
         )
     channels, to_grey = _EIGHT_BIT[picture.encoding]
     width, height, step = picture.width, picture.height, picture.step

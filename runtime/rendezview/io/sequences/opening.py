@@ -1,4 +1,4 @@
-"""One function that opens whatever holds pictures."""
+"""Opens image sequences of all kinds."""
 
 from __future__ import annotations
 
@@ -28,16 +28,15 @@ def open_sequence(
 ) -> Sequence:
     """Open a BOP scene, a SPEED folder, a folder of images, a video, a ROS bag or an MCAP file.
 
-    Nothing but the first image is read (recordings are passed through once); frames are read
-    when asked for.
+    Only the first image is read (of a recording, all messages once); frames are read on demand.
 
     Args:
         path: the folder; or a video, a ``scene_camera.json``, a SPEED labels file; or a
-            recording, with ``#topic`` behind it where it has pictures of several topics.
-        camera: of all frames; wins over what the sequence itself says. Needed for a folder
-            of images and a video unless a ``camera.json`` or ``camera.yaml`` lies there, and for
-            a recording without calibration messages.
-        obj_id: which object of a BOP scene is the target, where frames show several.
+            recording, with ``#topic`` after it if several topics have pictures.
+        camera: of all frames; takes precedence over the sequence's own. Required for a folder of
+            images or a video without a ``camera.json`` or ``camera.yaml``, and for a recording
+            without calibration messages.
+        obj_id: the object of a BOP scene that is the target, if frames show several.
 
     Raises:
         RendezviewError: missing, none of these kinds, incomplete, or no camera.

@@ -1,8 +1,8 @@
 """Recordings of messages as sequences of images: ROS 1 and ROS 2 bags, MCAP files.
 
-Which messages are pictures is told by their type; the topic is named behind the path,
-``flight.bag#/camera/image_raw``, where there are several. The camera is that of the calibration
-messages nearest to the topic, unless one is given.
+The type of a message tells whether it is a picture. If several topics have pictures, the topic is
+named after the path: ``flight.bag#/camera/image_raw``. The camera comes from the calibration
+messages whose topic is most like that of the pictures, unless one is given.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ Messages = Callable[[Path], Iterator[Message]]  # those of one pass through a fi
 
 @dataclass(slots=True)
 class _Found:
-    """What a first pass finds."""
+    """Results of the first pass."""
 
-    stamps_s: dict[str, list[float]]  # of the pictures of each topic
-    logged_s: dict[str, list[float]]  # when they were recorded
-    calibrations: dict[str, Calibration]  # the first of each topic
+    stamps_s: dict[str, list[float]]  # of the pictures, by topic
+    logged_s: dict[str, list[float]]  # times of recording
+    calibrations: dict[str, Calibration]  # the first, by topic
 
 
 def split_topic(text: str) -> tuple[str, str | None]:
-    """Path and topic of ``PATH#TOPIC``; the topic is None where none is named."""
+    """Path and topic of ``PATH#TOPIC``; the topic is None if none is named."""
     path, mark, topic = text.rpartition("#")
     return (path, topic) if mark and path and topic else (text, None)
 
@@ -55,14 +55,14 @@ def open_recording(
 ) -> Sequence:
     """The pictures of one topic, numbered from 0 in the order of the recording.
 
-    Their times are the stamps of their headers, seconds since 1970 as a rule; where none has a
-    stamp, the times at which they were recorded. The recording is read through once to learn them.
+    Their times are the stamps of their headers, usually seconds since 1970; if none has a stamp,
+    the times of recording. The recording is read once to find them.
 
     Args:
         path: the recording.
-        messages: reads it.
-        topic: of the pictures; may be left out where there is only one.
-        camera: wins over the recording's calibration.
+        messages: the function that reads it.
+        topic: of the pictures; optional if there is only one.
+        camera: takes precedence over the recording's calibration.
 
     Raises:
         RendezviewError: cannot be read, no such topic or several, or no camera.
@@ -89,9 +89,9 @@ def open_recording(
 
 
 class RecordingReader:
-    """Reads pictures of a topic in any order; in rising order it passes the file only once.
+    """Reads pictures of a topic in any order; in ascending order it reads the file only once.
 
-    One reader may be used from several threads and sent to another process.
+    Several threads may use one reader, and it can be sent to another process.
     """
 
     def __init__(self, path: Path, messages: Messages, topic: str) -> None:
@@ -148,7 +148,7 @@ def _decoded(path: Path, message: Message) -> tuple[float, Content]:
         return message.decode()
     except RendezviewError:
         raise
-    except Exception as error:  # decoders of others, over bytes of others
+    except Exception as error:  # another package's decoder, over any bytes
         raise RendezviewError(
             f"{path}#{message.topic}: a message cannot be read ({type(error).__name__}: {error}): "
             "the recording is damaged, or its types are not what their names say"
@@ -175,7 +175,7 @@ def _topic(path: Path, found: _Found, topic: str | None) -> str:
 
 
 def _camera(path: Path, found: _Found, topic: str) -> Camera:
-    """Of the calibration whose topic shares most of its leading words with the picture's."""
+    """Camera of the calibration topic that shares the most leading words with the picture topic."""
     shared = {name: _shared(name, topic) for name in found.calibrations}
     nearest = [name for name, count in shared.items() if count == max(shared.values())]
     if not nearest:

@@ -1,7 +1,7 @@
-"""ROS's messages: bags of ROS 1 and ROS 2 through the package ``rosbags``.
+"""ROS messages: bags of ROS 1 and ROS 2, read with the package ``rosbags``.
 
-No ROS is needed. Types come from the bag; ROS 2 bags that do not hold them (SQLite before Iron) are
-read as of ROS 2 Humble, whose pictures and calibrations are those of all releases.
+ROS is not needed. Message types come from the bag. ROS 2 bags without types (SQLite before Iron)
+are read with those of ROS 2 Humble; pictures and calibrations are the same in all releases.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rendezview.io.sequences.recordings import Content, Message
 BAG_SUFFIXES = frozenset({".bag", ".db3"})
 
 _NEEDED = "pip install 'rendezview[ros]'"
-# Types by their name without the middle word that ROS 2 has and ROS 1 has not.
+# Type names without ``/msg``, which only ROS 2 has.
 PICTURES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
 CALIBRATIONS = ("sensor_msgs/CameraInfo",)
 
@@ -54,14 +54,14 @@ def bag_messages(path: Path) -> Iterator[Message]:
                 if short_name(connection.msgtype) in PICTURES + CALIBRATIONS
             ]
             if not wanted:
-                return  # no connections would be all of them
+                return  # an empty list would mean all connections
             for connection, logged_ns, data in reader.messages(connections=wanted):
                 yield message(
                     connection.topic, connection.msgtype, logged_ns, data, reader.deserialize
                 )
     except RendezviewError:
         raise
-    except Exception as error:  # readers of others, over bytes of others
+    except Exception as error:  # another package's reader, over any bytes
         raise RendezviewError(
             f"{path}: not a ROS bag that can be read ({type(error).__name__}: "
             f"{str(error).strip()[:200]}): check the file, or index or convert it again"
@@ -75,7 +75,7 @@ def message(
     data: bytes,
     deserialize: Callable[[bytes, str], Any],
 ) -> Message:
-    """A message of ROS's, decoded when asked for."""
+    """A ROS message, decoded on demand."""
     calibrates = short_name(type_name) in CALIBRATIONS
 
     def decode() -> tuple[float, Content]:
@@ -92,7 +92,7 @@ def _content(type_name: str, found: Any) -> Content:
         return RawPicture(found.width, found.height, found.step, found.encoding, found.data)
     if kind == "sensor_msgs/CompressedImage":
         return PackedPicture(found.data)
-    ros1 = hasattr(found, "K")  # capitals
+    ros1 = hasattr(found, "K")  # ROS 1 has capitals
     k, d, p = (found.K, found.D, found.P) if ros1 else (found.k, found.d, found.p)
     return Calibration(
         width=int(found.width),

@@ -3,10 +3,10 @@
 A labels file is a JSON list of ``{"filename", "q_vbs2tango", "r_Vo2To_vbs"}`` (SPEED+:
 ``q_vbs2tango_true``, ``r_Vo2To_vbs_true``); test lists may have file names only.
 
-**Which way the quaternion turns.** ``r_Vo2To_vbs`` is the position of the target's
+**Direction of the quaternion.** ``r_Vo2To_vbs`` is the position of the target's
 origin in the camera frame (VBS, vision-based sensor), metres: our ``translation_m``.
-``q_vbs2tango`` is scalar-first and names the passive turn, the attitude of the Tango
-frame seen from the camera frame: the data sets' ``quat2dcm(q)`` has ``+2 (q1 q2 + q0 q3)``
+``q_vbs2tango`` is scalar-first and describes the passive rotation, the attitude of the Tango
+frame in the camera frame: the data sets' ``quat2dcm(q)`` has ``+2 (q1 q2 + q0 q3)``
 in its first row, so it is the *transpose* of the usual active matrix R(q), which has
 ``2 (q1 q2 - q0 q3)`` there, and maps camera coordinates to target coordinates. Their
 projection (ESA's speed-utils and SPEED+'s baseline alike) is
@@ -50,7 +50,7 @@ _LABELS = TypeAdapter(list[_Label])
 
 
 def speed_camera_file(folder: Path) -> Path | None:
-    """``camera.json`` of a SPEED folder: in it, or in its parent; None if in neither."""
+    """``camera.json`` of a SPEED folder or of its parent; None if neither has one."""
     for candidate in (folder / "camera.json", folder.resolve().parent / "camera.json"):
         if candidate.is_file():
             return candidate
@@ -58,7 +58,7 @@ def speed_camera_file(folder: Path) -> Path | None:
 
 
 def find_label_files(folder: Path) -> list[Path]:
-    """The SPEED label files of a folder: JSON files that hold a list with file names."""
+    """The SPEED label files of a folder: JSON files with a list of file names."""
     return [path for path in sorted(folder.glob("*.json")) if is_label_file(path)]
 
 
@@ -76,11 +76,11 @@ def open_speed(path: Path, camera: Camera | None = None) -> Sequence:
     """A SPEED or SPEED+ folder with one labels file, or the labels file itself.
 
     Frames are numbered from 0 in the order of the labels; they have no times. Images
-    are looked for in ``images/``, ``images/<name of the labels file>/`` and beside the labels.
+    are searched in ``images/``, ``images/<name of the labels file>/`` and beside the labels.
 
     Args:
         path: the folder (SPEED+: ``synthetic``, ``lightbox`` or ``sunlamp``) or labels file.
-        camera: wins over the data set's ``camera.json``.
+        camera: takes precedence over the data set's ``camera.json``.
 
     Raises:
         RendezviewError: no or several labels files, no camera, no images, bad labels.

@@ -1,4 +1,4 @@
-"""Video files through OpenCV."""
+"""Video files, read with OpenCV."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def open_video(path: Path, camera: Camera | None = None) -> Sequence:
 
     Args:
         path: the video.
-        camera: wins over a camera file (``camera.json`` …) in the video's folder.
+        camera: takes precedence over a camera file (``camera.json`` …) in the video's folder.
 
     Raises:
         RendezviewError: missing, not a video, empty, or no camera.
@@ -36,7 +36,7 @@ def open_video(path: Path, camera: Camera | None = None) -> Sequence:
     capture = _capture(path)
     count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     rate_hz = capture.get(cv2.CAP_PROP_FPS)
-    if count <= 0:  # some containers do not say
+    if count <= 0:  # some containers do not have the count
         count = 0
         while capture.grab():
             count += 1
@@ -62,18 +62,18 @@ def open_video(path: Path, camera: Camera | None = None) -> Sequence:
 
 
 class VideoReader:
-    """Reads frames of a video in any order; in rising order it decodes each only once.
+    """Reads frames of a video in any order; in ascending order it decodes each only once.
 
-    Frames are counted from the start and never sought by time stamp, because what a
-    seek hits depends on the codec. Going back therefore starts again from the first frame.
-    One reader may be used from several threads and sent to another process.
+    Frames are counted from the start, never found by a seek: the frame that a seek finds depends
+    on the codec. Going back starts again from the first frame. Several threads may use one reader,
+    and it can be sent to another process.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._capture: cv2.VideoCapture | None = None
-        self._next = 0  # number of the frame that comes next
-        self._last: tuple[int, GreyImage] | None = None  # read again at no cost
+        self._next = 0  # number of the next frame
+        self._last: tuple[int, GreyImage] | None = None  # kept for the next call
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[VideoReader], tuple[Path]]:
@@ -115,7 +115,7 @@ class VideoReader:
 
 
 def _capture(path: Path) -> cv2.VideoCapture:
-    # Other back ends guess at what is no video, and complain on the screen.
+    # Other back ends accept files that are not videos, and print messages.
     has_ffmpeg = cv2.videoio_registry.hasBackend(cv2.CAP_FFMPEG)
     with quiet_opencv():
         capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG if has_ffmpeg else cv2.CAP_ANY)
@@ -124,6 +124,6 @@ def _capture(path: Path) -> cv2.VideoCapture:
             f"{path}: not a video that can be read: check the file, or convert it "
             f"(for example to MP4 with H.264)"
         )
-    # Turned by its metadata, a picture would no longer be the calibrated one.
+    # A picture rotated by its metadata does not fit its calibration.
     capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
     return capture

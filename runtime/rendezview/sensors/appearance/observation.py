@@ -90,15 +90,15 @@ class AppearanceObservation(Observation):
         }
 
 
+@dataclass(slots=True)
 class StageClock:
-    """Milliseconds of each stage of one frame, summed over its turns."""
+    """Computing time of each stage of one frame, summed over its turns."""
 
-    def __init__(self) -> None:
-        self.stage_ms: dict[str, float] = {}
-        self._last = time.perf_counter()
+    stage_ms: dict[str, float] = field(default_factory=dict)
+    _last_s: float = field(default_factory=time.perf_counter)
 
     def lap(self, stage: str) -> None:
         """Count the time since the last lap for a stage."""
-        now = time.perf_counter()
-        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now - self._last)
-        self._last = now
+        now_s = time.perf_counter()
+        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now_s - self._last_s)
+        self._last_s = now_s

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.search import PoseSearch
@@ -66,12 +66,8 @@ class Recognizer:
             # Shadow cuts a body into pieces; refinement decides whether they are the target's.
             silhouette = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
         self.outline = OutlineRecognition(model, camera, silhouette or SilhouetteOptions(), match)
+        self.prior_error_rad = self.outline.matcher.options.prior_error_rad
         self._lock = threading.Lock()
-
-    @property
-    def prior_error_rad(self) -> float:
-        """How far off a prior's attitude may be, unless a call says otherwise."""
-        return self.outline.matcher.options.prior_error_rad
 
     def recognize(
         self,
@@ -117,8 +113,7 @@ class Recognizer:
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
             return self.outline.recognize(traced, prior, prior_error_rad, None, clock)
-        sun = _unit(sun_camera)
-        sky = Sky.of(frame, sun)
+        sky = Sky.of(frame, sun_camera)
         error_rad = prior_error_rad or self.prior_error_rad
         found = None
         if prior is not None:
@@ -128,7 +123,7 @@ class Recognizer:
                 return _given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
         if prior is None and traced.outlines:
-            found = search.anywhere(frame, sky, traced.outlines, sun)
+            found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera)
             clock.lap("refine")
         confident = found.best.pose if found is not None and self._confident(found) else None
         seen = self.outline.recognize(traced, prior, prior_error_rad, confident, clock)
@@ -188,13 +183,3 @@ def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObse
         points_m=np.zeros((0, 3)),
         found=found,
     )
-
-
-def _unit(direction: npt.ArrayLike | None) -> Array | None:
-    if direction is None:
-        return None
-    vector = np.asarray(direction, dtype=np.float64)
-    length = float(np.linalg.norm(vector))
-    if vector.shape != (3,) or not 0.0 < length < np.inf:
-        raise ValueError(f"sun_camera must be three finite numbers, not all zero: {direction!r}")
-    return np.asarray(vector / length)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -19,30 +19,48 @@ _ONE_SIGMA_BELOW = 0.1587  # quantile of a normal distribution. Source: by const
 _HALF_SIGMA_ABOVE = 0.6915  # quantile of a normal distribution. Source: by construction
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Sky:
-    """Level and noise of what lies behind the target."""
+    """Level and noise of what lies behind the target, and the direction to the Sun."""
 
     level_grey: float
     noise_grey: float  # one σ, of neighbouring pixels
     dark: bool  # black sky: whatever is brighter is the target
     sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
+    # (6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown
+    vector: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
+        vector = np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
+        object.__setattr__(self, "vector", vector)
 
     @classmethod
-    def of(cls, image: Picture, sun_camera: Array | None = None) -> Sky:
-        """Measure the sky along the border and on a sparse grid."""
+    def of(cls, image: Picture, sun_camera: npt.ArrayLike | None = None) -> Sky:
+        """Measure the sky along the border and on a sparse grid.
+
+        Args:
+            image: (H, W) frame.
+            sun_camera: (3,) towards the Sun, camera frame, of any length, if it is known.
+
+        Raises:
+            ValueError: the direction to the Sun is zero or not finite.
+        """
+        sun = None
+        if sun_camera is not None:
+            sun = np.asarray(sun_camera, dtype=np.float64)
+            length = float(np.linalg.norm(sun))
+            if sun.shape != (3,) or not 0.0 < length < np.inf:
+                raise ValueError(
+                    f"sun_camera must be three finite numbers, not all zero: {sun_camera!r}"
+                )
+            sun = sun / length
         level, spread = sky_level(image)
         noise = max(0.7, min(spread, grain(image, _GRAIN_ROWS)))
         border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
         bright = float(np.mean(border > level + 4.0 * noise + _SCATTER_GREY))
         dark = level < _DARK_SKY_GREY and spread < 2.0 * noise + _SCATTER_GREY and bright < 0.02
-        return cls(level, noise, dark, sun_camera)
-
-    @property
-    def vector(self) -> Array:
-        """(6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown."""
-        sun = np.zeros(3) if self.sun_camera is None else self.sun_camera
-        return np.array([self.noise_grey, self.level_grey, float(self.dark), *sun])
+        return cls(level, noise, dark, sun)
 
 
 def sky_level(image: Picture, averaged_px: int = 1) -> tuple[float, float]:

@@ -1,13 +1,13 @@
-// The token that a service asks for, and the dialog where it is given.
+// The service's token, and the dialog to enter it.
 
 import { fitsSocket, setToken } from "./api.js";
 import { say } from "./status.js";
 
 const find = (id) => document.getElementById(id);
-let declined = false; // not asked again unless by the button
+let declined = false; // then only the button asks again
 let given = () => {};
 
-/** What is to be done when there is one. */
+/** Sets the action after a token is given. */
 export const onToken = (then) => (given = then);
 
 export const wasDeclined = () => declined;
@@ -21,7 +21,7 @@ export function askToken(why) {
 function useToken() {
   const value = find("token-value").value.trim();
   if (!fitsSocket(value)) {
-    askToken("A browser cannot send this token to a WebSocket: it may hold letters, digits and -._~ but no spaces.");
+    askToken("A browser cannot send this token to a WebSocket: use letters, digits and -._~, no spaces.");
     return;
   }
   setToken(value);
@@ -36,7 +36,7 @@ function useToken() {
 
 const refuse = () => (declined = true);
 
-find("token").onclick = () => askToken("A token of the service; kept until this tab is closed.");
+find("token").onclick = () => askToken("Enter a token of the service. It is kept until this tab is closed.");
 find("token-use").onclick = useToken;
 find("token-cancel").onclick = () => find("token-dialog").close();
 find("token-dialog").onclose = refuse;

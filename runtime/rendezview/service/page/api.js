@@ -1,4 +1,4 @@
-// What the page asks of the service: requests with a token, and the watch socket.
+// Requests to the service, with the token, and the watch socket.
 
 const KEY = "rendezview-token";
 
@@ -12,7 +12,7 @@ export function setToken(value) {
 /** Whether a token can be the name of a subprotocol (RFC 9110, 5.6.2), as the watch socket sends it. */
 export const fitsSocket = (value) => /^[\w!#$%&'*+\-.^`|~]*$/.test(value);
 
-/** A fault of the service; `status` as in HTTP, 0 where it cannot be reached. */
+/** An error of the service; `status` as in HTTP, 0 if it cannot be reached. */
 export class ApiError extends Error {
   constructor(status, message) {
     super(message);
@@ -39,8 +39,8 @@ export const json = async (path, options) => (await request(path, options)).json
 
 export const sessionPath = (name) => `/v1/sessions/${encodeURIComponent(name)}`;
 
-/** Watches a session; `seen(message, jpeg or null)` for each state, `closed(reason, ended)` once. */
-export function watch(name, { silhouette, seen, opened, closed }) {
+/** Watches a session; `received(message, jpeg or null)` for each state, `closed(reason, ended)` once. */
+export function watch(name, { silhouette, received, opened, closed }) {
   const query = new URLSearchParams({ rate_hz: "30", width: "640", silhouette: silhouette ? "1" : "0" });
   const address = new URL(`${sessionPath(name)}/watch?${query}`, location.href);
   address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -52,14 +52,14 @@ export function watch(name, { silhouette, seen, opened, closed }) {
   socket.onopen = () => opened();
   socket.onmessage = ({ data }) => {
     if (typeof data !== "string") {
-      if (before !== null) seen(before, new Blob([new Uint8Array(data, 8)], { type: "image/jpeg" }));
+      if (before !== null) received(before, new Blob([new Uint8Array(data, 8)], { type: "image/jpeg" }));
       before = null;
       return;
     }
     const message = JSON.parse(data);
     if (message.type === "end") ended = message.reason;
     else if (message.image_follows) before = message;
-    else seen(message, null);
+    else received(message, null);
   };
   socket.onclose = ({ code, reason }) => closed(ended ?? reason, ended !== null || code === 1001);
   return () => {

@@ -1,8 +1,8 @@
-// The camera's picture, and over it what the tracker made of it.
+// The camera's picture with the tracker's result drawn over it.
 
 import { apply, rotation } from "./pose.js";
 
-// Outline, step, crease: told apart by lightness too.
+// Outline, step, crease: they differ in lightness too.
 const KINDS = ["#58e0ff", "#ffb454", "#d2a8ff"];
 const NODE = "#f2c14e";
 const MARK = "#ff7bd5"; // what other sensors saw
@@ -16,7 +16,7 @@ export class LiveView {
     this.camera = null; // of the session: places are in its full pixels
   }
 
-  /** Draws a picture (or the dark where there is none), contour, outlines, and nodes of a state. */
+  /** Draws a picture (dark if there is none), and the contour, outlines and nodes of a state. */
   draw({ bitmap, contour, silhouette, marks, state }) {
     const { canvas, pen } = this;
     const width = bitmap?.width ?? canvas.width, height = bitmap?.height ?? canvas.height;
@@ -31,9 +31,9 @@ export class LiveView {
     const place = ([u, v]) => [(u + 0.5) * scale, (v + 0.5) * scale];
     if (this.layers.silhouette && silhouette) this._outlines(silhouette, place);
     if (this.layers.contour && contour) this._contour(contour, place);
-    for (const seen of marks ?? []) {
-      if (this.layers.ellipses) this._ellipses(seen, place, scale);
-      if (this.layers.spots) this._spots(seen, place);
+    for (const sensor of marks ?? []) {
+      if (this.layers.ellipses) this._ellipses(sensor, place, scale);
+      if (this.layers.spots) this._spots(sensor, place);
     }
     if (this.layers.nodes && state) this._nodes(state);
   }
@@ -50,7 +50,7 @@ export class LiveView {
     pen.stroke();
   }
 
-  /** The one that the poses are of is drawn thick. */
+  /** The ellipse that the poses belong to has a thick line. */
   _ellipses({ ellipses, chosen }, place, scale) {
     const { pen } = this;
     pen.strokeStyle = MARK;
@@ -89,7 +89,7 @@ export class LiveView {
     });
   }
 
-  /** The half of the sphere of views that faces the camera, as it stands before it. */
+  /** The half of the view sphere that faces the camera. */
   _nodes(state) {
     const { pen, canvas } = this;
     const radius = 0.11 * Math.min(canvas.width, canvas.height);

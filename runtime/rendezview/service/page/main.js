@@ -1,4 +1,4 @@
-// The page: what comes in, when it is drawn, and what the operator does.
+// The page: receives states, decides when to draw them, and handles the operator's input.
 
 import { askToken, onToken, wasDeclined } from "./access.js";
 import { downloadLog, json, token, watch } from "./api.js";
@@ -8,33 +8,33 @@ import { Past } from "./past.js";
 import { say, showFused, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
 
 const find = (id) => document.getElementById(id);
-const SLOW_MS = 100; // between drawings of what is read, not watched: words, numbers, space
+const SLOW_MS = 100; // between drawings of words, numbers and the view in space
 const PLOT_MS = 250;
-const SHARE = 12; // the view in space, and the plots, take 1/12 of the time each, or wait a second: the picture goes before
+const SHARE = 12; // the view in space and the plots take 1/12 of the time each, or wait a second: the picture has priority
 const MOST_MS = 1000;
 const POLL_MS = 2000;
 
 const live = new LiveView(find("frame"));
-let space = null, plots = null; // loaded once the first picture stands
+let space = null, plots = null; // loaded after the first picture
 let session = null; // name
 let info = null; // as the service lists it
 let sessions = [];
 let past = null;
-let leave = null; // ends the watch
-let last = null; // what came last: message, jpeg, at (ms)
-let shown = null; // what stands there: state, contour, silhouette, bitmap, note
-let paused = null; // states at the pause, and the place among them
+let leave = null; // closes the watch
+let last = null; // the newest message, its jpeg, and its arrival (ms)
+let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
+let paused = null; // states at the pause, and the index of the shown one
 let ended = null; // reason
 let decoding = false, fetching = false, drawing = false;
-let banner = ""; // what the words were said of
+let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0, plotAt = 0, plotCost = 0, moved = false;
 
 /** For tests and experiment service-page: what was drawn, and how often. */
 const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, webgl: null });
 
-// What comes
+// Messages
 
-function seen(message, jpeg) {
+function received(message, jpeg) {
   drawn.received += 1;
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
@@ -42,7 +42,7 @@ function seen(message, jpeg) {
   if (paused === null) decode();
 }
 
-/** One picture at a time; of those that come meanwhile the newest is next. */
+/** Decode one picture at a time; the newest of those that arrive meanwhile is next. */
 async function decode() {
   if (decoding || last === null) return;
   decoding = true;
@@ -69,7 +69,7 @@ function present(next) {
   schedule();
 }
 
-// What is drawn: at most once a frame of the display
+// Drawing: at most once per frame of the display
 
 function schedule() {
   if (drawing) return;
@@ -105,7 +105,7 @@ function draw(now) {
 
 function drawSpace(now) {
   if (space === null) return;
-  // A hand that turns the view is not kept waiting as new states are.
+  // Turning the view by hand has a shorter wait than new states.
   const wait = space.turned ? 1.5 * space.cost : Math.max(SLOW_MS, Math.min(MOST_MS, SHARE * space.cost));
   if (now - space.drawnAt < wait && paused === null) {
     if (space.turned) schedule();
@@ -117,17 +117,17 @@ function drawSpace(now) {
     const from = shown.state.received_unix_s - span();
     space.update(shown.state, states.filter((state) => state.received_unix_s >= from));
     const green = shown.state.fused?.pose ? " · green: fused" : "";
-    say(find("space-scale"), (shown.state.covariance ? `target frame · where the camera is, 3σ × ${space.magnified}` : "target frame") + green);
+    say(find("space-scale"), (shown.state.covariance ? `target frame · camera position, 3σ × ${space.magnified}` : "target frame") + green);
   }
   if (space.draw(now)) drawn.spaces += 1;
 }
 
-/** What is shown, while paused; what is now, otherwise or if asked for. */
+/** The verdict on the shown state while paused; else, or with `now`, on the present. */
 function words(now = paused === null) {
   if (!now) return verdict(shown?.state ?? null, 0);
   if (ended !== null) return ["ended", "ENDED", ended];
   if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
-  if (info?.finished) return ["ended", "ENDED", info.reason ?? "the source has come to its end"];
+  if (info?.finished) return ["ended", "ENDED", info.reason ?? "the source has ended"];
   return verdict(last?.message.state ?? null, last === null ? 0 : (performance.now() - last.at) / 1000);
 }
 
@@ -145,7 +145,7 @@ function slow() {
   moved = true;
 }
 
-/** The time of what is shown; and who looks back is told how it is now. */
+/** The time of the shown state; while paused, also the present verdict. */
 function sayWhen() {
   const when = find("when"), at = new Date(1000 * shown.state.received_unix_s).toLocaleTimeString();
   const [key, word] = words(true);
@@ -159,14 +159,14 @@ function plot() {
   if (states.length === 0) return;
   const at = shown.state.received_unix_s, newest = states.at(-1).received_unix_s;
   plots.mark = paused === null ? null : at;
-  // The pause stands in the middle, where there is something after it.
+  // While paused, the shown state is in the middle if later states exist.
   const end = paused === null ? newest : Math.min(newest, Math.max(at + span() / 2, states[0].received_unix_s + span()));
   plots.show(states, end, span());
 }
 
 const span = () => Number(find("span").value);
 
-/** What is wanted, but not first: plots, the view in space, the minutes before we came. */
+/** Loaded after the first picture: plots, the view in space, the past minutes. */
 async function more() {
   if (plots === null && space === null) {
     const [curves, view] = await Promise.allSettled([import("./plots.js"), import("./space.js")]);
@@ -177,7 +177,7 @@ async function more() {
       find("space-note").hidden = true;
     } catch {
       drawn.webgl = false;
-      say(find("space-note"), "This browser gives no WebGL: the view in space is left out.");
+      say(find("space-note"), "This browser has no WebGL: the view in space is left out.");
     }
   }
   const of = past;
@@ -198,8 +198,8 @@ async function poll() {
     sessions = (await json("/v1/sessions")).sessions;
   } catch (error) {
     if (error.status === 401) {
-      showVerdict(["offline", "NO ACCESS", "the service asks for a token: press Token"]);
-      if (!wasDeclined()) askToken(token() ? "The token that was given is not right." : "The service asks for a token.");
+      showVerdict(["offline", "NO ACCESS", "the service requires a token: press Token"]);
+      if (!wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
     } else {
       showLink("no connection", "bad");
       if (paused === null) showVerdict(["offline", "NO CONNECTION", error.message]);
@@ -260,7 +260,7 @@ function connect() {
   leave?.();
   leave = watch(session, {
     silhouette: live.layers.silhouette,
-    seen,
+    received,
     opened: () => showLink("● connected", "good"),
     closed: (reason, isEnd) => {
       leave = null;
@@ -275,7 +275,7 @@ function connect() {
 
 function pause() {
   if (paused !== null || shown === null || past.states.length === 0) return;
-  // What is drawn may be a frame older than what has come.
+  // The drawn state may be a frame older than the newest.
   const place = Math.max(0, past.states.findLastIndex((state) => state.frame <= shown.state.frame));
   paused = { states: past.states.slice(), place };
   find("pause").textContent = "Live";
@@ -307,7 +307,7 @@ function seek(place) {
   fetchPicture();
 }
 
-/** One request at a time; when it is back, the frame that is wanted by then. */
+/** One request at a time; then the frame that is selected by then. */
 async function fetchPicture() {
   if (fetching) return;
   fetching = true;
@@ -326,14 +326,14 @@ async function fetchPicture() {
   fetching = false;
 }
 
-/** A place some seconds away. */
+/** Index of a state some seconds away. */
 function placeAway(seconds) {
   const wanted = paused.states[paused.place].received_unix_s + seconds;
   const later = paused.states.findIndex((state) => state.received_unix_s >= wanted);
   return later < 0 ? paused.states.length - 1 : later;
 }
 
-// What the operator does
+// Input of the operator
 
 function download() {
   if (find("download").disabled) return;
@@ -387,7 +387,7 @@ for (const layer of ["contour", "nodes", "silhouette", "ellipses", "spots"]) {
 poll();
 setInterval(() => document.querySelector("dialog[open]") || poll(), POLL_MS);
 setInterval(() => {
-  // Silence does not announce itself.
+  // No message arrives when frames stop.
   if (session === null) return;
   if (paused === null) showVerdict(words());
   else sayWhen();

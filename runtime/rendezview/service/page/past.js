@@ -1,4 +1,4 @@
-// The last minutes: states as they came, and pictures and contours of frames gone by.
+// The last minutes: states as they arrived, and pictures and contours of past frames.
 
 import { json, request, sessionPath } from "./api.js";
 
@@ -14,18 +14,18 @@ export class Past {
     return this.states.at(-1) ?? null;
   }
 
-  /** A state that has just come. */
+  /** Add a new state. */
   add(state) {
     if (this.newest !== null && state.frame <= this.newest.frame) return;
     this.states.push(state);
-    // Seldom, and many at once: taking them one by one from the front is slow.
+    // Rarely, many at once: removing single states from the front is slow.
     const oldest = state.received_unix_s - KEEP_S;
     if (this.states[0].received_unix_s < oldest - 10) {
       this.states = this.states.filter((kept) => kept.received_unix_s >= oldest);
     }
   }
 
-  /** What the service has kept from before we came, and from before it was looked at again. */
+  /** Load the states that the service has kept. */
   async load(limit = 2000) {
     const kept = await json(`${sessionPath(this.session)}/history?seconds=${KEEP_S}&limit=${limit}`);
     const byFrame = new Map(this.states.map((state) => [state.frame, state]));
@@ -33,7 +33,7 @@ export class Past {
     this.states = [...byFrame.values()].sort((a, b) => a.frame - b.frame);
   }
 
-  /** Picture of a frame, or of the last one kept before it, and what belongs to it. */
+  /** The picture of a frame, or of the last kept frame before it, with its contour and marks. */
   async picture(frame) {
     const response = await request(`${sessionPath(this.session)}/images/${frame}`);
     const shown = Number(response.headers.get("X-Frame"));

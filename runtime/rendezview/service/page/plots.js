@@ -7,7 +7,7 @@ const MOST = 900; // points of a curve: more than its pixels help no one
 const HOLE_S = 1; // without frames: no curve is drawn across
 const [RED, GREEN, BLUE, YELLOW] = ["#ff8f87", "#6bdb7b", "#79b8ff", "#f2c14e"];
 
-// Title; curves: name, colour, value of a state, and "right" where it has the other axis.
+// Title; curves: name, colour, value of a state, and "right" for the right axis.
 const PLOTS = [
   ["position, m", [["x", RED, (s) => s.pose?.translation_m[0]], ["y", GREEN, (s) => s.pose?.translation_m[1]], ["z", BLUE, (s) => s.pose?.translation_m[2], "right"]]],
   ["attitude, quaternion", ["w", "x", "y", "z"].map((name, k) => [name, [YELLOW, RED, GREEN, BLUE][k], (s) => s.quaternion?.[k]])],
@@ -66,7 +66,7 @@ export class Plots {
     return { box, plot, curves };
   }
 
-  /** The last `spanS` seconds of states up to a time. */
+  /** Shows the last `spanS` seconds of states up to a time. */
   show(states, endS, spanS) {
     let from = states.length;
     while (from > 0 && states[from - 1].received_unix_s >= endS - spanS) from--;
@@ -98,7 +98,7 @@ export class Plots {
     }
   }
 
-  /** Times without a pose, shaded. */
+  /** Shades times without a pose. */
   _gaps(u) {
     const { ctx, bbox } = u;
     ctx.save();

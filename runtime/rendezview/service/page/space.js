@@ -1,4 +1,4 @@
-// The target frame in space: contour points, sphere of views, camera, trajectory, uncertainty.
+// The target frame in space: contour points, view sphere, camera, trajectory, uncertainty.
 
 import * as three from "./vendor/three.js";
 import { applyInverse, cameraPosition, eigen, rotation } from "./pose.js";
@@ -10,7 +10,7 @@ const FUSED = 0x56d364;
 const BARS = 60; // of the trajectory's uncertainty
 
 export class SpaceView {
-  /** `changed()` when there is something to draw. Throws where the browser has no WebGL. */
+  /** Calls `changed()` when there is something to draw. Throws if the browser has no WebGL. */
   constructor(canvas, changed) {
     this.renderer = new three.WebGLRenderer({ canvas, antialias: !drawnBySoftware(), powerPreference: "low-power" });
     this.renderer.setClearColor(0x10161e);
@@ -34,7 +34,7 @@ export class SpaceView {
     this._resize();
   }
 
-  /** Puts a target and its sphere in the middle. */
+  /** Shows a target and its view sphere. */
   show(geometry, camera) {
     this.scene.clear();
     this.geometry = geometry;
@@ -63,7 +63,7 @@ export class SpaceView {
     this._aim([0.8, -0.55, 0.35], geometry.sphere_radius_m);
   }
 
-  /** A state, and those before it as the trajectory. */
+  /** Shows a state, and the states before it as the trajectory. */
   update(state, states) {
     if (!this.geometry) return;
     this.stale = true;
@@ -88,7 +88,7 @@ export class SpaceView {
       if (state.covariance !== null) {
         const { half, directions } = spread(state);
         this.magnified = magnification(Math.max(...half), 0.25 * this.geometry.target_radius_m);
-        // An axis too thin to be seen is given a hair's width.
+        // An axis that is too thin to see gets a minimum width.
         const least = 0.01 * this.geometry.target_radius_m;
         const size = half.map((value) => Math.max(least, this.magnified * value));
         this.ellipsoid.matrix.set(...placed(transposed(directions.flatMap((d, k) => d.map((v) => v * size[k]))), at, true));
@@ -118,7 +118,7 @@ export class SpaceView {
     fill(this.bars, ends);
   }
 
-  /** Draws if anything has changed, and notes what it cost. */
+  /** Draws if anything has changed, and measures the time it took. */
   draw(now) {
     if (!this.stale) return false;
     this.stale = this.turned = false;
@@ -189,7 +189,7 @@ function drawnBySoftware() {
   return software;
 }
 
-/** Half axes (3σ) and directions (target frame) of where the camera is, from a state's covariance. */
+/** Half axes (3σ) and directions (target frame) of the camera's position, from a state's covariance. */
 export function spread({ pose, covariance }) {
   // c = −Rᵀ t with R' = exp([w]×) R and t' = t + v:  c' − c = −Rᵀ (v + [t]× w).
   const [x, y, z] = pose.translation_m;
@@ -204,14 +204,14 @@ export function spread({ pose, covariance }) {
   };
 }
 
-/** 1, 2, 5, 10 … so that a length is to be seen. */
+/** 1, 2, 5, 10 …, the magnification that makes a length visible. */
 function magnification(length, wanted) {
   if (!(length > 0) || length >= wanted) return 1;
   const power = 10 ** Math.floor(Math.log10(wanted / length));
   return power * [5, 2, 1].find((step) => step * power * length <= wanted);
 }
 
-/** Row-major 4 × 4 of Rᵀ (or of R itself) and a place. */
+/** Row-major 4 × 4 of Rᵀ (or of R itself) and a position. */
 function placed(r, at, asItIs = false) {
   const m = asItIs ? r : transposed(r);
   return [m[0], m[1], m[2], at[0], m[3], m[4], m[5], at[1], m[6], m[7], m[8], at[2], 0, 0, 0, 1];
@@ -260,7 +260,7 @@ function axes(length) {
   return new three.LineSegments(geometry, new three.LineBasicMaterial({ vertexColors: true }));
 }
 
-/** The camera's field of view, in its own frame, with the way up of its picture. */
+/** The camera's field of view, in its own frame, with its up direction. */
 function frustum({ width, height, fx, fy, cx, cy }, depth, color = 0xffffff) {
   const corner = (u, v) => [((u - 0.5 - cx) / fx) * depth * 1.6, ((v - 0.5 - cy) / fy) * depth * 1.6, depth * 1.6];
   const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];

@@ -1,18 +1,18 @@
-// The state in words and numbers: found, lost, ambiguous; pose; sensors; recording.
+// The state as text: verdict, pose, sensors, recording.
 
 const DEGREES = 180 / Math.PI;
 const SILENT_S = 3;
 const find = (id) => document.getElementById(id);
 
-/** Sets a text only where it has changed: what stays is not laid out again. */
+/** Sets a text only if it has changed, so that the layout is not computed again. */
 export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** The word an operator sees first, and why. */
+/** The banner's verdict: key, word, reason. */
 export function verdict(state, silentS) {
-  if (state === null) return ["waiting", "WAITING", "no frame has been looked at yet"];
-  if (silentS > SILENT_S) return ["silent", "NO FRAMES", `the last one came ${silentS.toFixed(0)} s ago`];
+  if (state === null) return ["waiting", "WAITING", "no frame has been tracked yet"];
+  if (silentS > SILENT_S) return ["silent", "NO FRAMES", `the last frame came ${silentS.toFixed(0)} s ago`];
   const reason = state.reason ?? state.status;
   if (state.pose !== null) {
     const sure = state.confidence === null ? "" : `confidence ${state.confidence.toFixed(3)}`;
@@ -72,7 +72,7 @@ export function showNumbers(state) {
   rows(find("numbers").tBodies[0], entries);
 }
 
-/** The state by all sensors; nothing where the camera is alone. */
+/** The fused state; hidden while the camera is the only sensor. */
 export function showFused(fused) {
   const table = find("fused");
   if (table.hidden !== (fused === null)) table.hidden = fused === null;
@@ -83,7 +83,7 @@ export function showFused(fused) {
   const entries = [["status", `${fused.status}${fused.reason ? `: ${fused.reason}` : ""}`, kind]];
   if (pose !== null) {
     entries.push(["x y z", `${pose.translation_m.map((value) => fixed(value, 3)).join(" ")} m`]);
-    entries.push(["place ±", `${[3, 4, 5].map((k) => sigma(k).toFixed(3)).join(" ")} m`]);
+    entries.push(["position ±", `${[3, 4, 5].map((k) => sigma(k).toFixed(3)).join(" ")} m`]);
     entries.push(["q wxyz", pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ")]);
     entries.push(["attitude ±", `${[0, 1, 2].map((k) => (DEGREES * sigma(k)).toFixed(2)).join(" ")} °`]);
     const turning = (DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2);
@@ -102,7 +102,7 @@ export function showSensors(sensors) {
     if (trust === null) continue;
     const nis = trust.mean_nis === null ? "–" : trust.mean_nis.toFixed(2);
     const locked = trust.locked_out ? " · locked out" : "";
-    entries.push(["heard · taken · NIS", `${trust.heard} · ${trust.accepted} · ${nis}${locked}`, trust.locked_out ? "bad" : ""]);
+    entries.push(["received · accepted · NIS", `${trust.heard} · ${trust.accepted} · ${nis}${locked}`, trust.locked_out ? "bad" : ""]);
   }
   rows(find("sensors").tBodies[0], entries);
 }

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
+from rendezview.geometry.so3 import hat
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.signature import Signature, twist
 from rendezview.sensors.appearance.outline.votes import Match
@@ -94,8 +95,7 @@ def _covariance(model: ViewModel, pose: Pose, centre_camera: Array, range_m: flo
     bearing_m = held_out.bearing_rad * model.sphere_radius_m
     centre = (held_out.range_fraction * range_m) ** 2 * along + bearing_m**2 * across
     # t = centre − R centre_m: a left rotation w adds −w × (R centre_m) = arm @ w
-    x, y, z = pose.rotation @ model.centre_m
-    arm = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    arm = hat(pose.rotation @ model.centre_m)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = rotation
     covariance[:3, 3:] = rotation @ arm.T

@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose, rotation_angle
+from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
@@ -27,12 +27,8 @@ from rendezview.sensors.appearance.outline.silhouette import (
     SilhouetteOptions,
     find_silhouette,
 )
-from rendezview.sensors.appearance.outline.votes import Match, Matcher, MatchOptions
+from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
 from rendezview.sensors.observation import Status
-
-# Of the residual that 99.5 % of good frames stay below. A larger one means another outline: of
-# another body, or of the lit parts only. Source: by construction
-_MOST_RESIDUAL = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +57,6 @@ class OutlineRecognition:
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
         self._foreground = Foreground()
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
-        self._most_residual = _MOST_RESIDUAL * model.held_out.residual
 
     def trace(
         self, frame: Picture, prior: Pose | None, clock: StageClock, *, bright_sky: bool
@@ -134,7 +129,7 @@ class OutlineRecognition:
         seen = replace(
             seen, signature=signature, active_nodes=match.active_nodes, weights=match.weights
         )
-        refused = self._refused(match)
+        refused = self.matcher.refusal(match)
         if refused is not None:
             return replace(seen, status=refused.status, reason=refused.reason)
         pose, covariance = place(self.model, match, signature)
@@ -146,21 +141,3 @@ class OutlineRecognition:
         return replace(
             seen, pose=pose, covariance=covariance, points_m=points_m, interpolated=interpolated
         )
-
-    def _refused(self, match: Match) -> Missing | None:
-        """Why the pose of a match is not given; ``None`` if it is."""
-        if match.residual > self._most_residual:
-            return Missing(
-                Status.UNRECOGNIZED,
-                f"the outline is unlike every view of the target (differs by "
-                f"{match.residual:.0f} thousandths of its size, at most "
-                f"{self._most_residual:.0f} is usual)",
-            )
-        if match.rival is not None:
-            apart = rotation_angle(match.centred_from_target @ match.rival.centred_from_target.T)
-            return Missing(
-                Status.AMBIGUOUS,
-                f"two attitudes {np.rad2deg(apart):.0f}° apart fit this outline: "
-                "give a prior, or look at more frames",
-            )
-        return None

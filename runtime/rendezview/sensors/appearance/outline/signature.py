@@ -211,7 +211,7 @@ def quantised(maxima: Array, scale: float, smooth_bins: int) -> Readings:
 def rolled(readings: Readings, roll_rad: float) -> Readings:
     """The signature as a camera rolled back by ``roll_rad`` about its boresight has it.
 
-    A view of attitude ``about_boresight(roll) @ node`` becomes comparable with the node: bin b
+    A view of attitude ``about_z(roll) @ node`` becomes comparable with the node: bin b
     of the result is the view's reading at the angle of b less the roll.
     """
     bins = readings.shape[0]
@@ -236,9 +236,3 @@ def twist(view_rotations: Array, node_rotation: Array) -> Array:
     return np.asarray(
         np.arctan2(m[..., 1, 0] - m[..., 0, 1], m[..., 0, 0] + m[..., 1, 1]), dtype=np.float64
     )
-
-
-def about_boresight(angle_rad: float) -> Array:
-    """(3, 3) rotation by an angle about the boresight z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
