@@ -83,18 +83,18 @@ def test_the_old_name_of_an_option_means_the_new_one(folder):
 @pytest.mark.parametrize("at_once", [1, 2])
 def test_models_are_those_of_train_and_what_is_there_is_left(folder, at_once):
     entries = read_catalogue(folder / "all.toml")
-    told: list[tuple[str, int, int]] = []
+    reported: list[tuple[str, int, int]] = []
     outcome = train_catalogue(
         entries,
         folder / "models",
         Cores(1),
         at_once=at_once,
-        progress=lambda *step: told.append(step),
+        progress=lambda *step: reported.append(step),
     )
     assert outcome.trained == ("one-near-soft", "one-far-soft")
     assert set(outcome.refused) == {"flat-near-soft", "flat-far-soft"}
     assert all("flat" in reason for reason in outcome.refused.values())
-    assert ("models", 4, 4) in told
+    assert ("models", 4, 4) in reported
     mesh = load_mesh(folder / "one.stl", "m")
     alone = folder / "alone.rvm"
     train(

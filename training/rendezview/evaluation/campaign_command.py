@@ -20,6 +20,7 @@ from rendezview.io.camera_files import load_camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
+from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.mesh import load_mesh
 from rendezview.training.open_executor import open_executor
 
@@ -45,10 +46,8 @@ def campaign(
         typer.Option(help="Ranges: from, to; 1 is where the target fills the picture."),
     ] = _DEFAULT.range_radii,
     seed: Annotated[int, typer.Option(min=0, help="Of poses, light and noise.")] = 0,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    dask: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler; its cluster does the work.")
-    ] = None,
+    jobs: Jobs = -1,
+    dask: Dask = None,
 ) -> None:
     """Measure a model on random simulated frames, with and without a prior.
 

@@ -23,6 +23,7 @@ from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.bundled import find_target
 from rendezview.training.command import summary
+from rendezview.training.command_options import Jobs
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
@@ -39,7 +40,7 @@ def demo(
         "rendezview-demo"
     ),
     frames: Annotated[int, typer.Option(min=1, help="Frames of the approach.")] = 60,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    jobs: Jobs = -1,
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
 ) -> None:
     """Train, simulate, track and report, as a demonstration.

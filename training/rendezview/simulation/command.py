@@ -22,6 +22,7 @@ from rendezview.simulation.sensor import SensorOptions
 from rendezview.simulation.shading import ShadingOptions
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.bundled import find_target
+from rendezview.training.command_options import Jobs
 from rendezview.training.mesh import Mesh, load_mesh
 
 
@@ -76,7 +77,7 @@ def simulate(
         ),
     ] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Write mask_visib/ too.")] = False,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    jobs: Jobs = -1,
     seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a scene.")] = False,
 ) -> None:

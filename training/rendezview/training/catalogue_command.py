@@ -12,16 +12,15 @@ from rich.console import Console
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.training.catalogue import read_catalogue, train_catalogue
+from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.open_executor import open_executor
 
 
 def catalogue(
     file: Annotated[Path, typer.Argument(help="Catalogue, TOML: targets, shells, lighting.")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the models.")],
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    dask: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler; its cluster does the work.")
-    ] = None,
+    jobs: Jobs = -1,
+    dask: Dask = None,
     at_once: Annotated[
         int | None,
         typer.Option(

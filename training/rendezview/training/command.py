@@ -15,6 +15,7 @@ from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import load_camera
 from rendezview.training.bundled import find_target
+from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.job import Trained
 from rendezview.training.job import train as train_model
 from rendezview.training.mesh import load_mesh
@@ -60,10 +61,8 @@ def train(
         Neighbourhood, typer.Option(help="Interpretation of the paper's 73 views.")
     ] = Neighbourhood.DISC,
     renderer: Annotated[Renderer, typer.Option(help="Renderer of the views.")] = Renderer.NUMBA,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    dask: Annotated[
-        str | None, typer.Option(help="Address of a Dask scheduler; its cluster does the work.")
-    ] = None,
+    jobs: Jobs = -1,
+    dask: Dask = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random views.")] = 0,
 ) -> None:
     """Train a view model of a target.
