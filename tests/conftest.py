@@ -49,6 +49,7 @@ def bumpy_mesh() -> Mesh:
         box.apply_translation(place)
         boxes.append(box)
     whole = trimesh.util.concatenate(boxes)
+    assert isinstance(whole, trimesh.Trimesh)
     faces = np.array(whole.faces, dtype=np.int32)
     grey = np.full((len(faces), 3), 0.6, dtype=np.float32)
     return Mesh(np.array(whole.vertices), faces, grey, ())

@@ -187,8 +187,8 @@ def bad_scene(scene: Path, tmp_path: Path) -> Path:
         return folder / "gray" / f"{k:06d}.png"
 
     frames = [cv2.imread(str(path(k)), cv2.IMREAD_GRAYSCALE) for k in range(9)]
-    background = np.random.default_rng(1).normal(8.0, 3.0, frames[0].shape).clip(0, 255)
-    background = background.astype(np.uint8)
+    noise = np.random.default_rng(1).normal(8.0, 3.0, frames[0].shape)
+    background = np.clip(noise, 0, 255).astype(np.uint8)
     path(1).write_bytes(b"this is no picture")
     cv2.imwrite(str(path(2)), frames[2][:, :600])
     cv2.imwrite(str(path(3)), np.zeros_like(frames[3]))

@@ -14,6 +14,7 @@ from rendezview.training.mesh import Mesh
 
 def mesh_of(*bodies: trimesh.Trimesh) -> Mesh:
     whole = trimesh.util.concatenate(list(bodies))
+    assert isinstance(whole, trimesh.Trimesh)
     faces = np.asarray(whole.faces, dtype=np.int32)
     grey = np.full((len(faces), 3), 0.6, dtype=np.float32)
     return Mesh(np.asarray(whole.vertices, dtype=np.float64), faces, grey, ())

@@ -32,6 +32,7 @@ def box_with_wing() -> Mesh:
     wing = trimesh.creation.box((4.0, 0.05, 0.8))
     wing.apply_translation([1.0, 0.0, 0.6])
     both = trimesh.util.concatenate([body, wing])
+    assert isinstance(both, trimesh.Trimesh)
     return Mesh(
         np.asarray(both.vertices, dtype=np.float64),
         np.asarray(both.faces, dtype=np.int32),

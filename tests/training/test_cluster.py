@@ -21,6 +21,7 @@ import pytest
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.campaign import CampaignOptions, campaign
 from rendezview.training.cores import Cores
+from rendezview.training.installed import installed
 from rendezview.training.job import train
 from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions
@@ -337,9 +338,9 @@ def test_a_scheduler_without_workers_is_refused(tmp_path):
 def test_workers_with_other_versions_are_refused_by_name(several, monkeypatch):
     original: Callable[[str], str] = metadata.version
     monkeypatch.setattr(metadata, "version", lambda p: "9.9" if p == "numpy" else original(p))
-    cluster.installed.cache_clear()
+    installed.cache_clear()
     try:
         with pytest.raises(RendezviewError, match=r"worker tcp\S+ has other.*numpy .* 9\.9 here"):
             cluster.Cluster.connect(several.address)
     finally:
-        cluster.installed.cache_clear()
+        installed.cache_clear()

@@ -19,7 +19,7 @@ from rendezview.sensors.appearance.container import read_container, write_contai
 from rendezview.sensors.appearance.model import Views
 from rendezview.sensors.appearance.outline.trees import Forest
 
-ARRAYS = {
+ARRAYS: dict[str, np.ndarray] = {
     "a": np.arange(6, dtype=np.float32).reshape(2, 3),
     "b": np.array([1, 2, 3], dtype=np.uint8),
     "empty": np.zeros((0, 4)),

@@ -26,7 +26,7 @@ from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
 from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, SpotTable, find_spots
-from rendezview.sensors.reflectors.track import Track, TrackingOptions
+from rendezview.sensors.reflectors.track import Track, TrackingOptions, checked_acceleration
 from rendezview.sensors.reflectors.windows import (
     VISIBLE,
     carry,
@@ -114,11 +114,7 @@ class ReflectorSensor:
             ValueError: times do not rise, or the acceleration is not (6,) and finite.
             RendezviewError: the pictures are not the camera's.
         """
-        push = None
-        if acceleration is not None:
-            push = np.asarray(acceleration, dtype=np.float64)
-            if push.shape != (6,) or not np.isfinite(push).all():
-                raise ValueError(f"acceleration must be (6,) and finite, not {push.tolist()}")
+        push = None if acceleration is None else checked_acceleration(acceleration)
         frames.check(self.camera)
         with self._lock:
             if not (np.isfinite(time_s) and time_s > self._last_s):
@@ -317,7 +313,8 @@ class ReflectorSensor:
             track.places, track.time_s = places, time_s
             track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
         if len(seen):
-            lost = [n for n in self._wanted() if n not in names]
+            expected = zip(self.constellation.names, np.isfinite(self._expected[:, 0]), strict=True)
+            lost = [name for name, visible in expected if visible and name not in names]
             return ReflectorObservation(
                 Status.PARTIAL,
                 f"{len(seen)} of the reflectors seen ({', '.join(names)}), which fixes no pose; "
@@ -332,13 +329,6 @@ class ReflectorSensor:
             tracked=True,
             stage_ms=stage_ms,
         )
-
-    def _wanted(self) -> list[str]:
-        return [
-            name
-            for name, place in zip(self.constellation.names, self._expected, strict=True)
-            if np.isfinite(place[0])
-        ]
 
     def _nudge(self, track: Track, seen: npt.NDArray[np.int64]) -> None:
         """Move the remembered pose by the least that brings it under the spots that are seen."""

@@ -44,3 +44,15 @@ class Track:
     covariance: Array
     misses: int = 0
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+
+
+def checked_acceleration(acceleration: npt.ArrayLike) -> Array:
+    """(6,) angular rad/s², linear m/s² of the target, camera frame.
+
+    Raises:
+        ValueError: another shape, or not finite.
+    """
+    checked = np.asarray(acceleration, dtype=np.float64)
+    if checked.shape != (6,) or not np.isfinite(checked).all():
+        raise ValueError(f"acceleration must be (6,) and finite, not {checked.tolist()}")
+    return checked
