@@ -56,7 +56,9 @@ def code_of(shape: Shape) -> int:
 
 
 @njit(cache=True, nogil=True)
-def places(code, parameters, times, base, constants, out):  # type: ignore[no-untyped-def]
+def places(
+    code: int, parameters: Array, times: Array, base: Array, constants: Array, out: Array
+) -> None:
     """Fill (N, 3) with the places at times (N,) from the middle of the segment.
 
     Equal neighbours in ``times`` (the points of one frame) are worked out once. ``constants`` is
