@@ -36,13 +36,14 @@ Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
 
 _LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
-_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom
+_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom. Source: by construction
 _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ
 _HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
 _MOST_CORRELATED = 0.9
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
-# again as goes with time and its square: views alike err alike. On active nodes, poses; fitted to
-# seeds 1000–1003 of experiment trajectory-accuracy; poses: r.m.s. over 1000–1002.
+# again as goes with time and its square: views alike err alike. On active nodes, poses; nodes:
+# fitted to seeds 1000–1003; poses: r.m.s. over 1000–1002. Source: experiment
+# trajectory-accuracy.
 _COMMON = (0.35, 1.1)
 
 

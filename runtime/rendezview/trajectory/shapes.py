@@ -39,7 +39,7 @@ class Shape(StrEnum):
 
 
 CIRCULAR, SPIRAL, LINE, HOPS, ORBIT, DRIFT = range(6)
-SIZE = (5, 6, 6, 11, 6, 9)  # parameters of each
+SIZE = (5, 6, 6, 11, 6, 9)  # parameters of each. Source: by construction
 
 _CODES = {
     Shape.CIRCULAR: CIRCULAR,

@@ -24,6 +24,7 @@ from rendezview.trajectory.shapes import places
 
 Data = tuple[Any, ...]  # times, base, constants, carrier, points, whitening, by_node
 
+# Source: by construction
 RESIDUALS = 4  # of a point: three of its place or direction, one of its range
 
 

@@ -21,7 +21,7 @@ from rendezview.trajectory.rotation import rotations
 
 _LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust weight over the variance of a frame
-_MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom
+_MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom. Source: by construction
 _LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
 _STEPS = 25
 _STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_SpinState``

@@ -30,8 +30,8 @@ _APART = 30.0  # squared distance of two poses, in standard deviations, that mat
 _FEWEST_SPARE = 2  # equations left over: with none, anything agrees
 _ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
 _MOST_TRIED = 1500
-UNKNOWNS = 6
-FEWEST_LIGHTS = 3  # two leave a turn about the line between them
+UNKNOWNS = 6  # Source: by construction
+FEWEST_LIGHTS = 3  # two leave a turn about the line between them. Source: by construction
 _NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
 
 

@@ -256,5 +256,5 @@ class StereoTracker:
             self._last = None
 
 
-_NO_RATES = np.zeros(6)
-_NO_COVARIANCE = np.zeros((12, 12))
+_NO_RATES = np.zeros(6)  # Source: by construction
+_NO_COVARIANCE = np.zeros((12, 12))  # Source: by construction
