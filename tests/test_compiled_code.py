@@ -46,5 +46,8 @@ def test_fast_code_called_by_compiled_code_is_part_of_it():
                 for call in ast.walk(function)
                 if isinstance(call, ast.Call) and isinstance(call.func, ast.Name)
             }
-    assert ("rendezview.sensors.appearance.edges.profile", "strip_place") in fast.keys() & called
+    assert (
+        "rendezview.sensors.appearance.edges.profile_fit",
+        "fit_profile",
+    ) in fast.keys() & called
     assert [name for name in fast.keys() & called if not fast[name]] == []

@@ -97,9 +97,9 @@ ORANGE, GREY = "#f0922b", "#9a9a9a"
 def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> None:
     """The picture of docs/reflectors.md: pair, spots, triplet, windows and pose.
 
-    A simulated pair of the far target at 5 m with crumpled foil and false spots. Left the lit
-    picture, in the middle the difference with every spot (grey) and the triplet (orange), right
-    the target with the windows that the reading looked into, and the face frame at the pose.
+    A simulated pair of the far target at 5 m with crumpled foil and false spots. Left: the lit
+    picture. Middle: the difference with every spot (grey) and the triplet (orange). Right: the
+    target with the windows that the reading searched, and the face frame at the pose.
     """
     rng = np.random.default_rng(seed)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
@@ -154,9 +154,9 @@ def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> 
 def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
     """The picture of docs/stereo.md: figure 8 of Welch et al. (1991), one run of 2° steps.
 
-    What is read less the line through it, over the stage's angle, reading by reading: the paper's
-    solver on single and on averaged scans of photodiodes, ours, and two picture cameras. The
-    figures are those of ``stereo-accuracy --part figure8``, which has many runs.
+    Measured angle minus the line through it, over the stage's angle: the paper's solver on single
+    and on averaged scans of photodiodes, ours, and two picture cameras. stereo-accuracy
+    --part figure8 has the figures of many runs.
     """
     craft = Target.load(target)
     laboratory = Laboratory(leds_of(craft), LaboratoryOptions(), seed)

@@ -55,9 +55,9 @@ def test_threads_and_an_interruption_do_not_change_a_byte(
     with pytest.raises(InterruptedError):
         campaign(*shared, path, Cores(1), OPTIONS, stop)
     assert not path.exists()
-    told: list[tuple[str, int, int]] = []
-    campaign(*shared, path, Cores(2), OPTIONS, lambda *step: told.append(step))
-    assert told == [("frames", k, 5) for k in range(1, 6)]
+    reported: list[tuple[str, int, int]] = []
+    campaign(*shared, path, Cores(2), OPTIONS, lambda *step: reported.append(step))
+    assert reported == [("frames", k, 5) for k in range(1, 6)]
     assert path.read_bytes() == reference[1]
 
 

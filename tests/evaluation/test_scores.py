@@ -13,7 +13,7 @@ from rich.console import Console
 from scipy.spatial.transform import Rotation
 
 from rendezview.evaluation import (
-    Surface,
+    ModelPoints,
     comparison_dict,
     comparison_table,
     evaluate,
@@ -75,7 +75,7 @@ def test_within_5_cm_and_5_degrees_counts_the_frames_without_a_pose_as_failed() 
 
 
 def test_recall_is_the_mean_over_the_thresholds_of_bop() -> None:
-    rod = Surface.of([[0.5, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.0, 0.1, 0.0]])  # 1 m
+    rod = ModelPoints.of([[0.5, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.0, 0.1, 0.0]])  # 1 m
     # 0.12 of the diameter: within eight of the ten thresholds; 0.6: within none.
     rows = [row(0), row(1, 0.0, 0.12), row(2, 0.0, 0.6), row(3, 0.0, 0.08)]
     found = scores(evaluate(sequence(5), rows, surface=rod))
@@ -119,5 +119,5 @@ def test_results_without_a_frame_in_common_have_no_common_median() -> None:
     assert common_frames(parts).frames == 0
     assert comparison_dict(parts)["common_medians"]["a"]["rotation_rad"] is None
     assert "–" in shown(comparison_table(parts))["rotation, median of the 0 frames all have"]
-    with pytest.raises(ValueError, match="one and the same sequence"):
+    with pytest.raises(ValueError, match="comparable over one sequence only"):
         common_frames({"a": parts["a"], "b": evaluate(sequence(3), [row(1)])})

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
-from rendezview.evaluation import Surface, alike_of, surface_errors
+from rendezview.evaluation import ModelPoints, alike_of, surface_errors
 from rendezview.evaluation.bop_models import bop_model
 from rendezview.evaluation.surface import turns_about
 from rendezview.geometry.pose import Array, Pose
@@ -41,7 +41,7 @@ def points() -> Array:
 @pytest.mark.parametrize("symmetries", [(), (FOURFOLD,), (ROUND,), (ROUND, FLIP)])
 def test_each_measure_is_its_definition(symmetries: tuple[Symmetry, ...]) -> None:
     cloud = points()
-    surface = Surface.of(cloud, alike_of(symmetries))
+    surface = ModelPoints.of(cloud, alike_of(symmetries))
     for truth, estimate in cases():
         found = surface_errors(truth, estimate, surface, K, 640)
         here = estimate.apply(cloud)
@@ -75,7 +75,7 @@ def test_the_numbers_are_those_of_the_bop_toolkit(tmp_path: Path) -> None:
         "symmetries_continuous": [{"axis": Z.tolist(), "offset": [0, 0, 0]}],
     }
     turns = misc.get_symmetry_transformations(info, 0.01)
-    surface = Surface.of(cloud, alike_of((ROUND, FLIP)))
+    surface = ModelPoints.of(cloud, alike_of((ROUND, FLIP)))
     rows = [ResultRow(3, k, 1, 0.5, estimate, 0.1) for k, (_, estimate) in enumerate(cases())]
     write_results(tmp_path / "rendezview_lm-test.csv", rows)
     passed, message = inout.check_bop_results(str(tmp_path / "rendezview_lm-test.csv"))
@@ -96,8 +96,8 @@ def test_a_turn_that_changes_nothing_costs_nothing() -> None:
     square = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], dtype=float)
     truth, _ = cases()[0]
     quarter = truth @ Pose(Rotation.from_rotvec(Z * math.pi / 2).as_matrix(), np.zeros(3))
-    plain = surface_errors(truth, quarter, Surface.of(square), K, 640)
-    alike = surface_errors(truth, quarter, Surface.of(square, alike_of([FOURFOLD])), K, 640)
+    plain = surface_errors(truth, quarter, ModelPoints.of(square), K, 640)
+    alike = surface_errors(truth, quarter, ModelPoints.of(square, alike_of([FOURFOLD])), K, 640)
     assert plain.mssd_m == pytest.approx(math.sqrt(2.0))
     assert plain.mspd_px > 50.0
     assert (alike.mssd_m, alike.mspd_px) == pytest.approx((0.0, 0.0), abs=1e-9)
@@ -107,15 +107,15 @@ def test_a_turn_that_changes_nothing_costs_nothing() -> None:
 def test_a_pose_behind_the_camera_has_no_projection() -> None:
     truth, _ = cases()[0]
     behind = Pose(truth.rotation, -truth.translation_m)
-    found = surface_errors(truth, behind, Surface.of(points()), K, 640)
+    found = surface_errors(truth, behind, ModelPoints.of(points()), K, 640)
     assert found.mspd_px == math.inf
     assert found.mssd_m == pytest.approx(2.0 * float(np.linalg.norm(truth.translation_m)))
 
 
 def test_pixels_count_as_in_a_picture_640_wide() -> None:
     truth, estimate = cases()[1]
-    wide = surface_errors(truth, estimate, Surface.of(points()), np.diag([2, 2, 1]) @ K, 1280)
-    small = surface_errors(truth, estimate, Surface.of(points()), K, 640)
+    wide = surface_errors(truth, estimate, ModelPoints.of(points()), np.diag([2, 2, 1]) @ K, 1280)
+    small = surface_errors(truth, estimate, ModelPoints.of(points()), K, 640)
     assert wide.mspd_px == pytest.approx(2.0 * small.mspd_px)
     assert wide.mspd_640_px == pytest.approx(small.mspd_640_px)
     assert small.mspd_640_px == small.mspd_px
@@ -123,9 +123,9 @@ def test_pixels_count_as_in_a_picture_640_wide() -> None:
 
 def test_nothing_has_no_surface() -> None:
     with pytest.raises(ValueError, match=r"\(V, 3\)"):
-        Surface.of(np.zeros((0, 3)))
+        ModelPoints.of(np.zeros((0, 3)))
     with pytest.raises(ValueError, match="one place"):
-        Surface.of(np.ones((4, 3)))
+        ModelPoints.of(np.ones((4, 3)))
 
 
 def write_models(folder: Path, **info: object) -> Path:
@@ -173,7 +173,7 @@ def test_other_meshes_are_no_bop_models(tmp_path: Path) -> None:
     write_models(tmp_path)
     assert bop_model(tmp_path / "hubble.stl") is None
     assert bop_model(tmp_path / "elsewhere" / "obj_000007.ply") is None
-    with pytest.raises(RendezviewError, match="nothing of object 8"):
+    with pytest.raises(RendezviewError, match="no entry for object 8"):
         bop_model(tmp_path / "obj_000008.ply")
 
 

@@ -65,7 +65,7 @@ def test_passes_on_both_sides_of_a_millisecond_are_compared_in_one_unit() -> Non
     ]
     (found,) = best(timed).values()
     assert found.ratio == pytest.approx(2.0)
-    assert found.told() == (pytest.approx(800.0), pytest.approx(400.0), "µs")
+    assert found.shown() == (pytest.approx(800.0), pytest.approx(400.0), "µs")
 
 
 def test_kept_times_are_in_the_unit_that_is_shown(tmp_path: Path) -> None:

@@ -18,8 +18,8 @@ from experiments.flight_code.driver import (
     MORE_WARNINGS,
     SANITIZED,
     STRICT,
+    ActiveNodes,
     FlightCode,
-    OnNodes,
     build,
     compiler,
     object_bytes,
@@ -102,7 +102,7 @@ def test_the_search_finds_the_on_nodes_of_the_runtime_and_their_direction(code, 
         c = code.search(readings, attitude, reach)
         assert same_search(c, python)
         if python is not None:
-            assert isinstance(c, OnNodes)
+            assert isinstance(c, ActiveNodes)
             assert c.support == pytest.approx(c.weights.sum())
             found += 1
     assert found > 100

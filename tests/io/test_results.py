@@ -83,7 +83,7 @@ def test_rotations_rounded_by_another_program_are_accepted(tmp_path):
     ("line", "message"),
     [
         (f"1,0,1,1,{IDENTITY},0 0 1", "6 values, expected 7"),
-        (f"1,x,1,1,{IDENTITY},0 0 1,0", "im_id: 'x' is no whole number"),
+        (f"1,x,1,1,{IDENTITY},0 0 1,0", "im_id: 'x' is not a whole number"),
         (f"1,0,1,high,{IDENTITY},0 0 1,0", "score: 'high'"),
         ("1,0,1,1,1 0 0 0 1 0 0 0,0 0 1,0", "R: needs 9 finite numbers"),
         ("1,0,1,1,2 0 0 0 2 0 0 0 2,0 0 1,0", "R: not a rotation"),

@@ -149,7 +149,7 @@ def test_the_target_among_several_objects_has_to_be_chosen(tmp_path):
     [
         ("scene_camera.json", "{", r"scene_camera\.json: not valid JSON"),
         ("scene_camera.json", "{}", "lists no frames"),
-        ("scene_camera.json", '{"a": {"cam_K": [1,0,0,0,1,0,0,0,1]}}', "'a' is no frame number"),
+        ("scene_camera.json", '{"a": {"cam_K": [1,0,0,0,1,0,0,0,1]}}', "'a' is not a frame number"),
         ("scene_camera.json", '{"2": {}}', r"scene_camera\.json: 2\.cam_K: missing"),
         ("scene_camera.json", '{"2": {"cam_K": [1, 2]}}', r"2\.cam_K: .*at least 9"),
         ("scene_camera.json", '{"2": {"cam_K": [1,2,0,0,1,0,0,0,1]}}', r"2\.cam_K: .*no skew"),
@@ -315,7 +315,7 @@ def test_a_folder_with_a_scene_is_refused_unless_overwriting(tmp_path):
     write_scene(tmp_path / "s", numbers=(0, 1, 2))
     (tmp_path / "s" / "notes.txt").write_text("mine")
     before = files_of(tmp_path / "s")
-    with pytest.raises(RendezviewError, match="already holds a scene"):
+    with pytest.raises(RendezviewError, match="already has a scene"):
         BopSceneWriter(tmp_path / "s", CAMERA)
     assert files_of(tmp_path / "s") == before
     write_scene(tmp_path / "s", numbers=(5,), overwrite=True)
@@ -329,7 +329,7 @@ def test_a_folder_with_a_scene_is_refused_unless_overwriting(tmp_path):
 def test_pictures_left_by_a_kill_count_as_a_scene(tmp_path):
     (tmp_path / "s" / "gray").mkdir(parents=True)
     cv2.imwrite(str(tmp_path / "s" / "gray" / "000000.png"), picture(1))
-    with pytest.raises(RendezviewError, match="already holds a scene"):
+    with pytest.raises(RendezviewError, match="already has a scene"):
         BopSceneWriter(tmp_path / "s", CAMERA)
 
 

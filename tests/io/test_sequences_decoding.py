@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -78,3 +79,14 @@ def test_every_single_wrong_bit_behind_the_signature_is_noticed(png):
 @pytest.mark.parametrize("content", [b"", b"\x89PNG", b"no picture", bytes(1000)])
 def test_no_picture_is_none(content):
     assert decode_grey(content) is None
+
+
+def test_threads_decode_the_same_pictures_and_the_log_level_is_restored(png, image):
+    level = cv2.utils.logging.getLogLevel()
+    contents = [png, png[:-20], b"no picture"] * 100
+    with ThreadPoolExecutor(8) as threads:
+        found = list(threads.map(decode_grey, contents))
+    for content, picture in zip(contents, found, strict=True):
+        assert (picture is None) == (content is not png)
+        assert picture is None or picture.tobytes() == image.tobytes()
+    assert cv2.utils.logging.getLogLevel() == level

@@ -231,7 +231,7 @@ def test_red_light_through_a_bayer_pattern_is_as_grey_as_red_is(
         (RawPicture(8, 6, 8, "mono8", bytes(40)), "40 bytes for 8 × 6 pixels"),
         (RawPicture(8, 6, 4, "mono8", bytes(48)), "4 from row to row"),
         (RawPicture(0, 0, 0, "mono8", b""), "0 × 0 pixels"),
-        (RawPicture(8, 6, 16, "mono16", bytes(96)), "encoding 'mono16' is not read"),
+        (RawPicture(8, 6, 16, "mono16", bytes(96)), "encoding 'mono16' is not supported"),
         (PackedPicture(b"\x89PNG rubbish"), "not a PNG, JPEG or WebP"),
         (PackedPicture(b""), "not a PNG, JPEG or WebP"),
     ],

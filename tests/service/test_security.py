@@ -194,7 +194,7 @@ def test_a_service_with_a_certificate_is_trusted_by_who_knows_it(
             assert stream.receive(20.0)["frame"] == 1
         session.close()
     plain = served.url.replace("https", "http")
-    with Client(plain) as client, pytest.raises(RendezviewError, match="not reached"):
+    with Client(plain) as client, pytest.raises(RendezviewError, match="cannot be reached"):
         client.sessions()
     served.stop()
     assert served.process.returncode == 0

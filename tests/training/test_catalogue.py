@@ -72,21 +72,29 @@ def test_a_catalogue_is_targets_times_shells_times_lighting(folder):
     assert [e.options.seed for e in entries] == [0, 0, 3, 3]
 
 
+def test_the_old_name_of_an_option_means_the_new_one(folder):
+    by_old = read_catalogue(folder / "all.toml")
+    new = CATALOGUE.replace("lit_views", "shadowed_silhouettes")
+    (folder / "new.toml").write_text(new)
+    assert [e.options for e in read_catalogue(folder / "new.toml")] == [e.options for e in by_old]
+    assert by_old[0].options.as_record()["lit_views"] is False  # as in models made before
+
+
 @pytest.mark.parametrize("at_once", [1, 2])
 def test_models_are_those_of_train_and_what_is_there_is_left(folder, at_once):
     entries = read_catalogue(folder / "all.toml")
-    told: list[tuple[str, int, int]] = []
+    reported: list[tuple[str, int, int]] = []
     outcome = train_catalogue(
         entries,
         folder / "models",
         Cores(1),
         at_once=at_once,
-        progress=lambda *step: told.append(step),
+        progress=lambda *step: reported.append(step),
     )
     assert outcome.trained == ("one-near-soft", "one-far-soft")
     assert set(outcome.refused) == {"flat-near-soft", "flat-far-soft"}
     assert all("flat" in reason for reason in outcome.refused.values())
-    assert ("models", 4, 4) in told
+    assert ("models", 4, 4) in reported
     mesh = load_mesh(folder / "one.stl", "m")
     alone = folder / "alone.rvm"
     train(
@@ -126,8 +134,8 @@ def test_a_cluster_that_fails_stops_the_catalogue(folder):
         ("order = 0", "order = 77", "order = 77 is out of range"),
         ("order = 0", 'order = "many"', "order"),
         ('unit = "m"\n\n[[targets]]', 'units = "m"\n\n[[targets]]', "units"),
-        ('name = "far"', 'name = "near"', "that of two"),
-        ('name = "far"', 'name = "../far"', "cannot be the name"),
+        ('name = "far"', 'name = "near"', "or names two"),
+        ('name = "far"', 'name = "../far"', "not a valid name"),
         ("[[lighting]]", "[[lighting]", "not a TOML file"),
         ("[[targets]]", "[[goals]]", "goals|targets"),
     ],

@@ -263,10 +263,10 @@ run_shard(task, (), ())
 print(faults() - before)
 """
     environment = dict(os.environ, MALLOC_TRIM_THRESHOLD_="65536")  # as Dask's nannies set it
-    told = subprocess.run(
+    printed = subprocess.run(
         [sys.executable, "-c", faults], env=environment, check=True, capture_output=True, text=True
     )
-    assert int(told.stdout) < 2000  # of 20,000 pages
+    assert int(printed.stdout) < 2000  # of 20,000 pages
 
 
 def test_a_scheduler_that_is_gone_is_told_and_what_was_done_is_kept(

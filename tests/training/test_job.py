@@ -137,15 +137,15 @@ def test_shards_of_other_inputs_are_not_used(tmp_path, bumpy_mesh, reference):
 
 
 def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
-    told: dict[str, list[int]] = {}
+    reported: dict[str, list[int]] = {}
     ends = {}
 
     def progress(stage: str, done: int, of: int) -> None:
-        told.setdefault(stage, []).append(done)
+        reported.setdefault(stage, []).append(done)
         ends[stage] = of
 
     train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=SMALL, jobs=2, progress=progress)
-    assert list(told) == [
+    assert list(reported) == [
         "lattice",
         "perspective",
         "views",
@@ -156,7 +156,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "trees",
         "calibration",
     ]
-    for stage, counts in told.items():
+    for stage, counts in reported.items():
         assert counts == list(range(ends[stage] + 1))
 
 
@@ -212,8 +212,8 @@ def test_a_camera_that_does_not_see_its_boresight_decides_no_sphere(bumpy_mesh):
     camera = Camera(100, 100, 80.0, 80.0, -30.0, 50.0)
     with pytest.raises(RendezviewError, match="boresight"):
         view_geometry(bumpy_mesh, SMALL, camera)
-    told = dataclasses.replace(SMALL, sphere_radius_m=6.0)
-    assert view_geometry(bumpy_mesh, told, camera).sphere_radius_m == 6.0
+    given = dataclasses.replace(SMALL, sphere_radius_m=6.0)
+    assert view_geometry(bumpy_mesh, given, camera).sphere_radius_m == 6.0
 
 
 def test_a_flat_target_is_refused_and_leaves_no_model(tmp_path):

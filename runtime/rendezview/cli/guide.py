@@ -1,4 +1,4 @@
-"""What ``track`` adds to a frame where a plan or a shape is given: segment, correction, spin."""
+"""The trajectory part of ``track``: segment, correction and spin of a plan or a shape."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def chaser_attitudes(path: Path) -> Slerp:
 
 @dataclass(slots=True)
 class Guide:
-    """Feeds observations to a follower; words for the screen, records for the log, messages."""
+    """Feeds observations to a follower, and reports to the screen, the log and CCSDS messages."""
 
     follower: PathFollower
     chaser: Slerp | None = None
@@ -85,10 +85,12 @@ class Guide:
             raise RendezviewError(
                 f"--shape must be one of {', '.join(Shape)}, not {shape!r}"
             ) from None
-        told = FollowerOptions(poses=refine)
+        options = FollowerOptions(poses=refine)
         if plan is not None:
-            told = FollowerOptions(turn_rad=plan.turn_rad, segment_s=plan.segment_s, poses=refine)
-        follower = PathFollower(model.centre_m, chosen, plan, told)
+            options = FollowerOptions(
+                turn_rad=plan.turn_rad, segment_s=plan.segment_s, poses=refine
+            )
+        follower = PathFollower(model.centre_m, chosen, plan, options)
         return cls(follower, chaser_attitudes(chaser) if chaser else None)
 
     def update(
@@ -121,10 +123,10 @@ class Guide:
         if isinstance(report.spin, Spin):
             self.attitude_times_s.append(time_s)
             self.attitudes.append(report.spin.at(time_s)[0][0])
-        told = record(report)
-        told["centre_m"] = self.follower.centre_m
-        told["path_from_target"] = self._path_from_target(time_s, attitude, observation)
-        return told, describe(report) if report.ended else None
+        line = record(report)
+        line["centre_m"] = self.follower.centre_m
+        line["path_from_target"] = self._path_from_target(time_s, attitude, observation)
+        return line, describe(report) if report.ended else None
 
     def _path_from_target(
         self, time_s: float, attitude: Array | None, observation: AppearanceObservation

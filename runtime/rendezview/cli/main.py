@@ -1,4 +1,4 @@
-"""The ``rendezview`` command: finds its sub-commands, and says errors in one line.
+"""The ``rendezview`` command: finds its sub-commands and reports errors in one line.
 
 Sub-commands are entry points of the group ``rendezview.commands``, each a function that
 typer understands, or a typer application with commands of its own; those of the ground side
@@ -20,7 +20,7 @@ from rendezview.errors import RendezviewError
 GROUP = "rendezview.commands"
 _INTERRUPTED = "rendezview: interrupted"
 
-# In the order of a first use. What stands here is shown without importing the command.
+# In the order of a first use. The help shows these without importing the commands.
 _SUMMARIES = {
     "demo": "Train, simulate, track, report: the tour.",
     "train": "Train a view model of a target.",
@@ -92,7 +92,7 @@ def _root(version: bool = typer.Option(False, "--version", help="Print the versi
 
 
 def main() -> None:
-    """Run a command: exit 0; 1 for what the user can fix, said in one line; 2 for usage."""
+    """Run a command: exit 0; 1 for what the user can fix, in one line; 2 for usage."""
     arguments = sys.argv[1:]
     if arguments[:1] == ["--version"]:
         print(f"rendezview {metadata.version('rendezview')}")
@@ -105,16 +105,16 @@ def main() -> None:
     except MemoryError as error:
         print(f"rendezview: not enough memory ({error})", file=sys.stderr)
         sys.exit(1)
-    except OSError as error:  # of the standard output: files say theirs as RendezviewError
+    except OSError as error:  # of the standard output; file errors are RendezviewError
         place = f"{error.filename}: " if error.filename else ""
         print(f"rendezview: {place}{error.strerror or error}", file=sys.stderr)
-        # What waits in the buffer would fail once more when the interpreter ends.
+        # The rest of the buffer would fail again when the interpreter ends.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except KeyboardInterrupt:
         print(_INTERRUPTED, file=sys.stderr)
         sys.exit(130)
     except SystemExit as end:
-        if end.code == 130:  # typer's own answer to Ctrl-C, which says nothing
+        if end.code == 130:  # typer's answer to Ctrl-C, which prints nothing
             print(_INTERRUPTED, file=sys.stderr)
         raise

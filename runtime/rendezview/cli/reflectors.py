@@ -19,11 +19,10 @@ from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration
-from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions, registered
+from rendezview.sensors.reflectors.difference import Opening, ThresholdOptions
 from rendezview.sensors.reflectors.overlay import draw_reading
 from rendezview.sensors.reflectors.pattern import patterns_of
 from rendezview.sensors.reflectors.run import (
-    FramePair,
     Mode,
     calibrate_run,
     follow,
@@ -97,12 +96,12 @@ def reflectors(
     affine = _affine(lit_from_dark)
     chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
     seen_by = load_camera(camera) if camera else None
-    pairs = pair_up([open_sequence(place, seen_by) for place in places], chosen)
+    pairs = pair_up([open_sequence(place, seen_by) for place in places], chosen, affine)
     if calibrating:
         if output is None:
             raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")
         fitted, count = calibrate_run(
-            pairs, patterns[0], threshold=options, acquisition=acquisition, lit_from_dark=affine
+            pairs, patterns[0], threshold=options, acquisition=acquisition
         )
         fitted.save(output)
         say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(pairs)} readings")
@@ -110,14 +109,13 @@ def reflectors(
     if overlay:
         make_folder(overlay)
     readings = follow(
-        pairs, patterns, threshold=options, acquisition=acquisition,
-        independent=independent, lit_from_dark=affine,
-    )  # fmt: skip
+        pairs, patterns, threshold=options, acquisition=acquisition, independent=independent
+    )
 
     def lines() -> Iterator[Line]:
-        for pair, reading in readings:
-            if overlay and reading.status is not Status.UNREADABLE:
-                drawn = draw_reading(_read(pair, affine), reading, pair.lit.camera, patterns)
+        for pair, pictures, reading in readings:
+            if overlay and pictures is not None:
+                drawn = draw_reading(pictures, reading, pair.lit.camera, patterns)
                 write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
             noted = record(pair, reading, patterns, loaded)
             yield Line(noted, reading.status, spent_ms=sum(reading.stage_ms.values()))
@@ -126,13 +124,6 @@ def reflectors(
         summary = run(lines(), log=output, progress=bar.stage("readings", len(pairs)))
     poses = summary.outcomes[Status.OK]
     say_summary(summary, poses, len(pairs), what="poses", step="reading")
-
-
-def _read(pair: FramePair, affine: np.ndarray | None) -> LitDark:
-    dark = None if pair.dark is None else pair.dark.read()
-    if dark is not None and affine is not None:
-        dark = registered(dark, affine)
-    return LitDark(pair.lit.read(), dark)
 
 
 def _affine(text: str | None) -> np.ndarray | None:

@@ -65,7 +65,7 @@ def track(
     ] = None,
     shape: Annotated[
         str | None,
-        typer.Option(help="Fit circular, spiral, vbar, orbit or drift, whatever the plan says."),
+        typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan."),
     ] = None,
     chaser: Annotated[
         Path | None,

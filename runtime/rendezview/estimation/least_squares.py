@@ -29,7 +29,7 @@ DAMPING_DECAY = 0.1  # Source: as above
 class Options:
     """When to stop."""
 
-    iterations: int = 50  # a bound only; convergence takes 3 to 10. Source: by construction
+    iterations: int = 50  # a bound only. Source: by construction
     # Of damping, each ten times the last: at 1e4 of the diagonal a step is rounding.
     trials: int = 8  # Source: by construction
     # Of the cost χ²: a hundredth of a standard deviation, squared.

@@ -20,8 +20,8 @@ DISTORTION_LENGTHS = (0, 4, 5, 8)  # coefficients. Source: OpenCV, calib3d
 _BORDER_SAMPLES = 65  # Source: by construction
 _UNDISTORT_ITERATIONS = 200  # a bound for strong lenses. Source: by construction
 _UNDISTORT_STEP = 1e-13  # normalised; converged. Source: float64 rounding
-# px; a ray that projects further from its pixel is no answer.
-_UNDISTORT_ERROR_PX = 1e-3  # Source: a tenth of the best centroid (docs/reflectors.md)
+# px; a ray that projects further from its pixel is no answer. Far below any centroid's error.
+_UNDISTORT_ERROR_PX = 1e-3  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True)

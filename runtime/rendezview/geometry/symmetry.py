@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 
-# rad; turns closer than this are the same, because angles in files are rounded to 0.1°.
+# rad; turns closer than this are the same, because angles in files are rounded.
 _SAME_RAD = 5e-3  # Source: by construction
 # Turns; a target with steps of 2° has so many, an angle that divides no full turn has more.
 _MOST_TURNS = 180  # Source: by construction

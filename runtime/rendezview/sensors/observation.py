@@ -1,4 +1,4 @@
-"""What a sensor says of one frame."""
+"""The observation: what every sensor returns for one frame."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """What a sensor says of one frame: a pose with its covariance, or the reason for none.
+    """The result of one sensor on one frame: a pose with its covariance, or the reason for none.
 
     Each sensor adds its own fields in a subclass, and overrides `record` to add them to the line.
     """

@@ -7,6 +7,7 @@ import hashlib
 import logging
 import re
 import secrets
+import threading
 from functools import cached_property
 from pathlib import Path
 
@@ -23,21 +24,26 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 class StoredModel:
-    """One model file, read on first use."""
+    """One model file, read on first use, by whichever thread is first."""
 
-    def __init__(self, name: str, path: Path, own: bool) -> None:
+    def __init__(self, name: str, path: Path, own: bool, model: ViewModel | None = None) -> None:
         self.name = name
         self.path = path
         self.own = own  # in the store's folder: may be deleted
+        self._model = model
+        self._lock = threading.Lock()
 
-    @cached_property
+    @property
     def model(self) -> ViewModel:
         """The model.
 
         Raises:
             RendezviewError: the file is not a model, or is gone.
         """
-        return ViewModel.load(self.path)
+        with self._lock:
+            if self._model is None:
+                self._model = ViewModel.load(self.path)
+            return self._model
 
     @cached_property
     def info(self) -> ModelInfo:
@@ -62,7 +68,7 @@ class StoredModel:
 
 
 class ModelStore:
-    """Models by name."""
+    """Models by name. Uploads may come from several threads."""
 
     def __init__(self, folder: Path) -> None:
         """The models in a folder.
@@ -73,6 +79,7 @@ class ModelStore:
         make_folder(folder)
         self.folder = folder
         self._models: dict[str, StoredModel] = {}
+        self._lock = threading.Lock()  # of a name's check and its insertion
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             if _NAME.fullmatch(path.stem) and path.is_file():
                 self._models[path.stem] = StoredModel(path.stem, path.resolve(), own=True)
@@ -141,15 +148,16 @@ class ModelStore:
                 model = ViewModel.load(trial)
             except RendezviewError as error:
                 raise RendezviewError(str(error).replace(str(trial), "the model sent")) from None
-            trial.replace(path)
+            with self._lock:
+                self.path_for(name)  # another upload may have taken the name meanwhile
+                trial.replace(path)
+                stored = StoredModel(name, path.resolve(), own=True, model=model)
+                self._models[name] = stored
         except OSError as error:
             raise write_error(path, error) from None
         finally:
             with contextlib.suppress(OSError):
                 trial.unlink()
-        stored = StoredModel(name, path.resolve(), own=True)
-        stored.model = model
-        self._models[name] = stored
         return stored
 
     def found(self, name: str) -> StoredModel:

@@ -32,7 +32,7 @@ class Row:
     def key(self) -> str:
         return f"{self.name} / {self.beside}"
 
-    def told(self) -> tuple[float, float, str]:
+    def shown(self) -> tuple[float, float, str]:
         """Ours, the peer's and their unit, for readers: a time in ms or µs."""
         if self.unit != "s":
             return self.ours, self.peer, self.unit
@@ -64,7 +64,7 @@ def write(rows: Iterable[Row], path: Path) -> None:
     """Ratios to be kept, and the numbers they came of, for readers."""
     kept = {}
     for row in rows:
-        ours, peer, unit = row.told()
+        ours, peer, unit = row.shown()
         kept[row.key] = {
             "ratio": float(f"{row.ratio:.4g}"), "ours": float(f"{ours:.4g}"),
             "peer": float(f"{peer:.4g}"), "unit": unit,

@@ -56,7 +56,7 @@ LONG = (  # claim, command; {folder}: where the campaign writes and reads
     ("beside ViSP's tracker", "visp-tracking hubble --model {folder}/hubble.rvm"),
     ("", "visp-tracking client --model {folder}/client.rvm"),
     ("a few minutes of training", "training-speed models_cad/hubble"),
-    ("on nodes, views", "recognition-accuracy models_cad/hubble --views 2000 --seed 77"),
+    ("active nodes, views", "recognition-accuracy models_cad/hubble --views 2000 --seed 77"),
     ("C identical, 10,000 of 10,000",
      "export-c-check {folder}/hubble.rvm models_cad/hubble --seed 77 --onnx"),
     ("attitude that C needs",
@@ -81,13 +81,13 @@ LONG = (  # claim, command; {folder}: where the campaign writes and reads
 
 
 def small_model(cache: Path) -> Path:
-    """The short form's model; trained anew when options, mesh or sources have changed."""
+    """The short form's model; trained again when options, mesh or sources have changed."""
     found = find_target("hubble")
-    told = hashlib.sha256(repr(SMALL).encode() + found.mesh_path.read_bytes())
+    digest = hashlib.sha256(repr(SMALL).encode() + found.mesh_path.read_bytes())
     for folder in ("training/rendezview/training", "runtime/rendezview/sensors/appearance"):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            told.update(path.read_bytes())
-    path = cache / f"hubble-{told.hexdigest()[:16]}.rvm"
+            digest.update(path.read_bytes())
+    path = cache / f"hubble-{digest.hexdigest()[:16]}.rvm"
     if not path.exists():
         cache.mkdir(parents=True, exist_ok=True)
         start = time.perf_counter()
@@ -119,7 +119,7 @@ def show_rows(rows: list[Row]) -> None:
     for name in columns:
         table.add_column(name, justify="right" if name in ("ours", "beside", "ratio") else "left")
     for row in rows:
-        mine, peer, unit = row.told()
+        mine, peer, unit = row.shown()
         table.add_row(
             row.name, f"{mine:.3g} {unit}", f"{peer:.3g} {unit}", row.beside,
             f"{row.ratio:.3g}", row.command,

@@ -115,12 +115,12 @@ def poses(bench: Bench) -> Iterator[Row]:
 
 
 def nodes(bench: Bench) -> Iterator[Row]:
-    """From a frame to its on nodes, and the trees by themselves."""
+    """From a frame to its active nodes, and the trees by themselves."""
     model = bench.model
     count = max(3, bench.frames // 2)
     camera, frames, priors = recognition_speed.scene(bench.mesh, model, count)
     recognizer = Recognizer(model, camera, refine=False)
-    pose, floor = "frame to on nodes and rough pose", "threshold, contours, binning"
+    pose, floor = "frame to active nodes and rough pose", "threshold, contours, binning"
     table: dict[str, list[float]] = {}
     for frame, prior in zip(frames, priors, strict=True):
         stages = recognition_speed.floor_calls(frame, camera, model.bins)

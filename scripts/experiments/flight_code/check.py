@@ -1,4 +1,4 @@
-"""Exported flight code beside the runtime, on the same frames and signatures."""
+"""Exported flight code beside the runtime: the same frames and signatures, the same bits."""
 
 from __future__ import annotations
 
@@ -96,22 +96,17 @@ def run(
     optimise: Annotated[str, "flag of the C compiler"] = "-O2",
     onnx: Annotated[bool, "the ONNX graph too (needs onnxruntime)"] = False,
 ) -> None:  # fmt: skip
-    """Exported flight code beside the runtime, on the same frames and signatures: are they
-    identical?
+    """Exported flight code beside the runtime: the same frames and signatures, the same bits.
 
-        rendezview train hubble -o hubble.rvm
+    Frames at random poses, 1-3 sphere radii away, with hard shadows, blur and noise of 3 grey
+    levels, the Sun within 60° of behind the camera. Each frame goes to a signature in C and in
+    Python. Each signature, and nine perturbed ones (readings off by up to 10 %, some cut off), goes
+    through all trees, each at its own roll, and through both searches, at and around an attitude
+    that is up to 20° off. Outlines, readings and trust must be equal to the last bit.
 
-    Frames are drawn at random poses, 1-3 sphere radii away, with hard shadows, blur and noise of
-    3 grey levels, the Sun within 60° of behind the camera. Each goes from grey picture to
-    signature in C and in Python. Each signature that comes of it, and nine perturbed ones
-    (readings off by up to 10 %, some of them cut off), is asked of all trees, each at its own
-    roll, and of both searches, at and around an attitude that is up to 20° off. Whatever Python
-    says, C must say too: outlines, readings and trust to the last bit.
-
-    Then sizes of the object files and the time of all trees: every signature once in a round,
-    nine rounds, each signature's fastest; the median and the worst of them. The runtime's own
-    compiled loop answers the same questions beside it. With ``--onnx`` the trees are asked as an
-    ONNX graph too.
+    Then the sizes of the object files and the time of all trees: every signature once in a round,
+    nine rounds, each signature's fastest; the median and the worst of them, beside the runtime's
+    own compiled loop. --onnx also runs the trees as an ONNX graph.
     """
     cc = compiler()
     if cc is None:
@@ -157,12 +152,12 @@ def run(
                     match = runtime_search(matcher, view, attitude, reach_rad)
                     found = code.search(view, attitude, reach_rad)
                     tally["searches identical"] += same_search(found, match)
-                    tally["searches with on nodes"] += match is not None
+                    tally["searches with active nodes"] += match is not None
                     match = runtime_search_around(matcher, view, attitude, np.deg2rad(PRIOR_DEG))
                     found = code.search_around(view, attitude, np.deg2rad(PRIOR_DEG))
                     tally["sweeps identical"] += same_search(found, match)
-                    tally["sweeps with on nodes"] += match is not None
-                    tally["on nodes, all spheres"] += int(np.count_nonzero(trust))
+                    tally["sweeps with active nodes"] += match is not None
+                    tally["active nodes, all spheres"] += int(np.count_nonzero(trust))
                     readings.append(view)
                     attitudes.append(attitude)
                     rolls.append(roll)
@@ -184,11 +179,11 @@ def run(
     print(f"frame to signature   identical {tally['frames identical']} of {frames} "
           f"({tally['frames refused']} refused by both or one)")  # fmt: skip
     print(f"all {len(nodes)} trees        identical {tally['all trees identical']} of {total} "
-          f"({tally['on nodes, all spheres'] / total:.1f} nodes on a signature)")  # fmt: skip
-    print(f"on-node search       identical {tally['searches identical']} of {total} "
-          f"({tally['searches with on nodes']} with on nodes)")  # fmt: skip
+          f"({tally['active nodes, all spheres'] / total:.1f} nodes on a signature)")  # fmt: skip
+    print(f"node search          identical {tally['searches identical']} of {total} "
+          f"({tally['searches with active nodes']} with active nodes)")  # fmt: skip
     print(f"search around 20°    identical {tally['sweeps identical']} of {total} "
-          f"({tally['sweeps with on nodes']} with on nodes)")  # fmt: skip
+          f"({tally['sweeps with active nodes']} with active nodes)")  # fmt: skip
     if onnx_same is not None:
         print(f"ONNX trees           identical {onnx_same} of {total}")
     print(f"object size          {size} bytes (limit {LIMIT_BYTES}): " + ", ".join(
@@ -197,7 +192,7 @@ def run(
     print(f"all {len(nodes)} trees        median {np.median(all_us):.1f} µs, worst "
           f"{all_us.max():.1f} µs (limit {LIMIT_US:.0f}); the runtime's loop "
           f"{np.median(python_us):.1f} µs: ratio {ratio:.2f}")  # fmt: skip
-    print(f"on-node search       median {np.median(search_us):.1f} µs, worst "
+    print(f"node search          median {np.median(search_us):.1f} µs, worst "
           f"{search_us.max():.1f} µs; around 20°: median {np.median(sweep_us):.0f} µs, worst "
           f"{sweep_us.max():.0f} µs")  # fmt: skip
     right = (

@@ -74,7 +74,7 @@ def object_bytes(model: ViewModel, folder: Path) -> dict[str, int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OnNodes:
+class ActiveNodes:
     """What `rdv_search` found."""
 
     nodes: npt.NDArray[np.uint16]  # (K,)
@@ -110,19 +110,19 @@ class FlightCode(Pipe):
 
     def search(
         self, readings: npt.ArrayLike, attitude: npt.ArrayLike, reach_rad: float
-    ) -> OnNodes | Status | str:
+    ) -> ActiveNodes | Status | str:
         """`rdv_search`."""
         return self._search(b"S", readings, attitude, reach_rad)
 
     def search_around(
         self, readings: npt.ArrayLike, attitude: npt.ArrayLike, error_rad: float
-    ) -> OnNodes | Status | str:
+    ) -> ActiveNodes | Status | str:
         """`rdv_search_around`."""
         return self._search(b"A", readings, attitude, error_rad)
 
     def _search(
         self, letter: bytes, readings: npt.ArrayLike, attitude: npt.ArrayLike, angle_rad: float
-    ) -> OnNodes | Status | str:
+    ) -> ActiveNodes | Status | str:
         self.send(letter, _f32(readings), _f64(attitude), _f64([angle_rad]))
         status = self._status()
         if status is not Status.OK:
@@ -131,7 +131,7 @@ class FlightCode(Pipe):
         nodes = self.take("H", int(count)).astype(np.uint16)
         trust, weights = self.take("d", int(count)), self.take("d", int(count))
         (support,) = self.take("d", 1)
-        return OnNodes(nodes, trust, weights, float(support), self.take("d", 3))
+        return ActiveNodes(nodes, trust, weights, float(support), self.take("d", 3))
 
     def signature(self, outlines: list[Array]) -> Signature | Status | str:
         """`rdv_signature_of` of outlines (M, 2) or (M, 3) as rays x, y[, 1]."""
@@ -204,24 +204,24 @@ class FlightCode(Pipe):
 
 def runtime_search(
     matcher: Matcher, readings: Readings, attitude: Array, reach_rad: float
-) -> OnNodes | None:
+) -> ActiveNodes | None:
     """What `rdv_search` does, of the runtime's parts."""
     nodes = matcher.model.geodesic.within(-attitude[2], reach_rad)
     on, trust = matcher.active_among(nodes, readings, attitude)
     if len(on) == 0:
         return None
     direction, weights = matcher.consensus(on, trust)
-    return OnNodes(on.astype(np.uint16), trust, weights, float(weights.sum()), direction)
+    return ActiveNodes(on.astype(np.uint16), trust, weights, float(weights.sum()), direction)
 
 
 def runtime_search_around(
     matcher: Matcher, readings: Readings, attitude: Array, error_rad: float
-) -> OnNodes | None:
+) -> ActiveNodes | None:
     """What `rdv_search_around` does."""
     step = np.deg2rad(2.0)
     most = int(np.ceil(error_rad / step))
     reach = error_rad + matcher.options.margin_edges * matcher.model.geodesic.mean_edge_rad
-    best: OnNodes | None = None
+    best: ActiveNodes | None = None
     for roll in step * np.arange(-most, most + 1):
         turn = np.array(
             [[np.cos(roll), -np.sin(roll), 0.0], [np.sin(roll), np.cos(roll), 0.0], [0.0, 0.0, 1.0]]
@@ -232,12 +232,12 @@ def runtime_search_around(
     return best
 
 
-def same_search(c: OnNodes | Status | str, python: OnNodes | None) -> bool:
-    """On nodes and trust exactly; direction and weights but for the last bits of exp."""
+def same_search(c: ActiveNodes | Status | str, python: ActiveNodes | None) -> bool:
+    """Active nodes and trust exactly; direction and weights but for the last bits of exp."""
     if python is None:
         return c is Status.UNRECOGNIZED
     return (
-        isinstance(c, OnNodes)
+        isinstance(c, ActiveNodes)
         and np.array_equal(c.nodes, python.nodes)
         and np.array_equal(c.trust, python.trust)
         and np.abs(c.weights - python.weights).max() < 1e-12

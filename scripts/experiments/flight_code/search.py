@@ -1,4 +1,4 @@
-"""Direction of view that exported flight code finds, by how well the attitude was known before."""
+"""Direction of view that the C code finds, by the error of the prior attitude."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from experiments.flight_code.driver import FlightCode, OnNodes, build
+from experiments.flight_code.driver import ActiveNodes, FlightCode, build
 from experiments.frame import show
 from experiments.recognition.accuracy import WRONG_DEG, flight_camera, frame_of, random_pose
 from rendezview.geometry.geodesic import angle_between
@@ -26,9 +26,9 @@ ERRORS_DEG = (0.0, 2.0, 5.0, 10.0, 20.0)
 WAYS = ("rdv_search", "rdv_search_around", "the runtime's matcher")
 
 
-def error_deg(found: OnNodes | Match | Status | str | None, truth: Array) -> float:
+def error_deg(found: ActiveNodes | Match | Status | str | None, truth: Array) -> float:
     """Degrees off the true direction; infinite without one."""
-    if not isinstance(found, OnNodes | Match):
+    if not isinstance(found, ActiveNodes | Match):
         return np.inf
     return float(np.rad2deg(angle_between(found.direction, truth)))
 
@@ -37,17 +37,14 @@ def run(
     model: Path, target: Annotated[Path, "of which the model is: folder or target.toml"], *,
     frames: int = 400, seed: int = 77,
 ) -> None:  # fmt: skip
-    """Direction of view that exported flight code finds, by how well the attitude was known before.
+    """Direction of view that the C code finds, by the error of the prior attitude.
 
-        rendezview train hubble -o hubble.rvm
-
-    Frames as condition (d) of ``recognition-accuracy``: 640 × 480, 1-3 sphere radii, hard
+    Frames are those of condition (d) of recognition-accuracy: 640 × 480, 1-3 sphere radii, hard
     shadows, blur, noise of 3 grey levels, the Sun up to 30° from behind the camera. The prior
-    attitude is off by exactly the error given, about a random axis. `rdv_search` asks each node
-    once, at the prior's roll; `rdv_search_around` tries the rolls that the error allows; the
-    runtime's matcher looks for the roll in stored signatures of the nodes, which flight code does
-    not carry. A direction more than 8° off is wrong; a frame without a direction is not right
-    either.
+    attitude is off by exactly the error given, about a random axis. rdv_search evaluates each node
+    once, at the prior's roll; rdv_search_around tries the rolls that the error allows; the
+    runtime's matcher finds the roll in stored signatures, which flight code does not carry. A
+    direction more than 8° off is wrong; a frame without a direction counts as not right.
     """
     view_model = ViewModel.load(model)
     craft = Target.load(target)

@@ -33,7 +33,7 @@ def tables(flights: list[Flight]) -> None:
     sensors = ("appearance", "ring", "laser")
     bins = list(pairwise(EDGES_M))
     for k, (name, scale) in enumerate(zip(NAMES, SCALES, strict=True)):
-        print(f"\n{name}: r.m.s. (median) of all frames of all seeds; heard in % of frames")
+        print(f"\n{name}: r.m.s. (median) of all frames of all seeds; received in % of frames")
         heads = " ".join(f"{sensor:>24s}" for sensor in sensors)
         print(f"{'range, m':>12s} {'frames':>7s} {'fused':>18s} {heads}")
         for far, near in bins:
@@ -90,10 +90,9 @@ def run(
 ) -> None:  # fmt: skip
     """An approach from 60 m to 1 m through recognizer, ring detector, laser ranger and filter.
 
-    Every seed is an approach of its own: motion, Sun (10–40° from behind the camera), roll,
-    noise. Frames are rendered, and the recognizer and the ring detector run on them as the
-    commands do; RUNS keeps their logs, so that a second call only joins them. The filter is the
-    one of `rendezview fuse`.
+    Every seed is another approach: motion, Sun (10–40° from behind the camera), roll, noise. Frames
+    are rendered, and the recognizer and the ring detector run on them as the commands do. RUNS
+    keeps their logs: a second call only joins them. The filter is that of rendezview fuse.
     """
     views = ViewModel.load(model) if model else None
     flights = []
@@ -114,7 +113,7 @@ def run(
     lost = sum(np.isnan(s.fused[0]) for f in flights for s in f.samples)
     print(
         f"\n{len(flights)} approaches, seeds {numbers.start} to {numbers.stop - 1}: frames without "
-        f"a state {lost}; begun anew {sum(f.starts > 1 for f in flights)}; largest step at a "
+        f"a state {lost}; restarted {sum(f.starts > 1 for f in flights)}; largest step at a "
         f"hand-over {max(f.jumps['hand-over'] for f in flights):.2f} σ, of any update "
         f"{max(f.jumps['any'] for f in flights):.2f} σ"
     )

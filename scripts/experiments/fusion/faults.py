@@ -1,4 +1,4 @@
-"""One sensor dead, lying or late for a third of an approach: does the filter diverge?"""
+"""One sensor dead, biased or late for a third of an approach: does the filter diverge?"""
 
 from __future__ import annotations
 
@@ -106,33 +106,31 @@ def outcome(flight: Flight, sensors: tuple[str, ...], third: int) -> Outcome:
 
 def run(
     runs: Path, *, first_seed: int = 0, seeds: int = 50,
-    size: Annotated[float, "of the lies"] = 1.0,
+    size: Annotated[float, "of the offsets"] = 1.0,
     tell: Annotated[bool, "each run that diverged"] = False,
 ) -> None:  # fmt: skip
-    """One sensor dead, lying or late for a third of an approach: does the filter diverge?
+    """One sensor dead, biased or late for a third of an approach: does the filter diverge?
 
-    RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, the
-    middle or the last third of the time one sensor (or the camera, which is recognizer and ring
-    at once) is silent, adds a constant offset, or gives what it saw 0.5 s ago the present time.
-    The offset is the same in the sensor's own words for all seeds: pose 0.2 m, −0.15 m, 0.4 m and
-    3° about an axis across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m;
-    --size multiplies them.
+    RUNS are those of fusion-approach: real recognizer, real ring detector. In the first, middle or
+    last third of the time one sensor (or the camera: recognizer and ring at once) is silent
+    (dead), adds a constant offset (lying), or stamps data of 0.5 s ago with the present time
+    (late). The offset is the same for all seeds: pose 0.2 m, −0.15 m, 0.4 m and 3° about an axis
+    across the line of sight; ring 0.1 m, −0.1 m, 0.2 m and 3°; range 0.5 m; --size scales them.
 
-    Diverged is a run whose state in its last 5 s is wrong beyond its own 99.99 % bound (six
-    degrees of freedom), or that has no state then although the fault is over. Where the fault
-    lasts to the end and
-    no other sensor sees the ring, the filter coasts: its error grows, and so must its covariance.
+    A run has diverged if its state in the last 5 s is wrong beyond its own 99.99 % bound (six
+    degrees of freedom), or if it has no state although the fault is over. Where the fault lasts to
+    the end and no other sensor sees the ring, the filter coasts: its error and covariance grow.
     """
     numbers = range(first_seed, first_seed + seeds)
     kept = {seed: load_run(runs / str(seed)) for seed in numbers}
     print(
-        f"seeds {numbers.start} to {numbers.stop - 1}, lies × {size:g}; error of the ring's "
+        f"seeds {numbers.start} to {numbers.stop - 1}, offsets × {size:g}; error of the ring's "
         f"centre in % of range, median and worst of the seeds: while it lasts, from "
         f"{SETTLED_S:g} s after it on"
     )
     print(
         f"{'sensor':11s} {'fault':6s} {'third':7s} {'during':>15s} {'after':>15s} "
-        f"{'no state':>9s} {'anew':>5s} {'locked out':>10s} {'diverged':>8s}"
+        f"{'no state':>9s} {'again':>5s} {'locked out':>10s} {'diverged':>8s}"
     )
     for name, sensors in SENSORS.items():
         for fault in FAULTS if sensors else ("–",):

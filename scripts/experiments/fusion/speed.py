@@ -1,4 +1,4 @@
-"""Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them."""
+"""Time of a filter step: prediction, gate, trust and update, as Fusion.add does them."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ OPTIONS = FusionOptions(pose=WHITE, ring=WHITE, range=WHITE)
 
 
 def started(kinds: dict[str, list[Measurement]]) -> Fusion:
-    """All three sensors have been heard: the state has its full size."""
+    """All three sensors have reported: the state has its full size."""
     fusion = Fusion(OPTIONS)
     for kind in ("pose", "ring", "range"):
         fusion.add(kinds[kind][0])
@@ -90,7 +90,7 @@ def plain_numpy() -> Callable[[], None]:
 
 
 def run(*, seed: int = 0, repeats: int = 15) -> None:
-    """Time of a filter step: prediction, gate, trust and update, as `Fusion.add` does them.
+    """Time of a filter step: prediction, gate, trust and update, as Fusion.add does them.
 
     Beside it, in the same run, a 12-state Kalman filter in plain numpy: prediction and update
     with six numbers, no gate, no attitude, no biases.

@@ -52,8 +52,8 @@ LASER_SIGMA_M = 0.02
 LASER_ORIGIN_M = (0.3, 0.0, 0.0)  # beside the camera, along its boresight
 SUN_PHASE_DEG = (10.0, 40.0)
 PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the start
-# What the beam may meet, as told to the filter: the heat shield between nozzle and adapter, the
-# bus's face around the adapter, and if neither is sure something about there.
+# What the beam may meet, as given to the filter: the heat shield between nozzle and adapter, the
+# bus's face around the adapter, and, where neither is certain, something near them.
 SURFACES = (
     BeamSurface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
     BeamSurface(np.array([-1.40, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.04, 0.73, 1.05),
@@ -144,8 +144,8 @@ def make_run(folder: Path, seed: int, model: ViewModel | None, *, keep_frames: b
 def ring_run(folder: Path) -> None:
     """The ring detector's log, as `rendezview ring -o` writes it.
 
-    What it is told before a frame is what the filter forecasts, as on board: the filter runs along,
-    with the recognizer, the ranger, and the ring as it is found.
+    Its prior of a frame is the forecast of the filter, as on board: the filter runs along, with the
+    recognizer, the ranger, and the rings found so far.
     """
     if (folder / "ring.jsonl").exists():
         return
@@ -183,7 +183,7 @@ def scene_of(folder: Path) -> Sequence:
 
 # Chosen on seeds 100 to 109; tables are of seeds 0 to 49.
 OPTIONS = FusionOptions(
-    # The wander of ApproachOptions; along has the braking, which the filter is not told.
+    # The wander of ApproachOptions; along has the braking, which the filter does not know.
     motion=MotionOptions(angular=1.7e-4, linear=6e-4, along=5e-3, pointing=6e-5),
     pose=SensorOptions(
         inflation=1.2, floor_range=2e-4, bias_share=0.9, bias_s=60.0, bias_range=0.25
@@ -273,7 +273,7 @@ def fly(run: Run, options: FusionOptions) -> Flight:
     fusion = Fusion(options)
     samples: list[Sample] = []
     jumps = {"hand-over": 0.0, "any": 0.0}
-    heard: dict[str, float] = {}
+    last_s: dict[str, float] = {}
     frame_s = sorted(run.truth)[::FRAME_EVERY]
     pending = list(run.measurements)
     position = 0
@@ -290,9 +290,9 @@ def fly(run: Run, options: FusionOptions) -> Flight:
                 continue
             after = fusion.state_at(measurement.time_s)
             # The first of a sensor, and the first after another fell silent, are hand-overs.
-            last = heard.get(measurement.sensor)
+            last = last_s.get(measurement.sensor)
             handed = last is None or measurement.time_s - last > 2.5 * FRAME_EVERY * 0.5
-            heard[measurement.sensor] = measurement.time_s
+            last_s[measurement.sensor] = measurement.time_s
             if before.pose is None or after.pose is None or verdict.began:
                 continue
             assert before.covariance is not None
@@ -301,10 +301,10 @@ def fly(run: Run, options: FusionOptions) -> Flight:
             jumps["any"] = max(jumps["any"], jump)
             if handed or (
                 measurement.sensor == "ring"
-                and "appearance" in heard
+                and "appearance" in last_s
                 and (
-                    heard["appearance"] < measurement.time_s
-                    and heard["appearance"] >= measurement.time_s - 2.5 * FRAME_EVERY * 0.5
+                    last_s["appearance"] < measurement.time_s
+                    and last_s["appearance"] >= measurement.time_s - 2.5 * FRAME_EVERY * 0.5
                 )
             ):
                 jumps["hand-over"] = max(jumps["hand-over"], jump)

@@ -1,4 +1,4 @@
-"""Our results and measures beside those of the public BOP toolkit, in one run."""
+"""Our results and measures beside those of the public BOP toolkit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from rendezview.evaluation import evaluate
 from rendezview.evaluation.scores import MSPD_640_PX, MSSD_FRACTIONS, scores
-from rendezview.evaluation.surface import Surface, alike_of
+from rendezview.evaluation.surface import ModelPoints, alike_of
 from rendezview.geometry.pose import Array
 from rendezview.io.results import read_results
 from rendezview.io.sequences import Sequence, open_sequence
@@ -67,20 +67,18 @@ def run(
     scene: Path, poses: Path, target: str, *, unit: str | None = None, toolkit: Path,
     python: Path = Path(sys.executable),
 ) -> int:  # fmt: skip
-    """Our results and measures beside those of the public BOP toolkit, in one run.
+    """Our results and measures beside those of the public BOP toolkit.
 
-    FOLDER is a checkout of the toolkit, PYTHON an interpreter with the packages that it needs.
-    The scene's truth (640 × 480, object 1) and the target are laid out as one of its data sets,
-    POSES.csv
-    is given to it as it is, and its own scripts judge it: errors (mssd, mspd, add, adi), recall,
-    and the mean average precision of `eval_bop24_pose.py`. Printed is the largest difference of
-    each error from ours, and both recalls. VSD is left out: it needs depth pictures. Exit 1 where
-    they differ.
+    --toolkit is a checkout of it, --python an interpreter with its packages. The scene's truth
+    (640 × 480, object 1) and the target are laid out as one of its data sets, and its own scripts
+    evaluate POSES: errors (mssd, mspd, add, adi), recall, and the mean average precision of
+    eval_bop24_pose.py. Printed: the largest difference of each error from ours, and both recalls.
+    VSD is left out: it needs depth images. Exit 1 where they differ.
     """
     sequence, craft = open_sequence(scene), find_target(target)
     mesh = load_mesh(craft.mesh_path, unit or craft.unit)
     points_m = mesh.vertices_m[np.unique(mesh.faces)]
-    surface = Surface.of(points_m, alike_of(craft.symmetries))
+    surface = ModelPoints.of(points_m, alike_of(craft.symmetries))
     ours = evaluate(sequence, read_results(poses), (), None, surface=surface)
     with tempfile.TemporaryDirectory() as name:
         folder, results = Path(name) / "data", Path(name) / "results"

@@ -18,10 +18,9 @@ ERRORS = (1e-3, 3e-3, 1e-2, 0.3, 2.0)  # rad and m
 def run(metrics: Path, *, pairs: int = 2000, seed: int = 3) -> int:
     """Our SPEED and SPEED+ scores beside the published code of the data set's authors.
 
-    METRICS.py is ``core/utils/metrics.py`` of a checkout of SPNv2, with its ``speed_score``.
-    Random truths and estimates, from far below the thresholds to far above, go through both;
-    printed is the largest difference. Exit 1 where they differ by more than 1e-7: the arc cosine
-    of one near 0.
+    METRICS is core/utils/metrics.py of a checkout of SPNv2, with its speed_score. Random truths and
+    estimates, from far below the thresholds to far above, go through both. Printed: the largest
+    difference. Exit 1 where it is over 1e-7, the accuracy of an arc cosine near 0.
     """
     spec = importlib.util.spec_from_file_location("spnv2_metrics", metrics)
     if spec is None or spec.loader is None:

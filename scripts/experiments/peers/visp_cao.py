@@ -25,7 +25,7 @@ Edge = tuple[int, int]
 
 @dataclass(frozen=True, kw_only=True)
 class CaoOptions:
-    """How much of a mesh is told.
+    """How much of a mesh ViSP is given.
 
     Patches of 12° hide better: with those of 35° a few edges inside hubble's tube show through its
     wall. On the frames of docs/benchmark.md ViSP's errors are the same with either, its times a

@@ -25,7 +25,7 @@ from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 
-TRACKING, WITH_NODES = "tracking, refinement only", "tracking with on nodes"
+TRACKING, WITH_NODES = "tracking, refinement only", "tracking with active nodes"
 FIRST, FLOOR = "first pose, no prior", "floor: threshold, contours, bins"
 NEAREST = "nearest of all views by FFT"
 SKLEARN = "scikit-learn, predict in a loop over the nodes"

@@ -1,4 +1,4 @@
-"""Node decisions and direction of view on held-out frames, as docs/recognizer.md reports them."""
+"""Node decisions and direction of view on held-out frames."""
 
 from __future__ import annotations
 
@@ -239,21 +239,20 @@ def run(
     views: int = 2000, seed: Annotated[int, "of the test frames"] = 1, jobs: int = -1,
     dask: Dask = None,
 ) -> None:  # fmt: skip
-    """Node decisions and direction of view on held-out frames, as docs/recognizer.md reports them.
+    """Node decisions and direction of view on held-out frames.
 
-    Trains the robust model and the paper's (or takes ``--model FILE``), then asks every node
-    within three edges about random views that neither has seen:
+    Trains the robust model (or takes --model) and the paper's, then evaluates every node within
+    three edges of random views that neither was trained on:
 
-    (a) the paper's conditions: a clean silhouette at the sphere radius, roll known; (b) real
-    frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,     off-centre
-    bearing, roll known to 1° (one σ), light from behind the camera; (c) the same frames end to
-    end: only a prior that is off by up to 20° about a random axis; (d) as (c), with the Sun up to
-    30° from behind the camera, hard shadows; (e) as (d), with the Sun 30–60° from behind the
-    camera: what shadows cost.
+    (a) the paper's conditions: a clean silhouette at the sphere radius, roll known;
+    (b) real frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,
+    off-centre bearing, roll known to 1° (one σ), light from behind the camera;
+    (c) the same frames end to end: only a prior that is off by up to 20° about a random axis;
+    (d) as (c), with the Sun up to 30° from behind the camera, hard shadows;
+    (e) as (d), with the Sun 30–60° from behind the camera.
 
-    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame
-    counts: one that gives no silhouette has all its in-decisions wrong and its out-decisions
-    right.
+    In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame counts:
+    a frame without a silhouette has all its in-decisions wrong and its out-decisions right.
     """
     found = Target.load(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)

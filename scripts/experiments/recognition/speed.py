@@ -1,4 +1,4 @@
-"""Time from an 8-bit frame to the on nodes, beside the floor of that frame, in one run."""
+"""Time from an 8-bit frame to the active nodes, beside the floor of that frame, in one run."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def run(
     lines |= {"floor: together": floor_ms}
     lines |= {f"recognizer: {name}": ms for name, ms in medians.items()}
     lines |= {
-        "recognizer: frame to on nodes": to_nodes,
+        "recognizer: frame to active nodes": to_nodes,
         "recognizer: frame to pose": float(np.median(whole)),
         f"all {len(views.forest)} trees": trees_ms,
     }
@@ -143,4 +143,4 @@ def run(
         rows.add_row(name, f"{ms:.3f}", f"{ms / floor_ms:.2f}")
     show(rows, width=100)
     ratio = to_nodes / floor_ms
-    print(f"frame to on nodes / floor: {ratio:.2f}; all trees {1e3 * trees_ms:.1f} µs")
+    print(f"frame to active nodes / floor: {ratio:.2f}; all trees {1e3 * trees_ms:.1f} µs")

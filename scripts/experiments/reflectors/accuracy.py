@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cache
 from typing import Annotated
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from experiments.frame import show, table_of, two
 from experiments.reflectors.run import CAMERA, CLIENT
 from rendezview.geometry.pose import Pose, minimal_rotation
 from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
     Acquirer,
+    ClosedFormCalibration,
     LitDark,
     SixNumbers,
     calibrate,
@@ -114,6 +116,49 @@ def pixel_bound(pattern: ReflectorPattern, pose: Pose) -> float:
     return math.sqrt(float(np.mean(bounds)))
 
 
+@cache
+def acquirer() -> tuple[ReflectorPattern, Acquirer]:
+    """The far target, and what finds it."""
+    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
+    return pattern, Acquirer(CAMERA, [pattern])
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A pair of pictures whose three spots are named as in truth."""
+
+    pose: Pose
+    six: np.ndarray  # true
+    truth_px: np.ndarray  # (3, 2) where the spots are
+    spots_px: np.ndarray  # (3, 2) measured
+    sigma_px: np.ndarray  # (3,)
+    refined: Pose  # from the spots
+
+
+def read(rng: np.random.Generator, range_m: float) -> Reading | None:
+    """One random pair, read on its own; None where the acquirer finds no three spots."""
+    pattern, finder = acquirer()
+    pose, six = random_pose(rng, pattern, range_m)
+    spots = find_spots(LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)))
+    found = finder.acquire(spots)
+    if found.refined is None or found.reflectors is None or len(found.reflectors) < 3:
+        return None
+    where = np.empty(3, np.int64)
+    where[found.reflectors] = found.spot_indices
+    refined = found.refined
+    truth_px = predict_spots(CAMERA, pattern, pose)
+    if np.linalg.norm(spots.centroids_px[where[0]] - truth_px[0]) > 2.0:
+        # The target looks the same half a turn away: name left and right as in truth.
+        where = where[[2, 1, 0]]
+        sigma_px = np.maximum(spots.sigma_px[where], 1e-3)
+        refined = refine(CAMERA, pattern, spots.centroids_px[where], [0, 1, 2], pose, sigma_px)
+        assert refined is not None
+    return Reading(
+        pose, values(six), truth_px, spots.centroids_px[where], spots.sigma_px[where],
+        refined.camera_from_target,
+    )  # fmt: skip
+
+
 def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) -> None:
     """All six numbers against the Cramér–Rao bound, from 12 m to 1 m, on simulated pictures.
 
@@ -121,106 +166,60 @@ def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) 
     models_cad/client), tilt up to 30° in any direction, any roll within ±85°, the target anywhere
     in the picture. Every pair of pictures is read on its own.
 
-    *Bound of the spots*: the six numbers' standard deviations that the spots' own errors force on
-    any unbiased estimate (three spots, six numbers: J Σ Jᵀ), Σ scaled to the errors that the
+    *Bound of the spots*: the standard deviations that the spots' own errors force on any unbiased
+    estimate of the six numbers (three spots, six numbers: J Σ Jᵀ), Σ scaled to the errors that the
     centroids really have against the truth. *Bound of the pixels*: the least error of a centroid
     of a spot of known shape under the pictures' noise, σ² = σ_n² / Σ (∂I/∂x)².
     """
-    pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
+    pattern, _ = acquirer()
     rng = np.random.default_rng(seed)
-    acquirer = Acquirer(CAMERA, [pattern])
-    ratios = Table(title=f"RMS error over the bound of the spots, {frames} pairs, "
-                   f"seed {seed}")  # fmt: skip
-    sizes = Table(title="median bound → median error (bound's σ × 0.674 would be the median)")
-    plain = Table(title="closed form with calibration: median / 95 %")
-    for table in (ratios, sizes, plain):
-        table.add_column("range m", justify="right")
-    for name in ("no pose", "spot RMS px", "spot bias px", "/ pixel bound", *NAMES):
-        ratios.add_column(name, justify="right")
-    for name in ("range %", "azimuth °", "elevation °", "roll °", "pitch °", "yaw °"):
-        sizes.add_column(name, justify="right")
-        plain.add_column(name, justify="right")
-    constants = learn(seed + 1000, pattern)
+    title = f"RMS error over the bound of the spots, {frames} pairs, seed {seed}"
+    columns = ("range m", "no pose", "spot RMS px", "spot bias px", "/ pixel bound", *NAMES)
+    ratios = table_of(title, columns, left=0)
+    columns = ("range m", "range %", *(f"{name} °" for name in NAMES[1:]))
+    title = "median bound → median error (bound's σ × 0.674 would be the median)"
+    sizes = table_of(title, columns, left=0)
+    plain = table_of("closed form with calibration: median / 95 %", columns, left=0)
+    constants = learn(seed + 1000)
     worst = 0.0
     for range_m in RANGES_M:
-        errors, bounds, spot_errors, spot_sigmas, closed, px_bound = [], [], [], [], [], []
-        missed = 0
-        for _ in range(frames):
-            pose, six = random_pose(rng, pattern, range_m)
-            lit, dark = render_pair(CAMERA, pattern, pose, OPTIONS, rng)
-            spots = find_spots(LitDark(lit, dark))
-            truth_px = predict_spots(CAMERA, pattern, pose)
-            found = acquirer.acquire(spots)
-            if found.refined is None or len(found.reflectors) < 3:
-                missed += 1
-                continue
-            where = np.empty(3, np.int64)
-            where[found.reflectors] = found.spot_indices
-            result = found.refined
-            if np.linalg.norm(spots.centroids_px[where[0]] - truth_px[0]) > 2.0:
-                # The target looks the same half a turn away: name left and right as in truth.
-                where = where[[2, 1, 0]]
-                result = refine(
-                    CAMERA, pattern, spots.centroids_px[where], [0, 1, 2], pose,
-                    np.maximum(spots.sigma_px[where], 1e-3),
-                )  # fmt: skip
-                assert result is not None
-            spot_errors.append(spots.centroids_px[where] - truth_px)
-            spot_sigmas.append(spots.sigma_px[where])
-            errors.append(values(six_numbers(result.camera_from_target, pattern)) - values(six))
-            bounds.append((six_by_spots(pattern, pose), spots.sigma_px[where]))
-            if len(px_bound) < 10:
-                px_bound.append(pixel_bound(pattern, pose))
-            answer = closed_form(CAMERA, pattern, spots.centroids_px[where], constants)
-            if answer is not None:
-                closed.append(values(answer) - values(six))
-        spot_error, spot_sigma = np.array(spot_errors), np.array(spot_sigmas)
+        tried = [read(rng, range_m) for _ in range(frames)]
+        readings = [reading for reading in tried if reading is not None]
+        spot_error = np.array([r.spots_px - r.truth_px for r in readings])
+        spot_sigma = np.array([r.sigma_px for r in readings])
         scale = math.sqrt(float(np.mean((spot_error / spot_sigma[..., None]) ** 2)))
-        bound = np.array([np.sqrt((j**2) @ np.repeat((scale * s) ** 2, 2)) for j, s in bounds])
-        error = np.array(errors)
+        bound = np.array(
+            [
+                np.sqrt(
+                    six_by_spots(pattern, r.pose) ** 2 @ np.repeat((scale * r.sigma_px) ** 2, 2)
+                )
+                for r in readings
+            ]
+        )
+        error = np.array([values(six_numbers(r.refined, pattern)) - r.six for r in readings])
         ratio = np.sqrt(np.mean((error / bound) ** 2, axis=0))
         worst = max(worst, float(np.max(np.abs(ratio - 1.0))))
         rms = math.sqrt(float(np.mean(spot_error**2)))
+        least = np.mean([pixel_bound(pattern, r.pose) for r in readings[:10]])
+        bias = np.abs(spot_error.mean((0, 1))).max()
         ratios.add_row(
-            f"{range_m:g}", str(missed), f"{rms:.4f}",
-            f"{np.abs(spot_error.mean((0, 1))).max():.4f}",
-            f"{rms / np.mean(px_bound):.2f}", *[f"{r:.2f}" for r in ratio],
+            f"{range_m:g}", str(frames - len(readings)), f"{rms:.4f}", f"{bias:.4f}",
+            f"{rms / least:.2f}", *[f"{r:.2f}" for r in ratio],
         )  # fmt: skip
         units = np.array([100.0 / range_m, *([180.0 / math.pi] * 5)])
-        sizes.add_row(
-            f"{range_m:g}",
-            *[f"{b:.4f} → {e:.4f}" for b, e in zip(np.median(bound, axis=0) * units,
-                                                    np.median(np.abs(error), axis=0) * units,
-                                                    strict=True)],
-        )  # fmt: skip
-        rough = np.abs(np.array(closed)) * units
-        plain.add_row(
-            f"{range_m:g}",
-            *[f"{a:.3f} / {b:.3f}" for a, b in zip(np.median(rough, axis=0),
-                                                   np.quantile(rough, 0.95, axis=0), strict=True)],
-        )  # fmt: skip
-    console = Console(width=150)
-    for table in (ratios, sizes, plain):
-        console.print(table)
+        medians = zip(*(np.median(np.abs(v), axis=0) * units for v in (bound, error)), strict=True)
+        sizes.add_row(f"{range_m:g}", *[f"{b:.4f} → {e:.4f}" for b, e in medians])
+        answers = [(closed_form(CAMERA, pattern, r.spots_px, constants), r.six) for r in readings]
+        rough = np.abs([values(six) - true for six, true in answers if six is not None]) * units
+        plain.add_row(f"{range_m:g}", *[two(column) for column in rough.T])
+    show(ratios, sizes, plain, width=150)
     print(f"largest departure of a ratio from 1: {worst:.3f}")
 
 
-def learn(seed: int, pattern: ReflectorPattern):
-    """ClosedFormCalibration of the closed form on 300 other pairs, 1 to 12 m."""
+def learn(seed: int) -> ClosedFormCalibration:
+    """Constants of the closed form, of 300 other pairs, 1 to 12 m."""
     rng = np.random.default_rng(seed)
-    acquirer = Acquirer(CAMERA, [pattern])
-    readings = []
-    for _ in range(300):
-        pose, six = random_pose(rng, pattern, math.exp(rng.uniform(0.0, math.log(12.0))))
-        spots = find_spots(LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)))
-        found = acquirer.acquire(spots)
-        if found.refined is None:
-            continue
-        where = np.empty(3, np.int64)
-        where[found.reflectors] = found.spot_indices
-        places = spots.centroids_px[where]
-        if np.linalg.norm(places[0] - predict_spots(CAMERA, pattern, pose)[0]) > 2.0:
-            places = places[::-1]
-        readings.append((places, six))
+    tried = [read(rng, math.exp(rng.uniform(0.0, math.log(12.0)))) for _ in range(300)]
+    readings = [(r.spots_px, SixNumbers(*r.six)) for r in tried if r is not None]
     print(f"closed form calibrated on {len(readings)} of 300 pairs, seed {seed}")
-    return calibrate(CAMERA, pattern, readings)
+    return calibrate(CAMERA, acquirer()[0], readings)

@@ -1,4 +1,4 @@
-"""Acquisition among glints and foil: found when three spots are visible, and never falsely."""
+"""Acquisition among glints and foil: rate of finds, false finds and false locks."""
 
 from __future__ import annotations
 
@@ -68,23 +68,20 @@ def run(
     *, frames: int = 2500, seed: int = 39,
     tell: Annotated[bool, "say what was missed or false"] = False,
 ) -> None:  # fmt: skip
-    """Acquisition among glints and foil: found when three spots are visible, and never falsely.
+    """Acquisition among glints and foil: rate of finds, false finds and false locks.
 
-    Every pair is searched on its own, without memory. In a tenth of the pairs one or more
-    reflectors
-    are hidden, or there is no target: nothing may be found there. All have a crumpled sheet of
-    sunlit foil (12 to 40 facets, some saturated, moving and flickering between the pictures),
-    half of them the Earth or stars, and up to six false spots that only the lit picture has, as
-    large and as bright as reflectors. A reflector counts as visible when neither foil nor a false
-    spot adds more than 4 % of its own light within its spot.
+    Every pair is searched on its own. In a tenth of the pairs one or more reflectors are hidden, or
+    there is no target: nothing may be found there. All have a crumpled sheet of sunlit foil (12 to
+    40 facets, some saturated, moving and flickering between the pictures), half of them the Earth
+    or stars, and up to six false spots that only the lit picture has, as large and bright as
+    reflectors. A reflector is visible if neither foil nor a false spot adds more than 4 % of its
+    own light within its spot.
 
-    A find that is false is looked at again, as the sensor does before it locks: half a second
-    later, the target 1 % nearer and turned by a degree, the foil's facets as bright as ever in
-    their places or 30 % off (flicker), a false spot in its place with probability ½ and elsewhere
-    if not. Only a find that agrees with the first is a lock.
-
-    A find is false when its pose is off by more than 3 % of range, or a spot is not the reflector
-    it is said to be; half a turn of roll is no error, three reflectors look the same then.
+    A false find is read again, as the sensor does before it locks: half a second later, the target
+    1 % nearer and turned by a degree, the foil's facets as bright in their places or 30 % off, a
+    false spot in its place with probability ½ and elsewhere otherwise. A find that agrees with the
+    first is a lock. A find is false if its pose is off by more than 3 % of range, or a spot is
+    assigned to the wrong reflector; half a turn of roll is no error: three reflectors look alike.
     """
     rng = np.random.default_rng(seed)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]

@@ -1,4 +1,4 @@
-"""Centroids of spots in a real picture, beside an independent catalogue of the same picture."""
+"""Centroids of spots in a real picture of stars, beside an independent catalogue."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def read_catalogue(path: Path) -> np.ndarray:
 def run(
     picture: Path, catalogue: Path, *, scale: Annotated[float, "grey levels a count"] = 0.05
 ) -> None:
-    """Centroids of spots in a real picture, beside an independent catalogue of the same picture.
+    """Centroids of spots in a real picture of stars, beside an independent catalogue.
 
-    PICTURE is a FITS image of stars and CATALOGUE what SExtractor makes of it, with the columns
+    PICTURE is a FITS image of stars and CATALOGUE SExtractor's list of it, with the columns
     XWIN_IMAGE and YWIN_IMAGE (its windowed centroids). Such a pair is data/image.fits and
-    data/image.cat of the sources of `sep` (github.com/kbarbary/sep). The picture is brought to 8
-    bits, as a sensor's would be: median taken off, times ``scale``, so that its noise is a few
-    grey levels; what that saturates is left out. Nothing of the method was chosen on it.
+    data/image.cat of the sources of sep (github.com/kbarbary/sep). The picture is brought to 8
+    bits, as a sensor's: median subtracted, times --scale, so that its noise is a few grey levels;
+    saturated spots are left out. Nothing of the method was chosen on it.
     """
     pixels = read_fits(picture)
     known = read_catalogue(catalogue)

@@ -1,4 +1,4 @@
-"""A million P3P problems through the default solver, and its peers on a sample of the same."""
+"""A million P3P problems through the default solver, and its peers on a sample."""
 
 from __future__ import annotations
 
@@ -186,14 +186,13 @@ def run(
     *, count: int = 1000000, peers: Annotated[int, "problems of each class for peers"] = 1000,
     seed: int = 11,
 ) -> None:  # fmt: skip
-    """A million P3P problems through the default solver, and its peers on a sample of the same.
+    """A million P3P problems through the default solver, and its peers on a sample.
 
-    Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), seen at right
-    angles (post, or a side, square to the line of sight; right-angled triangles), random
-    triangles, and near the cylinder over the reflectors' circle where two poses fall together
-    (distance from it log-uniform from 1e-6 to 1e-1 of its radius). The error of a pose is the
-    larger of its rotation error (rad) and its position error over range; that of a problem the
-    least over its roots.
+    Classes: the guidance target at any tilt up to 40°, exactly head-on (any roll), at right angles
+    (post, or a side, square to the line of sight; right-angled triangles), random triangles, and
+    near the cylinder over the reflectors' circle where two poses coincide (distance from it
+    log-uniform from 1e-6 to 1e-1 of its radius). The error of a pose is the larger of its rotation
+    error (rad) and its position error over range; that of a problem is the least over its roots.
     """
     rng = np.random.default_rng(seed)
     cv2.setNumThreads(1)

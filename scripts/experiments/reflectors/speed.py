@@ -1,4 +1,4 @@
-"""Time of a reading beside threshold + contours + moments of the same pictures, in one run."""
+"""Time of a reading beside threshold, contours and moments of the same pictures."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ def tracking(pattern: ReflectorPattern, pairs: list[LitDark]) -> Callable[[], No
 
 
 def run(*, seed: int = 41) -> None:
-    """Time of a reading beside threshold + contours + moments of the same pictures, in one run.
+    """Time of a reading beside threshold, contours and moments of the same pictures.
 
-    512 × 384 pairs of the paper's target at 12, 6, 3 and 1.5 m; 200 false spots for the triplets;
-    a batch of P3P. One thread; the least of repeated medians, so that other work on the machine
-    counts little. Compare the ratios, not the milliseconds.
+    512 × 384 pairs of the paper's target at 12, 6, 3 and 1.5 m; 200 false spots for the triplets; a
+    batch of P3P. One thread; the least of repeated medians. Compare the ratios, not the
+    milliseconds.
     """
     cv2.setNumThreads(1)
     rng = np.random.default_rng(seed)

@@ -114,7 +114,7 @@ def nearer(poses: Sequence[CirclePose], circle: Circle) -> CirclePose:
 def accuracy(seed: int, count: int, peer: Path | None) -> None:
     """Errors of the right answers, case by case."""
     columns = ("case", "detector", "right", "centre, % of range", "axis, degrees", "NEES / 5",
-               "sign of tilt told / wrong")  # fmt: skip
+               "sign of tilt given / wrong")  # fmt: skip
     rows = table_of(f"accuracy, {count} frames a case, seed {seed}: median / 95 %", columns, left=7)
     for number, (case, options) in enumerate(CASES.items()):
         ours: list[tuple[float, float]] = []

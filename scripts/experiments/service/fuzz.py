@@ -279,11 +279,11 @@ def run(
 ) -> None:  # fmt: skip
     """Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
 
-    Frames of all kinds and lines of other sensors, damaged in all ways, by HTTP and by WebSocket;
-    JSON that is almost right; raw bytes that are no HTTP; connections that break off. A server
-    error (5xx other than 503), an answer that takes more than 10 s, a worker that ends, a session
-    that stays, or a service that no longer tracks a good frame is a failure. With --schemathesis
-    (installed apart, as it brings a great deal) its own cases are made from the OpenAPI too.
+    Damaged frames of all kinds and lines of other sensors, by HTTP and WebSocket; JSON that is
+    almost right; raw bytes that are not HTTP; broken connections. Failures: a server error (5xx
+    other than 503), an answer that takes more than 10 s, a worker that ends, a session that
+    remains, or a service that no longer tracks a good frame. --schemathesis (installed apart)
+    adds cases made from the OpenAPI description.
     """
     served = Served(model)
     fuzz = Fuzz(served, seed)

@@ -1,4 +1,4 @@
-"""Kill the recording service again and again, and count acknowledged poses that are lost."""
+"""Kill the recording service repeatedly, and count acknowledged poses that are lost."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def states_of(path: Path) -> dict[int, dict]:
 
 
 def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
-    """Kill the recording service again and again, and count acknowledged poses that are lost.
+    """Kill the recording service repeatedly, and count acknowledged poses that are lost.
 
-    Each time a service is started with a log, two clients send frames as fast as they are
-    answered, and after a random while the whole process group gets `kill -9`. Then the log is
-    read as it was left, and once more after it is mended, by the reader of the `mcap` package.
-    What was answered with ``"recorded": true`` must be there, number for number.
+    Each time a service starts with a log, two clients send frames as fast as they are answered,
+    and after a random time the whole process group gets kill -9. The log is read as it was left,
+    and again after mending, by the reader of the mcap package. Every answer with
+    "recorded": true must be there, number for number.
     """
     rng = np.random.default_rng(seed)
     acknowledged_in_all = lost = unreadable = cut_files = cut_bytes = 0

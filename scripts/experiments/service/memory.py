@@ -41,10 +41,10 @@ def run(
 ) -> None:
     """Memory of the service's processes over many frames, recording and history on.
 
-    SCENE's frames go to and fro, shrunk (--shrink) so that the count is reached in minutes: what
-    would leak, it would leak by the frame. Half of them go by requests, half by a stream, and one
-    in 500 to a session that is opened for it and closed. With --history-s (10) the last seconds
-    are full soon, and what grows after that is a leak.
+    SCENE's frames run forward and backward, shrunk (--shrink) so that the count is reached in
+    minutes: a leak would grow with the number of frames. Half of them go by requests, half by a
+    stream, and one in 500 to a session that is opened for it and closed. With a short history
+    (--history-s) memory is full soon, and later growth is a leak.
     """
     loop = shrunk(Loop(scene), shrink)
     # All frames come from one address, faster than any camera.

@@ -1,4 +1,4 @@
-"""When the page is first of use, and how many updates a second it draws."""
+"""Load time and update rate of the page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RATE_HZ = 30.0
 
 
 def stream(url: str, loop: Loop, done: threading.Event) -> None:
-    """Frames at 30 a second until told to end; answers are read and forgotten."""
+    """Frames at 30 a second until `done` is set; answers are discarded."""
     with (
         Client(url) as client,
         client.open(loop.camera, prior=loop.prior, name="page").stream() as frames,
@@ -82,14 +82,13 @@ def run(
     model: Path, scene: Path, *, loads: int = 7, seconds: int = 30, screenshot: Path | None = None,
     browser: str | None = shutil.which("chromium"),
 ) -> None:  # fmt: skip
-    """When the page is first of use, and how many updates a second it draws.
+    """Load time and update rate of the page.
 
-    SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target. A
-    service on a free port of this machine gets the scene as a stream of 30 frames a second; a
-    Chromium without a window watches it at 1280 × 800. "Of use" is when a camera picture, the
-    word that says how things stand and the pose's numbers have been drawn, counted from the start
-    of the navigation, with nothing in the browser's cache. Beside the page a plain watcher,
-    without a browser, counts the states that the service shows.
+    SCENE is a folder that rendezview simulate wrote, 640 × 480, of the model's target. A service on
+    a free port receives the scene as a stream of 30 frames a second; a Chromium without a window
+    watches it at 1280 × 800. The page is useful when a camera image, the status word and the pose
+    are drawn; the time counts from the start of the navigation, with an empty cache. A plain
+    watcher without a browser counts the states that the service sends.
     """
     served = Served(model, "--workers", "1")
     done = threading.Event()

@@ -1,4 +1,4 @@
-"""What the service costs over the bare tracker call, and what several clients share."""
+"""Cost of the service over the bare tracker call, and throughput with several clients."""
 
 from __future__ import annotations
 
@@ -175,12 +175,11 @@ def run(
     frames: Annotated[int, "of all clients; 0: for 15 s"] = 0, rounds: int = 20,
     only: Literal["overhead", "many"] | None = None, client: str | None = None,
 ) -> None:  # fmt: skip
-    """What the service costs over the bare tracker call, and what several clients share.
+    """Cost of the service over the bare tracker call, and throughput with several clients.
 
-    SCENE is a folder that `rendezview simulate` wrote, 640 × 480, of the model's target, moving
+    SCENE is a folder that rendezview simulate wrote, 640 × 480, of the model's target, moving
     little from frame to frame (--dt 0.0333 --jitter 0 --turn 10). The service runs on a free port
-    of this machine; the bare calls run in a process of their own, in turns with the service's, so
-    that what else the machine does falls on both.
+    of this machine; bare calls and the service take turns, so that other load disturbs both.
     """
     cv2.setNumThreads(1)
     if client:

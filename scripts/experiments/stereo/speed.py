@@ -23,9 +23,8 @@ LOG_TIMES = 4
 def run(*, target: str = "models_cad/scole", seed: int = 21) -> None:
     """Readings a second of the stereo LED tracker, from currents to a pose with covariance.
 
-    One core, best and median of repeated runs in one process; wall clock, and the processor's
-    time of this process where the machine is shared. The peer is the paper's solver written
-    plainly in numpy (one iteration a reading), in the same run.
+    One core, best and median of repeated runs in one process: wall clock, and processor time for
+    shared machines. The peer is the paper's solver in plain numpy (one iteration a reading).
     """
     craft = Target.load(target)
     leds = np.array([led.position_m for led in craft.leds])

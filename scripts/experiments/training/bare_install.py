@@ -1,4 +1,4 @@
-"""Check that a plain install flies: no extras, only what `pip install rendezview` brings."""
+"""Check that a plain install tracks: no extras, only what pip install rendezview brings."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ SIMULATE = "client --trajectory circular --frames 5 --jobs 1"
 
 
 def run(*, keep: Annotated[Path | None, "folder to work in, kept afterwards"] = None) -> int:
-    """Check that a plain install flies: no extras, only what `pip install rendezview` brings.
+    """Check that a plain install tracks: no extras, only what pip install rendezview brings.
 
-    Builds a wheel, installs it into a fresh virtual environment without extras, tracks a scene
-    with a model (both made here, with the packages of this interpreter), imports the recognition,
-    and looks at what the ground side's commands say. Takes some minutes, most of them the
-    download.
+    Builds a wheel, installs it into a new virtual environment without extras, tracks a scene with
+    a model (both made here), imports the recognition, and checks the messages of the ground side's
+    commands. Takes some minutes, most of them for downloads.
     """
     if keep:
         keep.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The network that tells target from bright sky, learned from random spacecraft."""
+"""Train the network that separates target and bright sky, on random spacecraft."""
 
 from __future__ import annotations
 
@@ -195,13 +195,11 @@ def run(
     frames: Path, network: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
     steps: Annotated[int, f"of {BATCH} pictures"] = 7000, seed: int = 7,
 ) -> None:  # fmt: skip
-    """The network that tells target from bright sky, learned from random spacecraft.
+    """Train the network that separates target and bright sky, on random spacecraft.
 
-        pip install jax optax onnx
-
-    Draws pictures (``simulation/foreground_frames.py``) into FRAMES, learns on all but the first
-    64, and writes the network whenever it has printed how well it does on those. An hour on two
-    cores.
+    Needs jax, optax and onnx. Draws images (simulation/foreground_frames.py) into FRAMES, trains on
+    all but the first 64, and writes the network whenever it has printed its overlap on those 64.
+    An hour on two cores.
     """
     pictures, covers = draw(frames, count, seed)
     rng = np.random.default_rng(seed)

@@ -153,14 +153,14 @@ def kill(target: str, workers: int, runs: int, seed: int) -> None:
             killed = []
 
             def progress(
-                told: str,
+                reported: str,
                 done: int,
                 of: int,
                 at: tuple[str, int] = (stage, after),
                 victim: int = victim,
                 killed: list[int] = killed,
             ) -> None:
-                if (told, done) == at and not killed:
+                if (reported, done) == at and not killed:
                     os.kill(victim, signal.SIGKILL)
                     killed.append(victim)
 

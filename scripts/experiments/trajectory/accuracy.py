@@ -1,9 +1,10 @@
-"""Accuracy of segments, predictions and spin, docs/trajectory.md."""
+"""Errors of segments, predictions and spin."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -30,28 +31,15 @@ SHAPES = {"circular": Shape.CIRCULAR, "spiral": Shape.SPIRAL, "vbar": Shape.VBAR
 
 
 def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, PointCloud]:
-    """On nodes alone; refined poses, with the target's attitude as reference and with one's own."""
+    """Of active nodes; of refined poses, by the target's attitude and by the chaser's own."""
     centre, times = data["centre_m"], data["times_s"]
     nodes = PointCloud.of_nodes(
         times[data["node_frame"]], data["node_m"] - centre, data["node_weight"]
     )
-    parts = [
-        camera_place(Pose(rotation, translation), covariance, centre)
-        for rotation, translation, covariance in zip(
-            data["rotation"], data["translation_m"], data["covariance"], strict=True
-        )
-    ]
-    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
-    refined = PointCloud.of_places(times[data["pose_frame"]], places, spreads)
+    refined = PointCloud.of_places(times[data["pose_frame"]], *placed(camera_place, data))
     # The camera's axes known to the chaser, so that the target's attitude takes no part.
     known = np.swapaxes(data["jitter"] @ data["true_rotation"], 1, 2)[data["pose_frame"]]
-    parts = [
-        centre_place(Pose(rotation, translation), covariance, centre)
-        for rotation, translation, covariance in zip(
-            data["rotation"], data["translation_m"], data["covariance"], strict=True
-        )
-    ]
-    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
+    places, spreads = placed(centre_place, data)
     own = PointCloud.of_places(
         times[data["pose_frame"]],
         np.einsum("nij,nj->ni", known, places),
@@ -63,8 +51,18 @@ def clouds(data: dict[str, Array], between: Interpolator | None) -> dict[str, Po
     return found
 
 
+def placed(
+    place_of: Callable[[Pose, Array, Array], tuple[Array, Array]], data: dict[str, Array]
+) -> tuple[Array, Array]:
+    """Places (N, 3) and covariances (N, 3, 3) of the refined poses."""
+    poses = zip(data["rotation"], data["translation_m"], data["covariance"], strict=True)
+    parts = [place_of(Pose(turn, move), spread, data["centre_m"]) for turn, move, spread in poses]
+    places, spreads = (np.array(part) for part in zip(*parts, strict=True))
+    return places, spreads
+
+
 def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
-    """Times, points about the centre and weights, from stored signatures and on nodes alone."""
+    """Times, points about the centre and weights, from stored signatures and active nodes alone."""
     times, points, weights = [], [], []
     for k, frame in enumerate(data["outline_frame"]):
         on = data["node_frame"] == frame
@@ -88,7 +86,7 @@ def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array,
 def spins(
     data: dict[str, Array], kind: str, between: Interpolator | None
 ) -> dict[str, Spin | Nothing]:
-    """From directions of on nodes, from attitudes with the chaser's own known."""
+    """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
     attitudes = back @ data["rotation"]
@@ -153,47 +151,60 @@ def row(name: str, values: list[Array], count: int) -> str:
     return f"| {name} | {len(values)} of {count} | " + " | ".join(cells) + " |"
 
 
+def judge(
+    kinds: tuple[str, ...],
+    kept: dict[tuple[str, int], dict[str, Array]],
+    errors: Callable[..., Array],
+    fits: Callable[[dict[str, Array], str], Mapping[str, Any]],
+) -> None:
+    """Print a row for each kind of path and source of points."""
+    for kind in kinds:
+        there = [seed for one, seed in kept if one == kind]
+        found = {seed: fits(kept[kind, seed], kind) for seed in there}
+        for source in found[there[0]] if there else ():
+            values = []
+            for seed in there:
+                fit = found[seed][source]
+                if isinstance(fit, Nothing):
+                    print(f"{kind} {source} seed {seed}: {fit.reason}")
+                else:
+                    values.append(errors(fit, kept[kind, seed], kind, seed))
+            print(row(f"{kind}, {source}", values, len(there)))
+
+
 def run(
     folder: Path, *, target: str = "client", seeds: tuple[int, int] = (0, 20),
     model: Annotated[Path | None, "also between its nodes (has far readings)"] = None,
 ) -> None:  # fmt: skip
-    """Accuracy of segments, predictions and spin, docs/trajectory.md.
+    """Errors of segments, predictions and spin.
 
-    One segment of 100 frames each; seeds of which no file is there are left out. Position errors
-    are medians over the segment, and over the next one predicted, as parts of the range. "nodes":
-    the trees alone. "between nodes": the signatures stored around them (``--model``). "refined":
-    refined poses. "own attitude": the chaser knows its own in the path's axes (a star tracker),
-    and the target's takes no part in the place. For circular and spiral the spin is that of the
-    target in the frame of the line of sight; pointing jitter is taken as known to the chaser (its
-    own attitude). NEES is of the place in the middle, three for perfect statistics. Rows: median,
-    90 % and largest over the seeds.
+    FOLDER is that of trajectory-frames; seeds without a file are left out. Position errors are
+    medians over the segment, and over the next one predicted, as parts of the range. "nodes": the
+    trees only. "between nodes": the signatures stored around the nodes (--model). "refined":
+    refined poses. "own attitude": the chaser knows its own attitude (a star tracker), and the
+    target's attitude is not used for the place. For circular and spiral, the spin is that of the
+    target in the frame of the line of sight; the chaser knows its pointing jitter. NEES is of the
+    place in the middle: three for perfect statistics. Rows: median, 90 % and largest over seeds.
     """
     between = None if model is None else Interpolator(ViewModel.load(model))
-    chosen = range(*seeds)
     print("| segments | fitted | position, % of range | predicted, % of range | NEES |")
     print("|---|---|---|---|---|")
     kept: dict[tuple[str, int], dict[str, Array]] = {}
     for kind in KINDS:
-        for seed in chosen:
+        for seed in range(*seeds):
             path = folder / f"{target}-{kind}-{seed}.npz"
             if not path.exists():
                 continue
             with np.load(path) as file:
                 kept[kind, seed] = {name: file[name] for name in file.files}
-    frame_errors: list[float] = []
-    for kind, shape in SHAPES.items():
-        there = [seed for seed in chosen if (kind, seed) in kept]
-        found = {seed: clouds(kept[kind, seed], between) for seed in there}
-        for source in found[there[0]] if there else ():
-            values = []
-            for seed in there:
-                data = kept[kind, seed]
-                segment = fit_segment(found[seed][source], shape)
-                if isinstance(segment, Nothing):
-                    print(f"{kind} {source} seed {seed}: {segment.reason}")
-                    continue
-                values.append(segment_errors(segment, data, kind, seed))
-            print(row(f"{kind}, {source}", values, len(there)))
+    judge(
+        tuple(SHAPES), kept, segment_errors,
+        lambda data, kind: {
+            source: fit_segment(cloud, SHAPES[kind])
+            for source, cloud in clouds(data, between).items()
+        },
+    )  # fmt: skip
+    frame_errors = []
     for data in kept.values():
         places = clouds(data, None)["refined"].places_m + data["centre_m"]
         truth = data["truth_m"][data["pose_frame"]]
@@ -203,15 +214,5 @@ def run(
     print()
     print("| spin | fitted | rate, % | axis, ° | position, % of range | predicted, % |")
     print("|---|---|---|---|---|---|")
-    for kind in ("spin", "tumble", "circular", "spiral"):
-        there = [seed for seed in chosen if (kind, seed) in kept]
-        turns = {seed: spins(kept[kind, seed], kind, between) for seed in there}
-        for source in turns[there[0]] if there else ():
-            values = []
-            for seed in there:
-                spin = turns[seed][source]
-                if isinstance(spin, Nothing):
-                    print(f"{kind} {source} seed {seed}: {spin.reason}")
-                    continue
-                values.append(spin_errors(spin, kept[kind, seed], kind, seed))
-            print(row(f"{kind}, {source}", values, len(there)))
+    turning = ("spin", "tumble", "circular", "spiral")
+    judge(turning, kept, spin_errors, lambda data, kind: spins(data, kind, between))

@@ -1,4 +1,4 @@
-"""Straight approaches until the target overflows the picture, docs/trajectory.md."""
+"""Straight approaches until the target overflows the image."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ def run(
     model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
     seeds: tuple[int, int] = (0, 6), frames: int = 60,
 ) -> None:  # fmt: skip
-    """Straight approaches until the target overflows the picture, docs/trajectory.md.
+    """Straight approaches until the target overflows the image.
 
     From 3 to 1.15 target radii, each seed from another direction, 640 × 480 pixels, 53° across,
     drawn by our own simulator, the Sun 20° from behind the camera; the first prior is 3° off.
-    Printed: frames with a pose within 5°, frames without a pose, wrong ones, and the attitude's
-    error in the median of all frames and of those nearer than 1.6 radii.
+    Printed: frames with a pose within 5°, frames without a pose, wrong ones, and the median
+    attitude error of all frames and of those nearer than 1.6 radii.
     """
     views = ViewModel.load(model)
     craft = find_target(target)

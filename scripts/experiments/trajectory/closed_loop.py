@@ -1,4 +1,4 @@
-"""Closed loop, docs/trajectory.md: frames, recognition, fit and correction, or none of it."""
+"""Closed loop: frames, recognition, fit and correction, beside flights without correction."""
 
 from __future__ import annotations
 
@@ -97,17 +97,17 @@ def flights(
 def run(
     model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
     kinds: list[str] = KINDS, seeds: tuple[int, int] = (0, 20),
-    nodes: Annotated[bool, "on nodes alone, no refinement"] = False,
+    nodes: Annotated[bool, "active nodes alone, no refinement"] = False,
     by_target: Annotated[bool, "no star tracker: the target's attitude instead"] = False,
 ) -> None:  # fmt: skip
-    """Closed loop, docs/trajectory.md: frames, recognition, fit and correction, or none of it.
+    """Closed loop: frames, recognition, fit and correction, beside flights without correction.
 
     Each flight lasts 1200 s, a frame every 10 s (640 × 480, 53° across, drawn at the true pose by
-    our own simulator, Sun behind the camera). Mean motion 0.0011 rad/s. The first frame's
-    attitude is given to 20°. circular: one turn at 3.6 target radii in the plane of the orbit;
-    spiral: one turn from 5 to 3.6 radii; vbar: from 6 to 3.6 radii along the orbital velocity,
-    with three hops. A star tracker tells the chaser's own attitude to 0.02°. The same errors are
-    flown without corrections. Printed: root mean square distance to the plan, and the ratio.
+    our own simulator, Sun behind the camera). Mean motion 0.0011 rad/s. The first frame's attitude
+    is given to 20°. circular: one turn at 3.6 target radii in the plane of the orbit; spiral: one
+    turn from 5 to 3.6 radii; vbar: from 6 to 3.6 radii along the orbital velocity, with three
+    hops. A star tracker gives the chaser's own attitude to 0.02°. The same errors are flown without
+    corrections. Printed: root mean square distance to the plan, and the ratio.
     """
     views = ViewModel.load(model)
     found = find_target(target)

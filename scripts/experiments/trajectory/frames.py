@@ -1,4 +1,4 @@
-"""The observations on which docs/trajectory.md judges segments: frames drawn, then recognised."""
+"""Draw paths, recognise their frames, and keep the observations for trajectory-accuracy."""
 
 from __future__ import annotations
 
@@ -149,18 +149,17 @@ def run(
     target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], kinds: list[str], *,
     seeds: tuple[int, int] = (0, 20), sun_phase: Annotated[float, "degrees"] = 0.0,
 ) -> None:  # fmt: skip
-    """The observations on which docs/trajectory.md judges segments: frames drawn, then recognised.
+    """Draw paths, recognise their frames, and keep the observations for trajectory-accuracy.
 
-    SIGHTINGS/<target>-<kind>-<seed>.npz holds one segment (poses, on nodes, signatures) of 100
-    frames, 2 s apart: 1024 × 768, 53° across, the Sun behind the camera (``--sun-phase`` says
-    otherwise), noise, blur and pointing jitter as ``rendezview simulate`` has them, attitude of
-    the path random. Two trackers see each frame: one with refinement, one that has the trees
-    alone. A file that is there already is left as it is.
+    FOLDER/<target>-<kind>-<seed>.npz has one segment (poses, active nodes, signatures) of 100
+    frames, 2 s apart: 1024 × 768, 53° across, the Sun behind the camera (see --sun-phase). Noise,
+    blur and pointing jitter are those of rendezview simulate; the attitude of the path is random.
+    Two trackers read each frame: one with refinement, one with the trees only. An existing file
+    is kept.
 
-    circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6
-    to 5 radii, with three hops of 3 % of the distance. spin, tumble: camera fixed at 3.5 radii,
-    the target
-    turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
+    circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to
+    5 radii, with three hops of 3 % of the distance. spin, tumble: the camera is fixed at 3.5 radii,
+    the target turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
     """
     folder.mkdir(parents=True, exist_ok=True)
     views = ViewModel.load(model)
@@ -173,6 +172,6 @@ def run(
             np.savez_compressed(path, **arrays)
             print(
                 f"{path.name}: {len(arrays['pose_frame'])} poses, "
-                f"{len(arrays['node_frame'])} on nodes",
+                f"{len(arrays['node_frame'])} active nodes",
                 flush=True,
             )

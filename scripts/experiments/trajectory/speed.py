@@ -1,4 +1,4 @@
-"""Speed of a segment fit, docs/trajectory.md: ours beside scipy's and nlopt's simplex."""
+"""Time of a segment fit beside the simplexes of scipy and nlopt."""
 
 from __future__ import annotations
 
@@ -160,15 +160,12 @@ def followed(seed: int, spin: bool) -> list[float]:
 
 
 def run(*, repeats: int = 30, seed: int = 0) -> None:
-    """Speed of a segment fit, docs/trajectory.md: ours beside scipy's and nlopt's simplex.
-
-        pip install nlopt
+    """Time of a segment fit beside the simplexes of scipy and nlopt.
 
     100 points of a circle of 1 rad (0.1 % noise, a tenth of them outliers) and of a free relative
-    orbit. Simplexes are given one start (the truth, off by 2 %), one compiled cost and one
-    tolerance; printed are the best of the repeats, and how far each answer lies from
-    Gauss–Newton's, in standard deviations. For the orbit Gauss–Newton is the linear least-squares
-    answer, made robust.
+    orbit. All simplexes have the same start (the truth, off by 2 %), compiled cost and tolerance.
+    Printed: the best of the repeats, and the distance of each answer from Gauss–Newton's in
+    standard deviations. For the orbit, Gauss–Newton is the robust linear least-squares answer.
     """
     print("| segment | way | ms | evaluations | off Gauss–Newton, σ |")
     print("|---|---|---|---|---|")

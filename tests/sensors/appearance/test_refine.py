@@ -14,7 +14,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.container import read_container, write_container
-from rendezview.sensors.appearance.edges.profile import strip_place
+from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
@@ -51,7 +51,7 @@ def shaded(mesh, camera, pose, seed, phase_deg=20.0, earth=None) -> np.ndarray:
 def placed(profile, start, depths, levels, sigma=0.85, held=True) -> float | None:
     """Place of an edge in a profile whose place 0 is its pixel 10, sky 12."""
     result = np.zeros(2)
-    found = strip_place(
+    found = fit_profile(
         profile, len(profile), 10, start, np.asarray(depths, float), np.asarray(levels, float),
         len(depths), 12.0, held, sigma, 1.0, result,
     )  # fmt: skip

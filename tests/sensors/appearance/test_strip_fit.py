@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from rendezview.sensors.appearance.edges.contours import OUTLINE, POINT_UNIT, SURFACES
-from rendezview.sensors.appearance.edges.profile import across, begins_at, in_shadow, steps_of
+from rendezview.sensors.appearance.edges.profile import (
+    edge_axes,
+    in_shadow,
+    profile_steps,
+    project_start,
+)
 
 # A camera on the z axis looks down on a body whose outline on the side of +x runs along y.
 EYE = np.array([0.0, 0.0, 10.0])
@@ -15,7 +20,7 @@ POINT = np.array([1.0, 0.0, 0.0])
 
 def seen_from(eye: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     out = np.empty(6)
-    across(eye, *POINT, tangent, out)
+    edge_axes(eye, *POINT, tangent, out)
     return out
 
 
@@ -29,7 +34,7 @@ def outwards(refining_model) -> np.ndarray:
         for j in np.flatnonzero(contours.kind[0, view] == OUTLINE):
             point = contours.point[0, view, j] * POINT_UNIT * refining_model.target_radius_m
             out = np.empty(6)
-            across(eye, *point, contours.tangent[0, view, j], out)
+            edge_axes(eye, *point, contours.tangent[0, view, j], out)
             signs.append(out[3:] @ point)
     assert np.mean(np.array(signs) > 0.0) > 0.8  # few bumps look inwards
     plus = np.array([0, 127, 0], dtype=np.int8)
@@ -55,7 +60,7 @@ def test_a_surface_begins_where_its_place_in_space_is_seen(outwards, place):
     looking_down = np.diag([1.0, -1.0, -1.0])
     for aside in (0.0, -1.5, 1.5):
         eye = EYE + np.array([aside, 0.0, 0.0])
-        found = begins_at(
+        found = project_start(
             *POINT, inside, deeper, EYE, drawn, looking_down, looking_down @ -eye
         )  # fmt: skip
         expected = looking_down @ (np.array(place) - eye)
@@ -70,7 +75,7 @@ def test_a_facet_that_turns_towards_the_camera_is_seen_wider(outwards):
     widths = []
     for aside in (0.0, 1.0, 2.0):
         eye = EYE + np.array([aside, 0.0, 0.0])
-        u, _ = begins_at(*POINT, 0.05, -0.5, EYE, drawn, looking_down, looking_down @ -eye)
+        u, _ = project_start(*POINT, 0.05, -0.5, EYE, drawn, looking_down, looking_down @ -eye)
         widths.append((POINT[0] - aside) / far - u)
     assert np.all(np.diff(widths) < 0.0) or np.all(np.diff(widths) > 0.0)
     assert max(widths) > 2.0 * abs(widths[0])
@@ -93,7 +98,7 @@ def steps(outline: bool, kinds: list[int], places: list[float], shaded: bool = F
     strip = np.array(kinds + kinds[-1:] * (SURFACES - len(kinds)), dtype=np.uint8)
     begins = np.array(places + [60.0] * (SURFACES - len(places)))
     depths, levels = np.empty(SURFACES), np.empty(SURFACES)
-    count = steps_of(outline, strip, SHADE, begins, shaded, depths, levels)
+    count = profile_steps(outline, strip, SHADE, begins, shaded, depths, levels)
     return list(zip(depths[:count].tolist(), levels[:count].tolist(), strict=True))
 
 

@@ -1,4 +1,4 @@
-"""Estimates against truth: error measures, evaluation of sequences, pictures, reports."""
+"""Comparison of estimates with truth: error measures, evaluation of sequences, reports."""
 
 from rendezview.evaluation.comparison import comparison_dict, comparison_table
 from rendezview.evaluation.evaluate import evaluate
@@ -22,7 +22,7 @@ from rendezview.evaluation.report import write_report
 from rendezview.evaluation.scores import Scores, scores
 from rendezview.evaluation.signature_pictures import TreeTest, signature_picture, tree_tests
 from rendezview.evaluation.sphere_pictures import model_picture, sphere_picture
-from rendezview.evaluation.surface import Surface, SurfaceErrors, alike_of, surface_errors
+from rendezview.evaluation.surface import ModelPoints, SurfaceErrors, alike_of, surface_errors
 from rendezview.evaluation.track_pictures import (
     error_curves,
     observation_curves,
@@ -37,10 +37,10 @@ __all__ = [
     "WRONG_RAD",
     "Evaluation",
     "FrameResult",
+    "ModelPoints",
     "PoseErrors",
     "Scores",
     "Statistics",
-    "Surface",
     "SurfaceErrors",
     "TreeTest",
     "alike_of",

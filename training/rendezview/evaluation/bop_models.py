@@ -1,4 +1,4 @@
-"""Models of a BOP data set: ``models/obj_000001.ply`` and what ``models_info.json`` says of it."""
+"""Models of a BOP data set: ``models/obj_000001.ply`` with its entry in ``models_info.json``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rendezview.io.files import checked, read_json
 
 _NAME = re.compile(r"obj_(\d+)\.ply", re.IGNORECASE)
 _INFO = "models_info.json"
-_AT_ORIGIN = 1e-3  # of the diameter: the files are rounded
+_AT_ORIGIN = 1e-3  # of the diameter; tolerance, because the files are rounded
 
 
 class _Continuous(BaseModel):
@@ -44,20 +44,20 @@ _MODELS = TypeAdapter(dict[str, _Model])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BopModel:
-    """What BOP says of a model, metres."""
+    """BOP's data of a model, in metres."""
 
     obj_id: int
     diameter_m: float
-    alike: tuple[Pose, ...]  # target_from_target that change nothing, the identity first
-    symmetries: tuple[Symmetry, ...]  # those about the origin
-    off_origin: int  # symmetries that are not
+    alike: tuple[Pose, ...]  # target_from_target of the symmetries, the identity first
+    symmetries: tuple[Symmetry, ...]  # symmetries about the origin
+    off_origin: int  # number of other symmetries
 
 
 def bop_model(mesh_path: Path) -> BopModel | None:
-    """What ``models_info.json`` beside a mesh says of it; None where it is no BOP model.
+    """The entry of a mesh in ``models_info.json``; None if it is not a BOP model.
 
     Raises:
-        RendezviewError: the file is wrong, or does not know the object.
+        RendezviewError: the file is invalid, or has no entry for the object.
     """
     named, info_path = _NAME.fullmatch(mesh_path.name), mesh_path.parent / _INFO
     if named is None or not info_path.is_file():
@@ -66,7 +66,7 @@ def bop_model(mesh_path: Path) -> BopModel | None:
     models = checked(_MODELS, read_json(info_path, "BOP models"), str(info_path))
     info = models.get(str(obj_id))
     if info is None:
-        raise RendezviewError(f"{info_path}: says nothing of object {obj_id}: add it")
+        raise RendezviewError(f"{info_path}: has no entry for object {obj_id}: add it")
     discrete = [Pose.identity()]
     for values in info.symmetries_discrete:
         matrix = np.reshape(values, (4, 4))

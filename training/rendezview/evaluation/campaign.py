@@ -1,4 +1,4 @@
-"""Monte-Carlo accuracy: random frames of a target, and what a model says of each."""
+"""Monte-Carlo accuracy: a model's results on random frames of its target."""
 
 from __future__ import annotations
 
@@ -28,23 +28,27 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 
-FRAMES_PER_SHARD = 16
+FRAMES_PER_SHARD = 16  # about a second of work
 LOOKS = ("first", "tracked")
-WRONG_RAD = math.radians(5.0)
+WRONG_RAD = math.radians(5.0)  # attitude error above which a pose is wrong
 _STATUSES = list(Status)
-_MARGIN = 1.08  # of the bounding sphere's picture to the border, as a factor
-_PRIOR_RAD = math.radians(5.0)
-_PRIOR_RANGE, _PRIOR_BEARING = 0.03, 0.01
+_MARGIN = 1.08  # factor on the bounding sphere, so that it stays off the border
+_PRIOR_RAD = math.radians(5.0)  # largest attitude error of a prior
+_PRIOR_RANGE, _PRIOR_BEARING = 0.03, 0.01  # of the range; largest errors of a prior
+_SEARCH_FACTOR = 1.2  # allowance on the prior's error that the recognizer is given
 
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOptions:
-    """What the frames of a campaign show."""
+    """Distribution of the frames of a campaign."""
 
     frames: int = 1000
     sun_phase_rad: tuple[float, float] = (0.0, math.radians(30.0))  # Sun, target, camera
-    range_radii: tuple[float, float] = (1.0, 2.0)  # of the sphere at which the camera is full
-    samples: int = 2  # of shading, a pixel and axis
+    range_radii: tuple[float, float] = (
+        1.0,
+        2.0,
+    )  # of the range at which the target fills the picture
+    samples: int = 2  # of shading, per pixel and axis
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -64,13 +68,13 @@ class CampaignOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answers:
-    """What was said of K frames at one look. Errors of frames without a pose are NaN."""
+    """Results of K frames at one look. Errors of frames without a pose are NaN."""
 
     status: Sequence[Status]  # (K,)
     confidence: Array  # (K,)
-    rotation_rad: Array  # (K,) to the nearest pose that looks alike
-    translation: Array  # (K,) of the view centre, share of its distance
-    nees: Array  # (K,) error squared, by the covariance: 6 on average if that is right
+    rotation_rad: Array  # (K,) to the nearest equivalent pose
+    translation: Array  # (K,) of the view centre, as a share of its distance
+    nees: Array  # (K,) normalised squared error; its mean is 6 if the covariance is right
 
     @property
     def given(self) -> npt.NDArray[np.bool_]:
@@ -79,23 +83,23 @@ class Answers:
 
     @property
     def right(self) -> npt.NDArray[np.bool_]:
-        """(K,) whether there is a pose, less than 5° off."""
-        return np.asarray(self.rotation_rad < WRONG_RAD)  # false where there is none
+        """(K,) whether there is a pose with an attitude error below 5°."""
+        return np.asarray(self.rotation_rad < WRONG_RAD)  # NaN compares as false
 
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """A pose beside the truth."""
+    """Errors of one pose."""
 
-    rotation_rad: float  # to the nearest pose that looks alike
-    translation: float  # of the view centre, share of its distance
-    nees: float  # error squared, by the covariance: 6 on average if that is right
+    rotation_rad: float  # to the nearest equivalent pose
+    translation: float  # of the view centre, as a share of its distance
+    nees: float  # normalised squared error; its mean is 6 if the covariance is right
 
 
 def pose_error(
     observation: AppearanceObservation, truth: Pose, model: ViewModel
 ) -> PoseError | None:
-    """How far off an observation is; ``None`` where it has no pose."""
+    """Errors of an observation; ``None`` if it has no pose."""
     if observation.pose is None or observation.covariance is None:
         return None
     pose = nearest_alike(observation.pose, truth, model.symmetries)
@@ -108,7 +112,7 @@ def pose_error(
 
 
 def second_earlier(truth: Pose, centre_m: Array, rng: np.random.Generator) -> Pose:
-    """A prior: at most 5° off, the view centre 3 % of range off along and 1 % across."""
+    """A prior off by at most 5°, and by 3 % of the range along and 1 % across the line of sight."""
     axis = rng.normal(size=3)
     turn = axis / np.linalg.norm(axis) * rng.uniform(0.0, _PRIOR_RAD)
     rotation = Rotation.from_rotvec(turn).as_matrix() @ truth.rotation
@@ -128,19 +132,19 @@ def campaign(
     options: CampaignOptions | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Answers]:
-    """Look at random frames, each twice, and write every answer to ``path`` (JSON lines).
+    """Recognise random frames, each twice, and write every result to ``path`` (JSON lines).
 
-    A frame shows the target at any attitude, whole and anywhere in the picture. The first look
-    has no prior; the tracked one has a pose up to 5° off about a random axis, 3 % of range off
-    along the line of sight and 1 % across. Each frame has its own random numbers (seed, frame),
-    so the bytes of the file depend on the inputs and neither on the workers nor on what
-    befell them. Finished shards lie in ``path`` + ``.partial`` until the file is written.
+    A frame shows the whole target at any attitude, anywhere in the picture. The first look has no
+    prior. The tracked look has a prior with an error of up to 5° about a random axis, 3 % of the
+    range along the line of sight and 1 % across. Each frame has its own random numbers (seed,
+    frame), so the bytes of the file depend on the inputs only. Finished shards are kept in
+    ``path`` + ``.partial`` until the file is written.
 
     Returns:
-        The answers by look, in the order of the frames.
+        The results by look, in the order of the frames.
 
     Raises:
-        RendezviewError: the file cannot be written, or see ``ShardExecutor``.
+        RendezviewError: the file cannot be written; or an error of the executor.
     """
     options = options or CampaignOptions()
     check_place(path, "the answers")
@@ -171,7 +175,9 @@ def _look_at(
         records.append(
             [
                 _answer(recognizer.recognize(image), truth, model),
-                _answer(recognizer.recognize(image, prior, 1.2 * _PRIOR_RAD), truth, model),
+                _answer(
+                    recognizer.recognize(image, prior, _SEARCH_FACTOR * _PRIOR_RAD), truth, model
+                ),
             ]
         )
     table = np.array(records).transpose(2, 1, 0)  # value, look, frame
@@ -181,7 +187,7 @@ def _look_at(
 
 
 class _Kept(threading.local):
-    """The last recognizer of a worker: making one takes as long as a frame."""
+    """The last recognizer of a thread: creating one takes as long as a frame."""
 
     recognizer: Recognizer | None = None
 
@@ -203,11 +209,11 @@ def _frame(
     options: CampaignOptions,
     rng: np.random.Generator,
 ) -> tuple[Pose, npt.NDArray[np.uint8]]:
-    """A pose and its picture."""
+    """A random pose and its picture."""
     radius_m = model.target_radius_m
     near_m = radius_m * _MARGIN / math.sin(camera.half_fov_rad)
     depth_m = near_m * rng.uniform(*options.range_radii)
-    # the sphere's picture is widest along the line to the border: a bound, so that it is whole
+    # An upper bound on the width of the sphere's picture, so that the target is whole.
     half = np.array([camera.width / camera.fx, camera.height / camera.fy]) / 2.0
     room = np.maximum(half - math.tan(math.asin(radius_m * _MARGIN / depth_m)), 0.0)
     middle = (np.array([camera.width, camera.height]) - 1.0) / 2.0
@@ -235,10 +241,10 @@ def _answer(observation: AppearanceObservation, truth: Pose, model: ViewModel) -
 def _lines(answers: dict[str, Answers], frames: int) -> list[str]:
     lines = []
     for k in range(frames):
-        for look, said in answers.items():
-            record: dict[str, Any] = {"frame": k, "look": look, "status": str(said.status[k])}
+        for look, answer in answers.items():
+            record: dict[str, Any] = {"frame": k, "look": look, "status": str(answer.status[k])}
             for name in ("confidence", "rotation_rad", "translation", "nees"):
-                value = float(getattr(said, name)[k])
+                value = float(getattr(answer, name)[k])
                 record[name] = None if math.isnan(value) else value
             lines.append(json.dumps(record) + "\n")
     return lines
@@ -247,7 +253,7 @@ def _lines(answers: dict[str, Answers], frames: int) -> list[str]:
 def _inputs(
     model: ViewModel, mesh: Mesh, camera: Camera, options: CampaignOptions
 ) -> dict[str, Any]:
-    """What decides the answers, but for the code."""
+    """The inputs that decide the results, except the code."""
     digest = hashlib.sha256()
     for array in (model.views.readings, model.forest.threshold, mesh.vertices_m, mesh.faces):
         digest.update(np.ascontiguousarray(array).tobytes())

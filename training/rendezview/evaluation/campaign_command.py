@@ -20,6 +20,7 @@ from rendezview.io.camera_files import load_camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
+from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.mesh import load_mesh
 from rendezview.training.open_executor import open_executor
 
@@ -29,12 +30,14 @@ _DEFAULT = CampaignOptions()
 def campaign(
     model: Annotated[Path, typer.Argument(help="Model file (*.rvm).")],
     target: Annotated[str, typer.Argument(help="Its target: mesh, target.toml, or bundled name.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Answers to write, JSON lines.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Results to write, JSON lines.")],
     unit: Annotated[str | None, typer.Option(help="Unit of a bare mesh.")] = None,
     camera: Annotated[
         Path | None, typer.Option(help="Camera of the frames; default 640 × 480, 53° across.")
     ] = None,
-    frames: Annotated[int, typer.Option(help="Frames, each looked at twice.")] = _DEFAULT.frames,
+    frames: Annotated[
+        int, typer.Option(help="Frames; each is recognised twice.")
+    ] = _DEFAULT.frames,
     sun_phase: Annotated[
         tuple[float, float], typer.Option(help="Angle Sun, target, camera, degrees: from, to.")
     ] = (0.0, 30.0),
@@ -43,12 +46,10 @@ def campaign(
         typer.Option(help="Ranges: from, to; 1 is where the target fills the picture."),
     ] = _DEFAULT.range_radii,
     seed: Annotated[int, typer.Option(min=0, help="Of poses, light and noise.")] = 0,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    dask: Annotated[
-        str | None, typer.Option(help="Scheduler of a Dask cluster that does the work.")
-    ] = None,
+    jobs: Jobs = -1,
+    dask: Dask = None,
 ) -> None:
-    """How right a model is on random simulated frames, with and without a prior.
+    """Measure a model on random simulated frames, with and without a prior.
 
     Example: rendezview campaign hubble.rvm hubble -o answers.jsonl --frames 2000
     """
@@ -64,8 +65,8 @@ def campaign(
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     if abs(mesh.bounding_sphere[1] / views.target_radius_m - 1.0) > 0.1:
         raise RendezviewError(
-            f"{model} is of a target of {views.target_radius_m:.3g} m, and {target} has a radius "
-            f"of {mesh.bounding_sphere[1]:.3g} m: give the mesh it was trained on, and its unit"
+            f"the target of {model} has a radius of {views.target_radius_m:.3g} m, {target} has "
+            f"{mesh.bounding_sphere[1]:.3g} m: give the mesh it was trained on, and its unit"
         )
     start = time.perf_counter()
     with (
@@ -89,24 +90,24 @@ def campaign(
         "NEES mean / median",
     ):  # fmt: skip
         table.add_column(head, justify="right")
-    for look, said in answers.items():
-        table.add_row(look, *_row(said))
+    for look, answer in answers.items():
+        table.add_row(look, *_row(answer))
     Console(width=110).print(table)
     console.print(f"{output}: in {time.perf_counter() - start:.0f} s", highlight=False)
 
 
-def _row(said: Answers) -> list[str]:
-    right = said.right
+def _row(answer: Answers) -> list[str]:
+    right = answer.right
     shares = [
         f"{100 * np.mean(right):.1f}",
-        f"{100 * np.mean(said.given & ~right):.1f}",
+        f"{100 * np.mean(answer.given & ~right):.1f}",
     ]
     if not right.any():
         return [*shares, "–", "–", "–"]
-    rotation = np.rad2deg(said.rotation_rad[right])
+    rotation = np.rad2deg(answer.rotation_rad[right])
     return [
         *shares,
         f"{np.median(rotation):.3f} / {np.percentile(rotation, 95):.2f}",
-        f"{100 * np.median(said.translation[right]):.3f}",
-        f"{np.mean(said.nees[right]):.1f} / {np.median(said.nees[right]):.1f}",
+        f"{100 * np.median(answer.translation[right]):.3f}",
+        f"{np.mean(answer.nees[right]):.1f} / {np.median(answer.nees[right]):.1f}",
     ]

@@ -22,7 +22,7 @@ from rendezview.evaluation.comparison import (
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.scores import scores
-from rendezview.evaluation.surface import Surface, alike_of
+from rendezview.evaluation.surface import ModelPoints, alike_of
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.camera_files import load_camera
@@ -40,20 +40,20 @@ def evaluate(
     target: Annotated[
         str | None,
         typer.Option(
-            help="Target of the scene: its symmetries are honoured, errors of direction, range "
-            "and bearing are those of its middle instead of its origin, and BOP's measures of its "
-            "surface are added. Of BOP models (obj_000001.ply) models_info.json is read."
+            help="Target of the scene: its symmetries are respected, errors of direction, range, "
+            "bearing refer to its centre instead of its origin, and BOP's surface measures are "
+            "added. For BOP models (obj_000001.ply), models_info.json is read."
         ),
     ] = None,
     unit: Annotated[str | None, typer.Option(help="Unit of a bare mesh.")] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file, where the scene has none.")
-    ] = None,
-    wrong: Annotated[float, typer.Option(help="Degrees beyond which an answer is wrong.")] = 5.0,
+    camera: Annotated[Path | None, typer.Option(help="Camera file, if the scene has none.")] = None,
+    wrong: Annotated[
+        float, typer.Option(help="Attitude error, degrees, above which a pose is wrong.")
+    ] = 5.0,
     speed_plus: Annotated[
         bool,
         typer.Option(
-            "--speed-plus", help="Each frame's SPEED score with the thresholds of SPEED+."
+            "--speed-plus", help="Apply the thresholds of SPEED+ to each frame's SPEED score."
         ),
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -68,7 +68,7 @@ def evaluate(
     if not 0.0 <= wrong <= 180.0:
         raise RendezviewError(f"--wrong must be an angle from 0 to 180 degrees, not {wrong}")
     sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
-    judged = _judged(target, unit)
+    reference = _reference(target, unit)
     evaluations: dict[str, Evaluation] = {}
     for path in results:
         name = path.stem if len({p.stem for p in results}) == len(results) else str(path)
@@ -77,60 +77,62 @@ def evaluate(
         evaluations[name] = evaluate_rows(
             sequence,
             read_results(path),
-            judged.symmetries,
-            judged.centre_m,
+            reference.symmetries,
+            reference.centre_m,
             wrong_rad=float(np.deg2rad(wrong)),
             speed_plus=speed_plus,
-            surface=judged.surface,
+            surface=reference.surface,
         )
-    alone = next(iter(evaluations.values())) if len(evaluations) == 1 else None
+    single = next(iter(evaluations.values())) if len(evaluations) == 1 else None
     if as_json:
-        if alone is None:
+        if single is None:
             content = comparison_dict(evaluations)
         else:
-            content = {**alone.as_dict(), "scores": scores_dict(scores(alone))}
+            content = {**single.as_dict(), "scores": scores_dict(scores(single))}
         typer.echo(json.dumps(content, indent=2, allow_nan=False))
         return
     console = Console()
-    if alone is None:
+    if single is None:
         console.print(comparison_table(evaluations))
     else:
-        console.print(alone.as_table())
-        console.print(score_table(alone))
+        console.print(single.as_table())
+        console.print(score_table(single))
     for name, part in evaluations.items():
-        told = part.notes if alone is None else ()  # the table of one says them itself
-        for note in told:
+        notes = (
+            part.notes if single is None else ()
+        )  # the table of a single result contains its notes
+        for note in notes:
             console.print(f"{name}: {note}", highlight=False, soft_wrap=True)
-    for note in judged.notes:
+    for note in reference.notes:
         console.print(note, highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """What is known of the target."""
+class _Reference:
+    """The target's geometry, for the evaluation."""
 
     symmetries: tuple[Symmetry, ...] = ()
     centre_m: Array | None = None
-    surface: Surface | None = None
+    surface: ModelPoints | None = None
     notes: tuple[str, ...] = ()
 
 
-def _judged(target: str | None, unit: str | None) -> _Judged:
+def _reference(target: str | None, unit: str | None) -> _Reference:
     if target is None:
-        return _Judged()
+        return _Reference()
     found = find_target(target)
     model = bop_model(found.mesh_path)
     mesh = load_mesh(found.mesh_path, unit or found.unit or ("mm" if model else None))
     centre_m, _ = mesh.bounding_sphere
     points_m = mesh.vertices_m[np.unique(mesh.faces)]
     if model is None:
-        surface = Surface.of(points_m, alike_of(found.symmetries))
-        return _Judged(found.symmetries, centre_m, surface)
-    surface = Surface.of(points_m, model.alike, model.diameter_m)
+        surface = ModelPoints.of(points_m, alike_of(found.symmetries))
+        return _Reference(found.symmetries, centre_m, surface)
+    surface = ModelPoints.of(points_m, model.alike, model.diameter_m)
     notes: tuple[str, ...] = ()
     if model.off_origin:
         notes = (
             f"{model.off_origin} symmetries of the model do not pass through its origin: they "
             "count in MSSD and MSPD only",
         )
-    return _Judged(model.symmetries, centre_m, surface, notes)
+    return _Reference(model.symmetries, centre_m, surface, notes)

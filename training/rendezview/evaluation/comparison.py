@@ -1,4 +1,4 @@
-"""Several results of one sequence side by side."""
+"""Comparison of several results of one sequence."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
-from rendezview.evaluation.evaluation import Evaluation
+from rendezview.evaluation.evaluation import Evaluation, number_text
 from rendezview.evaluation.scores import Scores, scores
 
 # Name in `Scores`, what is shown, factor, unit, decimals.
@@ -33,14 +33,14 @@ _ERRORS: tuple[tuple[str, str, float, str, int], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Common:
-    """Medians over the frames that all results have a pose of, so that they compare."""
+    """Medians over the frames for which all results have a pose, so that they are comparable."""
 
     frames: int
     medians: dict[str, dict[str, float]]  # of each result, by the name in `PoseErrors`
 
 
 def common_frames(evaluations: Mapping[str, Evaluation]) -> Common:
-    """Errors over the frames that all have.
+    """Errors over the frames that all results have.
 
     Raises:
         ValueError: no evaluations, or of different sequences.
@@ -49,7 +49,7 @@ def common_frames(evaluations: Mapping[str, Evaluation]) -> Common:
     if not parts or any(
         [f.im_id for f in part.frames] != [f.im_id for f in parts[0].frames] for part in parts
     ):
-        raise ValueError("results compare over one and the same sequence")
+        raise ValueError("results are comparable over one sequence only")
     both = np.all([np.isfinite(part.values("rotation_rad")) for part in parts], axis=0)
     medians = {
         name: {
@@ -62,7 +62,7 @@ def common_frames(evaluations: Mapping[str, Evaluation]) -> Common:
 
 
 def score_table(evaluation: Evaluation) -> Table:
-    """The challenges' scores of one result, for a terminal."""
+    """Table of the challenges' scores of one result, for a terminal."""
     table = Table(title="scores", title_justify="left")
     table.add_column("over all frames; SPEED: over the poses found")
     for header in ("score", "unit"):
@@ -71,12 +71,12 @@ def score_table(evaluation: Evaluation) -> Table:
     for name, label, factor, unit, decimals in _SCORES:
         value = getattr(found, name)
         if value is not None:
-            table.add_row(label, _number(value, factor, decimals), unit)
+            table.add_row(label, number_text(value, factor, decimals), unit)
     return table
 
 
 def comparison_table(evaluations: Mapping[str, Evaluation]) -> Table:
-    """A column for each result, by name, for a terminal.
+    """Table with a column per result, for a terminal.
 
     Raises:
         ValueError: see `common_frames`.
@@ -98,19 +98,21 @@ def comparison_table(evaluations: Mapping[str, Evaluation]) -> Table:
     for error, label, factor, unit, decimals in _ERRORS:
         statistics = [part.statistics(error) for part in parts]
         for what, field in (("median", "median"), ("95 %", "percentile_95")):
-            numbers = [_number(getattr(s, field), factor, decimals) for s in statistics]
+            numbers = [number_text(getattr(s, field), factor, decimals) for s in statistics]
             row(f"{label}, {what}", unit, numbers)
     table.add_section()
     for error, label, factor, unit, decimals in _ERRORS:
-        numbers = [_number(common.medians[name][error], factor, decimals) for name in evaluations]
+        numbers = [
+            number_text(common.medians[name][error], factor, decimals) for name in evaluations
+        ]
         row(f"{label}, median of the {common.frames} frames all have", unit, numbers)
     table.add_section()
-    judged = [scores(part) for part in parts]
+    found = [scores(part) for part in parts]
     for name, label, factor, unit, decimals in _SCORES:
-        values = [getattr(result, name) for result in judged]
+        values = [getattr(result, name) for result in found]
         if any(value is not None for value in values):
-            row(label, unit, [_number(value, factor, decimals) for value in values])
-    row("computing time, median", "ms", [_number(p.computing.median, 1e3, 2) for p in parts])
+            row(label, unit, [number_text(value, factor, decimals) for value in values])
+    row("computing time, median", "ms", [number_text(p.computing.median, 1e3, 2) for p in parts])
     return table
 
 
@@ -120,7 +122,7 @@ def scores_dict(found: Scores) -> dict[str, float | None]:
 
 
 def comparison_dict(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
-    """All of it, ready for JSON; units are in the names.
+    """All results, ready for JSON; names contain the units.
 
     Raises:
         ValueError: see `common_frames`.
@@ -137,9 +139,3 @@ def comparison_dict(evaluations: Mapping[str, Evaluation]) -> dict[str, Any]:
             for name, medians in common.medians.items()
         },
     }
-
-
-def _number(value: float | None, factor: float, decimals: int) -> str:
-    if value is None or not math.isfinite(value):
-        return "–"
-    return f"{factor * value:.{decimals}f}"

@@ -1,4 +1,4 @@
-"""``rendezview demo``: the tour."""
+"""``rendezview demo``: train, simulate, track, report."""
 
 from __future__ import annotations
 
@@ -23,28 +23,30 @@ from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.bundled import find_target
 from rendezview.training.command import summary
+from rendezview.training.command_options import Jobs
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
-_VIEWS = 16_000  # fewer than `train` takes, so that the tour is short
-_SHELLS = (1.0, 2.0)  # sphere radii, as far as the tour goes
-_SUN_PHASE_DEG = 0.0  # light from behind the camera: shadows are no part of the tour
-_PRIOR_ERROR_RAD = np.deg2rad(15.0)
+_VIEWS = 16_000  # perturbed views; fewer than the default, so that the demo is short
+_HELD_OUT_VIEWS = 2000
+_SHELLS = (1.0, 2.0)  # sphere radii; the ranges of the demo
+_SUN_PHASE_DEG = 0.0  # degrees; the Sun is behind the camera, so there are no shadows
+_PRIOR_ERROR_RAD = np.deg2rad(15.0)  # of the first attitude
 
 
 def demo(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the tour.")] = Path(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "rendezview-demo"
     ),
     frames: Annotated[int, typer.Option(min=1, help="Frames of the approach.")] = 60,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
+    jobs: Jobs = -1,
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
 ) -> None:
-    """Train, simulate, track, report: the tour.
+    """Train, simulate, track and report, as a demonstration.
 
-    A space telescope is learned from its CAD model, then approached from 61 m to 28 m, half
-    around it, and recognised frame by frame from a first attitude that is 15° wrong.
+    The demo trains a model of a space telescope, simulates an approach from 61 m to 28 m half
+    around it, and tracks it from a first attitude with an error of 15°.
 
     Example: rendezview demo -o tour
     """
@@ -54,14 +56,14 @@ def demo(
     mesh = load_mesh(target.mesh_path, target.unit)
     make_folder(output)
     with ProgressBar() as progress:
-        console.print(f"1. Learning {target.name} from {len(mesh.faces)} triangles …")
+        console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
             mesh,
             output / "hubble.rvm",
             name=target.name,
             options=TrainingOptions(
                 perturbed_views=_VIEWS,
-                held_out_views=2000,
+                held_out_views=_HELD_OUT_VIEWS,
                 contour_radii=_SHELLS,
                 shadowed_silhouettes=False,  # the Sun stands behind the camera
                 seed=seed,
@@ -72,7 +74,7 @@ def demo(
         )
         console.print(summary(trained), style="dim")
         model = trained.model
-        console.print(f"2. Flying half around it, nearer and nearer: {frames} frames …")
+        console.print(f"2. Simulating an approach half around it: {frames} frames …")
         path = trajectory(
             "flyaround",
             TrajectoryOptions(
@@ -88,7 +90,7 @@ def demo(
                 roll_jitter_rad=float(np.deg2rad(0.4)),
                 seed=seed,
             ),
-        )[:frames]  # half-way round it is nearest
+        )[:frames]  # the nearest frame is half-way around
         simulate(
             mesh,
             camera,
@@ -100,7 +102,7 @@ def demo(
             progress=lambda done, total: progress("frames", done, total),
             overwrite=True,
         )
-        console.print("3. Recognising and tracking …")
+        console.print("3. Tracking …")
         sequence = open_sequence(output / "scene")
         truth = sequence.frames[0].camera_from_target
         assert truth is not None  # we have just written it
@@ -129,9 +131,9 @@ def demo(
     )
     console.print(evaluation.as_table())
     lost = sum(s.status is not Status.OK for s in observations)
-    on = [len(s.active_nodes) for s in observations]
+    active = [len(s.active_nodes) for s in observations]
     console.print(
         f"{len(rows)} poses in {len(observations)} frames, {lost} without; "
-        f"{np.mean(on):.1f} nodes on per frame; {time.perf_counter() - start:.0f} s in all"
+        f"{np.mean(active):.1f} active nodes per frame; {time.perf_counter() - start:.0f} s in all"
     )
-    console.print(f"Look at {report}")
+    console.print(f"Report: {report}")

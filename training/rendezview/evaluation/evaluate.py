@@ -1,4 +1,4 @@
-"""Results of a sequence against its truth: every frame counts, found or not."""
+"""Evaluation of results against the truth of their sequence; every frame counts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.evaluation import WRONG_RAD, Evaluation, FrameResult
 from rendezview.evaluation.pose_errors import pose_errors
-from rendezview.evaluation.surface import Surface, surface_errors
+from rendezview.evaluation.surface import ModelPoints, surface_errors
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Sequence
@@ -25,22 +25,22 @@ def evaluate(
     *,
     wrong_rad: float = WRONG_RAD,
     speed_plus: bool = False,
-    surface: Surface | None = None,
+    surface: ModelPoints | None = None,
 ) -> Evaluation:
-    """Judge results against the truth of a sequence.
+    """Compare results with the truth of a sequence.
 
-    Every frame with a truth counts; one without a row has no pose. Of several rows for
-    one frame that with the best score counts. Rows of other objects, and of frames
-    without a truth, are left out. All this is noted.
+    Every frame with truth counts; a frame without a row has no pose. Of several rows for one frame
+    the one with the best score counts. Rows of other objects, and of frames without truth, are
+    ignored. Notes report all of this.
 
     Args:
-        sequence: with a truth.
+        sequence: with truth.
         rows: estimated poses, any order.
         symmetries: of the target.
         centre_m: (3,) view centre, target frame; None: the target's origin.
-        wrong_rad: a pose whose attitude is off by more is wrong.
-        speed_plus: each frame's SPEED score with the thresholds of SPEED+.
-        surface: of the target: BOP's measures too.
+        wrong_rad: attitude error above which a pose is wrong.
+        speed_plus: apply the thresholds of SPEED+ to each frame's SPEED score.
+        surface: vertices of the target, for BOP's measures.
 
     Raises:
         RendezviewError: the sequence has no truth, a row belongs to none of its frames,

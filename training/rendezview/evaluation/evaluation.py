@@ -1,4 +1,4 @@
-"""What the errors of a sequence come to."""
+"""The errors of a sequence and their statistics."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SHOWN: dict[str, tuple[str, float, str, int]] = {
 
 @dataclass(frozen=True, slots=True)
 class FrameResult:
-    """One frame that has a truth."""
+    """One frame with truth."""
 
     im_id: int
     name: str
@@ -37,12 +37,12 @@ class FrameResult:
     errors: PoseErrors | None  # None: no pose
     score: float | None = None
     computing_s: float | None = None
-    surface: SurfaceErrors | None = None  # where the target's surface was given
+    surface: SurfaceErrors | None = None  # if the target's surface was given
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """Of one error among the frames with a pose; NaN where there are none."""
+    """Statistics of one error over the frames with a pose; NaN if there are none."""
 
     median: float
     percentile_95: float
@@ -52,7 +52,7 @@ class Statistics:
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Errors of every frame with a truth, and what they come to."""
+    """Errors of every frame with truth, and their statistics."""
 
     frames: tuple[FrameResult, ...]  # in the order of the sequence
     notes: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class Evaluation:
 
     @property
     def wrong(self) -> tuple[int, ...]:
-        """im_id of the frames whose attitude is off by more than ``wrong_rad``."""
+        """im_id of the frames whose attitude error exceeds ``wrong_rad``."""
         return tuple(
             frame.im_id
             for frame in self.frames
@@ -94,19 +94,19 @@ class Evaluation:
         )
 
     def statistics(self, name: str) -> Statistics:
-        """Of one error among the frames with a pose."""
+        """Statistics of one error over the frames with a pose."""
         return _statistics(self.values(name))
 
     @property
     def computing(self) -> Statistics:
-        """Of the computing time, s, among the frames that state one."""
+        """Statistics of the computing time, s, over the frames that state it."""
         return _statistics(
             np.array([math.nan if f.computing_s is None else f.computing_s for f in self.frames])
         )
 
     @property
     def speed_score(self) -> float:
-        """Mean SPEED score of the frames with a pose; SPEED itself asks for one of each."""
+        """Mean SPEED score of the frames with a pose; SPEED requires one for each frame."""
         return self.statistics("speed_score").mean
 
     def as_table(self) -> Table:
@@ -131,7 +131,7 @@ class Evaluation:
         return table
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, ready for JSON; what is not known is None. Units are in the names."""
+        """All results, ready for JSON; unknown values are None. Names contain the units."""
         names = [*(f.name for f in fields(PoseErrors)), "speed_score"]
         whole: dict[str, Any] = {
             "frames": len(self.frames),
@@ -155,7 +155,7 @@ class Evaluation:
 
 
 def summary_rows(evaluation: Evaluation) -> list[tuple[str, str, str, str, str]]:
-    """What, median, 95 %, max and unit as they are shown; – where there is no number."""
+    """Rows of a table: error, median, 95 %, max and unit; – if there is no number."""
     rows = []
     for name, (label, factor, unit, decimals) in _SHOWN.items():
         rows.append((label, *_numbers(evaluation.statistics(name), factor, decimals), unit))
@@ -177,8 +177,15 @@ def _statistics(values: npt.NDArray[np.float64]) -> Statistics:
 
 def _numbers(statistics: Statistics, factor: float, decimals: int) -> tuple[str, str, str]:
     numbers = (statistics.median, statistics.percentile_95, statistics.largest)
-    a, b, c = (f"{factor * n:.{decimals}f}" if math.isfinite(n) else "–" for n in numbers)
+    a, b, c = (number_text(n, factor, decimals) for n in numbers)
     return a, b, c
+
+
+def number_text(value: float | None, factor: float, decimals: int) -> str:
+    """A number in its shown unit; – if it is unknown."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{factor * value:.{decimals}f}"
 
 
 def _json_ready(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A frame with what recognition saw in it."""
+"""A frame with the result of its recognition drawn over it."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
-from rendezview.evaluation.palette import AXIS_COLOURS, BACKGROUND, ESTIMATE, INK, ON_NODE, PROBLEM
+from rendezview.evaluation.palette import (
+    ACTIVE,
+    AXIS_COLOURS,
+    BACKGROUND,
+    ESTIMATE,
+    INK,
+    PROBLEM,
+)
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 
-_WIDTH_IN = 6.4  # text has the same share of the picture whatever the camera
-_LEAST_PX, _MOST_PX = 640, 960  # frames of other cameras are shown larger or smaller
-_LINE_IN = 0.3  # height of a line of text
-_BAR_IN = 3.4 * _LINE_IN  # of the status below the frame: three lines
+_WIDTH_IN = 6.4  # inches; text takes the same share of the picture for every camera
+_LEAST_PX, _MOST_PX = 640, 960  # px; widths of the shown frame
+_LINE_IN = 0.3  # inches; height of a line of text
+_BAR_IN = 3.4 * _LINE_IN  # inches; height of the status bar: three lines
 _HALO = [withStroke(linewidth=3.0, foreground="black", alpha=0.7)]
 
 
@@ -34,19 +41,19 @@ def frame_overlay(
     note: str = "",
     bad: bool = False,
 ) -> Figure:
-    """The frame with outline, axes of the CAD frame at the view centre, bearing and status.
+    """Draw the frame with outline, axes of the CAD frame, bearing and status.
 
     Args:
         image: (height, width) grey levels of the camera.
-        observation: of this frame. Without a pose its reason stands in the picture.
+        observation: of this frame. Without a pose, the picture shows its reason.
         camera: that took it.
         model: for the view centre and the length of the axes.
-        title: words for the top left corner, such as the frame's number.
-        note: more words for the status line, such as the error against the truth.
-        bad: show the status as a problem though there is a pose.
+        title: text for the top left corner, such as the frame's number.
+        note: text for the status bar, such as the error.
+        bad: show the status as a problem, although there is a pose.
 
     Returns:
-        A figure: the frame, 640 to 960 px wide, and below it the status.
+        A figure of the frame, 640 to 960 px wide, with the status bar below.
     """
     width_px = min(max(camera.width, _LEAST_PX), _MOST_PX)
     height_px = round(width_px * camera.height / camera.width)
@@ -62,7 +69,7 @@ def frame_overlay(
     if observation.silhouette is not None:
         for outline in observation.silhouette.outlines_px:
             closed = np.vstack([outline, outline[:1]])
-            axes.plot(*closed.T, color=ON_NODE, linewidth=1.1)
+            axes.plot(*closed.T, color=ACTIVE, linewidth=1.1)
     if observation.pose is not None:
         _draw_pose(axes, observation.pose, camera, model)
     if title:
@@ -80,7 +87,7 @@ def _draw_pose(axes: Axes, pose: Pose, camera: Camera, model: ViewModel) -> None
     if centre[2] <= 0.0:
         return
     x, y = camera.project(centre)
-    # nearer axes are drawn over farther ones
+    # farther axes first
     for k in np.argsort(-tips[:, 2]):
         if tips[k, 2] <= 0.0:
             continue
@@ -116,7 +123,7 @@ def _status(
     else:
         range_m = float(np.linalg.norm(observation.pose.apply(model.centre_m)))
         count = len(observation.active_nodes)
-        first = f"Range {range_m:.2f} m{_sigma(observation, model)}, {count} on node"
+        first = f"Range {range_m:.2f} m{_sigma(observation, model)}, {count} active node"
         first += "" if count == 1 else "s"
         rest = textwrap.wrap(note, 56, max_lines=2, placeholder=" …")
     axes.add_patch(Rectangle((0.0, 0.0), 0.009, 9.0, color=PROBLEM if bad else ESTIMATE))
@@ -128,7 +135,7 @@ def _status(
 
 
 def _sigma(observation: AppearanceObservation, model: ViewModel) -> str:
-    """± one σ of the range, where there is a covariance."""
+    """± one σ of the range, if there is a covariance."""
     if observation.pose is None or observation.covariance is None:
         return ""
     arm = observation.pose.rotation @ model.centre_m

@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file with its pictures inside, no script, no network."""
+"""The page of a report: one HTML file with its pictures inside, without scripts or network."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 
 from rendezview.evaluation.evaluation import Evaluation, summary_rows
 from rendezview.evaluation.palette import (
+    ACTIVE,
     BACKGROUND,
     GRID,
     INK,
     MUTED,
-    ON_NODE,
     PANEL,
     PROBLEM,
 )
@@ -85,11 +85,11 @@ def page(
 
     Args:
         target_name: for the title.
-        model: that recognised.
+        model: of the target.
         sequence: the frames.
-        observations: of these.
-        evaluation: where there is a truth.
-        cards: those named ``frame_…`` make the strip.
+        observations: of these frames.
+        evaluation: if there is truth.
+        cards: pictures; those named ``frame_…`` are the row of frames.
     """
     by_name = {card.name: card for card in cards}
     strip = "".join(_image(card, f"{card.title} {card.name[6:]}") for card in cards
@@ -117,11 +117,11 @@ frames of {escape(sequence.source.name)}</p>
 <div class="tiles">{_tiles(observations, evaluation)}</div>
 {_table(evaluation)}
 <h2>Frames</h2>
-<p class="quiet key"><i style="color:{ON_NODE}">Outline</i>: silhouette found. Axes: the target's
-X, Y, Z at its view centre. Cross: bearing. A <i style="color:{PROBLEM}">red edge</i> marks a frame
-without a pose, or with a wrong one.</p>
+<p class="quiet key"><i style="color:{ACTIVE}">Outline</i>: silhouette. Axes: the target's X, Y, Z
+at its view centre. Cross: bearing. A <i style="color:{PROBLEM}">red edge</i> marks a frame without
+a pose or with a wrong pose.</p>
 <div class="strip">{strip}</div>
-<h2>How it was recognised</h2>
+<h2>Recognition</h2>
 <div class="pair">{pair}</div>
 <h2>All frames</h2>
 <div class="wide">{wide}</div>
@@ -155,8 +155,8 @@ def _tiles(observations: Ordered[AppearanceObservation], evaluation: Evaluation 
 
 def _table(evaluation: Evaluation | None) -> str:
     if evaluation is None:
-        return '<p class="quiet" style="margin-top:20px">The sequence has no truth, so there are \
-no errors to tell.</p>'
+        return '<p class="quiet" style="margin-top:20px">The sequence has no truth, so \
+there are no errors.</p>'
     head = "".join(f"<th>{name}</th>" for name in ("error", "median", "95 %", "max", ""))
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
@@ -177,7 +177,7 @@ def _facts(model: ViewModel) -> str:
         "view centre": f"{np.round(model.centre_m, 3).tolist()} m in the target's frame",
         "target radius": f"{model.target_radius_m:.3f} m",
         "sphere radius": f"{model.sphere_radius_m:.2f} m",
-        "own statement of error": f"direction {np.rad2deg(held_out.direction_rad):.2f}° each axis, "
+        "stated errors": f"direction {np.rad2deg(held_out.direction_rad):.2f}° each axis, "
         f"roll {np.rad2deg(held_out.roll_rad):.2f}°, range {100 * held_out.range_fraction:.2f} %",
         "mesh": f"{model.provenance.get('triangles', '?')} triangles, "
         f"SHA-256 {str(model.provenance.get('mesh_sha256', '?'))[:16]}",

@@ -1,6 +1,6 @@
-"""Colours and axes of all pictures: one dark palette that the colour-blind can tell apart.
+"""Colours, axes and legends of all pictures: one dark palette that is safe for the colour-blind.
 
-Pictures are matplotlib figures made without pyplot, so nothing global is touched.
+Pictures are matplotlib figures made without pyplot, so they change no global state.
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
 
 BACKGROUND = "#0f141b"
 PANEL = "#161d27"
 INK = "#e3e9f0"
 MUTED = "#93a1b1"
 GRID = "#2a3441"
-# Okabe and Ito's colours, a little lighter where the dark ground asks for it.
+# Okabe and Ito's colours, slightly lighter on the dark background.
 ESTIMATE = "#56b4e9"
 TRUTH = "#f0e442"
-ON_NODE = "#e69f00"
+ACTIVE = "#e69f00"
 PROBLEM = "#ff7043"
 GREEN = "#2cc295"
 PURPLE = "#d98cb3"
-AXIS_COLOURS = (PROBLEM, GREEN, ESTIMATE)  # x, y, z; always with their letters
+AXIS_COLOURS = (PROBLEM, GREEN, ESTIMATE)  # x, y, z; always shown with their letters
 
-# Lightness rises evenly, so it reads without colour too.
+# Lightness rises evenly, so the map is readable without colour.
 ACCURACY = LinearSegmentedColormap.from_list(
     "accuracy", ["#2b1f4d", "#29507f", "#2f86a0", "#6cc0ad", "#e6f5d8"]
 )
@@ -38,7 +40,7 @@ DPI = 110
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:
-    """An empty dark figure that lays itself out."""
+    """An empty dark figure with automatic layout."""
     figure = Figure(
         figsize=(width_in, height_in), dpi=DPI, facecolor=BACKGROUND, layout="constrained"
     )
@@ -47,7 +49,7 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 
 def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
-    """Give axes the house's look, labels and a title at the left."""
+    """Style axes, with labels and a title at the left."""
     axes.set_facecolor(PANEL)
     for side, spine in axes.spines.items():
         spine.set_visible(side in ("left", "bottom"))
@@ -62,10 +64,43 @@ def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
 
 
 def dress_legend(legend: Legend) -> None:
-    """The house's look for a legend."""
+    """Style a legend."""
     legend.get_frame().set(facecolor=PANEL, edgecolor=GRID, alpha=0.85)
     for text in legend.get_texts():
         text.set_color(INK)
+
+
+def legend_below(figure: Figure, axes: Axes, *, columns: int = 3, size: float = 9.5) -> None:
+    """A styled legend of the axes' labels below them, if there are any labels."""
+    handles, labels = axes.get_legend_handles_labels()
+    if handles:
+        dress_legend(
+            figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=size)
+        )
+
+
+def draw_axes(axes: Axes3D, centre_m: npt.NDArray[np.float64], length_m: float) -> None:
+    """The three axes of a frame, from its centre, with their letters."""
+    for k, letter in enumerate("XYZ"):
+        tip = centre_m + length_m * np.eye(3)[k]
+        axes.plot(*np.stack([centre_m, tip]).T, color=AXIS_COLOURS[k], linewidth=2.6)
+        beyond = centre_m + 1.25 * length_m * np.eye(3)[k]
+        axes.text(*beyond, letter, color=AXIS_COLOURS[k], fontsize=9, fontweight="bold")
+
+
+def space_axes(axes: Axes3D) -> None:
+    """Style axes in space, metres."""
+    axes.set_facecolor(BACKGROUND)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)
+        axis.line.set_color(GRID)
+        axis.set_major_locator(MaxNLocator(5))
+    axes.tick_params(colors=MUTED, labelsize=8, pad=1)
+    axes.set_xlabel("X, m", color=MUTED, fontsize=10)
+    axes.set_ylabel("Y, m", color=MUTED, fontsize=10)
+    axes.set_zlabel("Z, m", color=MUTED, fontsize=10)
+    axes.set_box_aspect(None, zoom=0.88)  # room for the labels
 
 
 def png(figure: Figure) -> bytes:

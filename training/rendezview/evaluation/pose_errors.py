@@ -1,8 +1,8 @@
-"""How far an estimated pose is from the true one.
+"""Errors of an estimated pose.
 
-All measures are magnitudes (0 or more). Rotation and translation are those of
-``camera_from_target``; view direction, roll, range and bearing are those of the *view
-centre*, a point of the target that the caller names (its origin if not).
+All measures are magnitudes. Rotation and translation refer to ``camera_from_target``. View
+direction, roll, range and bearing refer to the *view centre*, a point of the target that the caller
+gives (default: its origin).
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from rendezview.geometry.pose import Array, Pose, minimal_rotation, rotation_ang
 from rendezview.geometry.symmetry import Symmetry, nearest_alike
 from rendezview.sensors.appearance.outline.signature import twist
 
-# SPEED+ forgives what its own truth cannot tell (Park et al. 2023, calibration of the test bed).
-SPEED_PLUS_ROTATION_RAD = float(np.deg2rad(0.169))
+# SPEED+ counts errors below the accuracy of its truth as 0. Source: Park et al. 2023, calibration
+SPEED_PLUS_ROTATION_RAD = float(np.deg2rad(0.169))  # rad
 SPEED_PLUS_TRANSLATION = 2.173e-3  # of the range
 
 _BORESIGHT = np.array([0.0, 0.0, 1.0])
@@ -27,7 +27,7 @@ _BORESIGHT = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True)
 class PoseErrors:
-    """One estimate against the truth."""
+    """Errors of one estimate."""
 
     rotation_rad: float  # angle of the rotation between the two attitudes
     direction_rad: float  # of the camera as seen from the view centre
@@ -37,7 +37,7 @@ class PoseErrors:
     bearing_rad: float  # of the view centre as seen from the camera
     speed_rotation: float  # SPEED's e_q, rad
     speed_translation: float  # SPEED's e_t, error of the origin over its true range
-    translation_fraction: float  # the same, whatever SPEED+ forgives
+    translation_fraction: float  # the same, without the thresholds of SPEED+
 
     @property
     def speed_score(self) -> float:
@@ -55,19 +55,18 @@ def pose_errors(
 ) -> PoseErrors:
     """Errors of one estimated ``camera_from_target``.
 
-    View direction and roll are the swing and the twist of the error in attitude of a
-    camera turned to the view centre: a bearing error alone is neither.
+    View direction and roll are swing and twist of the attitude error of a camera turned towards the
+    view centre. A pure bearing error changes neither.
 
     Args:
         truth: camera_from_target.
         estimate: the same, estimated.
-        symmetries: turns that change nothing: of all poses alike to the estimate the one
-            with the least angle to the truth is judged.
+        symmetries: of the target; the equivalent pose with the least angle to the truth is used.
         centre_m: (3,) view centre, target frame; None: the target's origin.
-        speed_plus: SPEED's terms with the thresholds of SPEED+, below which they are 0.
+        speed_plus: apply the thresholds of SPEED+, below which SPEED's terms are 0.
 
     Raises:
-        ValueError: the true view centre or the true origin lies in the camera's own.
+        ValueError: the true view centre or the true origin lies in the camera's centre.
     """
     if symmetries:
         estimate = nearest_alike(estimate, truth, symmetries)
@@ -80,7 +79,7 @@ def pose_errors(
     range_m = float(np.linalg.norm(centre_found))
     rotation_rad = rotation_angle(estimate.rotation @ truth.rotation.T)
     direction_rad = roll_rad = bearing_rad = float(np.pi)
-    if range_m > 0.0:  # else the estimate says nothing of these: the worst there is
+    if range_m > 0.0:  # else these errors are undefined: the largest possible values
         sight, true_sight = centre_found / range_m, true_centre / true_range_m
         bearing_rad = float(angle_between(sight, true_sight))
         attitude, true_attitude = _centred(estimate, sight), _centred(truth, true_sight)
@@ -106,7 +105,7 @@ def pose_errors(
 def speed_terms(
     rotation_rad: float, translation_fraction: float, *, speed_plus: bool = False
 ) -> tuple[float, float]:
-    """The two terms of SPEED's score, e_q and e_t; with SPEED+'s thresholds if asked.
+    """The two terms of SPEED's score, e_q and e_t, optionally with the thresholds of SPEED+.
 
     Args:
         rotation_rad: angle between the attitudes.
@@ -122,5 +121,5 @@ def speed_terms(
 
 
 def _centred(pose: Pose, sight: Array) -> Array:
-    """(3, 3) attitude of the camera turned so that a line of sight (3,) is its boresight."""
+    """(3, 3) attitude of a camera turned so that its boresight is the line of sight (3,)."""
     return np.asarray(minimal_rotation(sight, _BORESIGHT) @ pose.rotation)

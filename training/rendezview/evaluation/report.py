@@ -1,4 +1,4 @@
-"""The report of one run: pictures as PNG files, and one page that holds them all."""
+"""The report of one run: pictures as PNG files, and one page with all of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.page import Card, page
 from rendezview.evaluation.palette import png
-from rendezview.evaluation.report_frames import details, strip
+from rendezview.evaluation.report_frames import details, frame_row
 from rendezview.evaluation.sphere_pictures import model_picture
 from rendezview.evaluation.track_pictures import (
     error_curves,
@@ -35,23 +35,23 @@ def write_report(
     evaluation: Evaluation | None = None,
     joined: bool = True,
 ) -> Path:
-    """Write the PNG files and ``report.html``, which needs nothing but itself.
+    """Write the PNG files and ``report.html``, which contains all pictures.
 
     Args:
-        folder: made where missing; files of an earlier report are replaced.
+        folder: created if missing; files of an earlier report are replaced.
         target_name: for the title.
-        model: that recognised.
+        model: of the target.
         sequence: the frames.
         observations: one for each frame, in the same order.
-        evaluation: of the results; None where the sequence has no truth.
-        joined: the frames follow each other in time, so the track is a line.
+        evaluation: of the results; None without truth.
+        joined: the frames are a sequence, so the track is a line.
 
     Returns:
         The path of ``report.html``.
 
     Raises:
         RendezviewError: a frame cannot be read, or a file not be written.
-        ValueError: not one observation for each frame, or no frames.
+        ValueError: not one observation per frame, or no frames.
     """
     if len(observations) != len(sequence) or not observations:
         raise ValueError(f"{len(observations)} observations for {len(sequence)} frames")
@@ -60,7 +60,7 @@ def write_report(
     results = {} if evaluation is None else {f.im_id: f for f in evaluation.frames}
     cards = [
         Card(f"frame_{sequence.frames[k].im_id:06d}", "frame", "", picture)
-        for k, picture in strip(model, sequence, observations, results, evaluation)
+        for k, picture in frame_row(model, sequence, observations, results, evaluation)
     ]
     cards += details(model, sequence, observations, results)
     cards += _overview(model, sequence, observations, evaluation, joined)
@@ -96,13 +96,13 @@ def _overview(
         Card(
             "cloud",
             "Camera in the target's frame",
-            "Every on node places the camera at its own direction and at the range that the "
+            "Every active node places the camera in its own direction, at the range that the "
             "silhouette's area gives.",
             png(cloud),
         ),
-        Card("curves", "Frame by frame", "Curves break where there is no pose.", png(curves)),
-        Card("stages", "Where the time goes", "", png(stage_picture(observations))),
-        Card("model", "The model", "Accuracy of every node's tree, and its size.",
+        Card("curves", "Frame by frame", "Gaps are frames without a pose.", png(curves)),
+        Card("stages", "Computing time", "", png(stage_picture(observations))),
+        Card("model", "The model", "Accuracy and size of every node's tree.",
              png(model_picture(model))),
     ]  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""What the report shows of single frames: a strip of them, and one looked at closely."""
+"""Single frames of the report: a row of frames, and one frame in detail."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from rendezview.io.sequences import Sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.outline.signature import rolled, twist
 
-_STRIP = 8  # frames shown
-_STRIP_PROBLEMS = 3  # of them without a pose or wrong
+_SHOWN = 8  # frames
+_SHOWN_PROBLEMS = 3  # of them without a pose or with a wrong one
 
 
 def shown_frames(count: int, missing: set[int], wrong: set[int]) -> list[int]:
-    """Positions of eight frames, evenly spread; three are problems, more where all else is.
+    """Positions of eight evenly spread frames. Three or more are problems.
 
     Args:
         count: of all frames.
-        missing: positions of those without a pose.
-        wrong: positions of those with a wrong one; of both kinds some are shown.
+        missing: positions of frames without a pose.
+        wrong: positions of frames with a wrong pose; some of both kinds are shown.
     """
     good = [k for k in range(count) if k not in missing | wrong]
-    room = max(_STRIP_PROBLEMS, _STRIP - len(good))
+    room = max(_SHOWN_PROBLEMS, _SHOWN - len(good))
     some = _spread(sorted(wrong), max(room // 2, room - len(missing)))
     some += _spread(sorted(missing), room - len(some))
-    return sorted(some + _spread(good, _STRIP - len(some)))
+    return sorted(some + _spread(good, _SHOWN - len(some)))
 
 
 def _spread(items: list[int], most: int) -> list[int]:
@@ -44,14 +44,14 @@ def _spread(items: list[int], most: int) -> list[int]:
     return [items[int(k)] for k in np.linspace(0, len(items) - 1, most).round()]
 
 
-def strip(
+def frame_row(
     model: ViewModel,
     sequence: Sequence,
     observations: Ordered[AppearanceObservation],
     results: dict[int, FrameResult],
     evaluation: Evaluation | None,
 ) -> list[tuple[int, bytes]]:
-    """Position and picture (PNG) of each frame shown."""
+    """Position and picture (PNG) of each frame in the row."""
     wrong_ids = set() if evaluation is None else set(evaluation.wrong)
     missing = {k for k, observation in enumerate(observations) if observation.pose is None}
     wrong = {k for k, f in enumerate(sequence) if f.im_id in wrong_ids} - missing
@@ -96,8 +96,8 @@ def details(
         Card(
             "sphere",
             f"Sphere of views, frame #{frame.im_id}",
-            "Each cell is a node with its own decision tree. Outlined cells are on: their trees "
-            "recognise this view. The sphere is seen from where the camera is estimated to be.",
+            "Each cell is a node with its own decision tree. Outlined cells are active: their "
+            "trees recognise this view. The sphere is seen from the estimated camera position.",
             png(
                 sphere_picture(
                     model,
@@ -117,7 +117,7 @@ def details(
                 "signature",
                 f"Signature, frame #{frame.im_id}",
                 "Distance from the silhouette's centroid to its outermost edge, rolled to the "
-                "best on node. Short bars are the thresholds that its tree asked about.",
+                "best active node. Short bars are the thresholds that its tree tested.",
                 png(figure),
             )
         )

@@ -1,16 +1,16 @@
-"""One number for a whole sequence, as the challenges of the field give it.
+"""Scores of a whole sequence, as the challenges of the field define them.
 
 - SPEED (Kisantal et al., IEEE TAES 2020): the mean of ``e_q + e_t`` over the images.
-- SPEED+ (Park et al., 2023): the same, a term below what its truth can tell counted as 0.
-- RBOT (Tjaden et al., IEEE TPAMI 2019): share of frames within 5 cm and 5°. RBOT sets its trackers
-  right after each failure; here the results stand as they are.
+- SPEED+ (Park et al., 2023): the same; a term below the accuracy of the truth counts as 0.
+- RBOT (Tjaden et al., IEEE TPAMI 2019): share of frames within 5 cm and 5°. RBOT resets its
+  trackers after each failure; here the results are used as they are.
 - BOP (Hodaň et al., ECCVW 2020): share of frames below ten thresholds, averaged, for MSSD (5 % to
-  50 % of the diameter) and MSPD (5 to 50 px in a picture 640 wide). Its third measure, VSD, needs
-  depth pictures and is left out.
+  50 % of the diameter) and MSPD (5 to 50 px in a picture 640 px wide). Its third measure, VSD,
+  needs depth pictures and is missing.
 - ADD, ADD-S (Hinterstoisser et al., ACCV 2012): share of frames below a tenth of the diameter.
 
-Shares are of all frames with a truth: one without a pose has failed. The means of SPEED are of the
-frames with a pose; the challenge has no score for a missing one.
+Shares are over all frames with truth: a frame without a pose has failed. The means of SPEED are
+over the frames with a pose; the challenge defines no score for a missing pose.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from rendezview.evaluation.evaluation import Evaluation, FrameResult
 from rendezview.evaluation.pose_errors import PoseErrors, speed_terms
 from rendezview.evaluation.surface import SurfaceErrors
 
-RBOT_TRANSLATION_M = 0.05
-RBOT_ROTATION_RAD = math.radians(5.0)
-ADD_FRACTION = 0.1  # of the diameter
-MSSD_FRACTIONS = np.arange(0.05, 0.51, 0.05)  # of the diameter
-MSPD_640_PX = np.arange(5, 51, 5)
+RBOT_TRANSLATION_M = 0.05  # m. Source: Tjaden et al. 2019
+RBOT_ROTATION_RAD = math.radians(5.0)  # rad. Source: Tjaden et al. 2019
+ADD_FRACTION = 0.1  # of the diameter. Source: Hinterstoisser et al. 2012
+MSSD_FRACTIONS = np.arange(0.05, 0.51, 0.05)  # of the diameter. Source: Hodaň et al. 2020
+MSPD_640_PX = np.arange(5, 51, 5)  # px in a picture 640 px wide. Source: Hodaň et al. 2020
 
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Of one sequence; None where it cannot be said."""
+    """Scores of one sequence; None if they are unknown."""
 
     speed: float | None
     speed_plus: float | None

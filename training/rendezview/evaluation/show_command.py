@@ -28,7 +28,7 @@ from rendezview.io.sequences.images import write_png
 from rendezview.sensors.appearance import ViewModel
 
 _SHEET = (4, 3)  # frames across and down
-_CELL_PX = 320
+_CELL_PX = 320  # px; width of a frame on the sheet
 
 
 def show(
@@ -36,14 +36,12 @@ def show(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder; default NAME-pictures.")
     ] = None,
-    camera: Annotated[
-        Path | None, typer.Option(help="Camera file, where a scene has none.")
-    ] = None,
+    camera: Annotated[Path | None, typer.Option(help="Camera file, if the scene has none.")] = None,
 ) -> None:
     """Draw a model, a scene or a log.
 
-    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log: range, on nodes,
-    the point cloud, and of `track --plan` the path and the rates. A scene: a sheet of frames.
+    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log: range, active nodes
+    and the point cloud; with `track --plan` also path and rates. A scene: a sheet of frames.
 
     Example: rendezview show hubble.rvm -o hubble-pictures
     """
@@ -137,7 +135,7 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
 
 
 def _cloud_of_path(records: list[dict[str, Any]]) -> Array:
-    """(N, 3) points of the on nodes about the path's centre, in the plan's axes."""
+    """(N, 3) points of the active nodes relative to the path's centre, in the plan's axes."""
     clouds = [np.array(r["points_m"]).reshape(-1, 3) - r["trajectory"]["centre_m"] for r in records]
     turns = [np.array(r["trajectory"]["path_from_target"]) for r in records]
     return np.concatenate([c @ t.T for c, t in zip(clouds, turns, strict=True)])
@@ -150,7 +148,7 @@ def _pose(value: dict[str, list[float]] | None) -> Pose | None:
 
 
 def _picture(frame: Frame) -> GreyImage:
-    """The frame's image; where it cannot be read, an empty one that says so."""
+    """The frame's image, or a black one labelled "unreadable"."""
     try:
         return frame.read()
     except RendezviewError:
@@ -162,7 +160,7 @@ def _picture(frame: Frame) -> GreyImage:
 
 
 def _show_scene(sequence: Sequence, folder: Path) -> Path:
-    """A sheet of frames spread over the sequence, in order."""
+    """A sheet of frames, evenly spread over the sequence."""
     across, down = _SHEET
     chosen = np.unique(np.linspace(0, len(sequence) - 1, across * down).round().astype(int))
     cells = []

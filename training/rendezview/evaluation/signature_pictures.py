@@ -1,4 +1,4 @@
-"""The signature of a view, and what a tree asks of it."""
+"""The signature of a view, and the tests of a tree on it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
 from rendezview.evaluation.palette import (
+    ACTIVE,
     ESTIMATE,
     GREEN,
     GRID,
     MUTED,
-    ON_NODE,
     PANEL,
     PURPLE,
     dress_legend,
@@ -24,20 +24,20 @@ from rendezview.evaluation.palette import (
 )
 from rendezview.sensors.appearance.outline.trees import Forest
 
-_MARK_RAD = np.deg2rad(3.0)  # half the length of a threshold's bar
+_MARK_RAD = np.deg2rad(3.0)  # rad; half the length of a threshold's bar
 
 
 @dataclass(frozen=True, slots=True)
 class TreeTest:
-    """One question of a tree on the way to its leaf."""
+    """One test of a tree on the path to a leaf."""
 
     component: int  # bin
     threshold: float  # thousandths of sqrt(area)
-    at_most: bool  # the answer: reading <= threshold
+    at_most: bool  # the result: reading <= threshold
 
 
 def tree_tests(forest: Forest, tree: int, readings: npt.ArrayLike) -> list[TreeTest]:
-    """The questions that one tree asks a signature (N,) as its node would have it."""
+    """The tests of one tree on a signature (N,), rolled to the tree's node."""
     values = np.asarray(readings)
     tests: list[TreeTest] = []
     entry = int(forest.roots[tree])
@@ -56,12 +56,12 @@ def signature_picture(
     *,
     node: int | None = None,
 ) -> Figure:
-    """A signature as the silhouette's outer shape, against the node's own and the thresholds.
+    """A signature as the silhouette's outer shape, with the node's own and the thresholds.
 
     Args:
         readings: (N,) of the view, rolled to the node (`outline.signature`).
         node_readings: (N,) of the node's clean view.
-        tests: what the node's tree asked; see `tree_tests`.
+        tests: of the node's tree; see `tree_tests`.
         node: its number, for the legend.
     """
     view = np.asarray(readings, dtype=np.float64)
@@ -75,8 +75,8 @@ def signature_picture(
     axes.tick_params(colors=MUTED, labelsize=9)
     if node_readings is not None:
         clean = np.asarray(node_readings, dtype=np.float64)
-        label = "best on node" if node is None else f"best on node, #{node}"
-        axes.plot(angle, np.append(clean, clean[0]), color=ON_NODE, linewidth=1.4, label=label)
+        label = "best active node" if node is None else f"best active node, #{node}"
+        axes.plot(angle, np.append(clean, clean[0]), color=ACTIVE, linewidth=1.4, label=label)
     closed = np.append(view, view[0])
     axes.fill(angle, closed, color=ESTIMATE, alpha=0.12)
     axes.plot(angle, closed, color=ESTIMATE, linewidth=2.0, label="this view")

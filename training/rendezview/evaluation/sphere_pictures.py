@@ -1,4 +1,4 @@
-"""The geodesic sphere of a model: how well each node recognises, and which are on."""
+"""The geodesic sphere of a model: accuracy of each node, and the active nodes of a frame."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from matplotlib.ticker import MaxNLocator
 
 from rendezview.evaluation.palette import (
     ACCURACY,
+    ACTIVE,
     BACKGROUND,
     ESTIMATE,
     GRID,
     INK,
     MUTED,
-    ON_NODE,
     PURPLE,
     TRUTH,
     UNKNOWN,
     dress,
-    dress_legend,
+    legend_below,
     new_figure,
 )
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance import ViewModel
 
-_HELD_OUT = "right decisions on held-out views"
-_TRAINING = "right decisions on training views"
+_HELD_OUT = "correct decisions on held-out views"
+_TRAINING = "correct decisions on training views"
 
 
 def sphere_picture(
@@ -44,15 +44,15 @@ def sphere_picture(
     values: npt.ArrayLike | None = None,
     label: str = _HELD_OUT,
 ) -> Figure:
-    """The sphere as seen from the camera's side, the target's +Z upwards.
+    """The sphere seen from the camera's side, with the target's +Z upwards.
 
     Args:
         model: whose sphere it is.
         active_nodes: (K,) indices of nodes to outline.
-        direction: (3,) estimated, view centre → camera, target frame; looked from there.
+        direction: (3,) estimated, view centre → camera, target frame; seen from there.
         truth: (3,) the true one.
-        values: (nodes,) to colour the cells by; None: the accuracy on held-out views.
-        label: what ``values`` are.
+        values: (nodes,) that colour the cells; None: the accuracy on held-out views.
+        label: of ``values``.
     """
     if values is None:
         values, label = _accuracy(model)
@@ -67,16 +67,12 @@ def sphere_picture(
     if direction is not None:
         painted.mark(axes, direction, "+", ESTIMATE, "estimated direction")
     _colour_bar(figure, axes, colours, label)
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        dress_legend(
-            figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9.5)
-        )
+    legend_below(figure, axes)
     return figure
 
 
 def model_picture(model: ViewModel) -> Figure:
-    """Two hemispheres of the map of accuracy, and how large the trees are."""
+    """Two hemispheres of the accuracy map, and the sizes of the trees."""
     values, label = _accuracy(model)
     figure = new_figure(7.0, 6.2)
     top = figure.add_gridspec(2, 2, height_ratios=(1.55, 1.0))
@@ -109,7 +105,7 @@ def model_picture(model: ViewModel) -> Figure:
 
 
 def _accuracy(model: ViewModel) -> tuple[Array, str]:
-    """Held-out accuracy of the nodes; that on training views where none was measured."""
+    """Held-out accuracy of the nodes, or that on training views if none was measured."""
     if np.isfinite(model.held_out_accuracy).any():
         return model.held_out_accuracy, _HELD_OUT
     return model.training_accuracy, _TRAINING
@@ -125,7 +121,7 @@ def _colour_bar(
 
 
 class _Sphere:
-    """Orthographic picture of a sphere whose cells are the regions nearest to each node."""
+    """Orthographic picture of a sphere whose cells are the regions closest to each node."""
 
     def __init__(self, sphere: Geodesic, seen_from: npt.ArrayLike) -> None:
         ahead = np.asarray(seen_from, dtype=np.float64)
@@ -153,7 +149,7 @@ class _Sphere:
         return np.asarray(corners[np.argsort(angle), :2])
 
     def draw(self, axes: Axes, values: Array) -> ScalarMappable:
-        """The cells in front, coloured; where the target's axes come out is said."""
+        """Draw the coloured cells in front, and the letters of the target's axes."""
         front = np.flatnonzero(self._nodes[:, 2] > 0.0)
         known = values[np.isfinite(values)]
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
@@ -188,24 +184,28 @@ class _Sphere:
         return colours
 
     def outline(self, axes: Axes, nodes: npt.NDArray[np.intp]) -> None:
-        """A frame around each on node; those on the far side are dots on the rim."""
+        """Outline each active node; nodes on the far side are dots on the rim."""
         cells = [self._cell(int(n)) for n in nodes if self._nodes[n, 2] > 0.0]
         hidden = [self._nodes[n, :2] for n in nodes if self._nodes[n, 2] <= 0.0]
         if cells:
             axes.add_collection(
                 PolyCollection(
-                    cells, facecolors="none", edgecolors=ON_NODE, linewidths=2.2, label="on nodes"
+                    cells,
+                    facecolors="none",
+                    edgecolors=ACTIVE,
+                    linewidths=2.2,
+                    label="active nodes",
                 )
             )
         if hidden:
             x, y = np.transpose([p / max(float(np.hypot(*p)), 1e-9) for p in hidden])
-            axes.plot(x, y, "o", color=PURPLE, markersize=6, label="on, far side")
+            axes.plot(x, y, "o", color=PURPLE, markersize=6, label="active, far side")
 
     def mark(
         self, axes: Axes, direction: npt.ArrayLike, marker: str, colour: str, label: str,
         *, hollow: bool = False,
     ) -> None:  # fmt: skip
-        """A direction; on the rim where it is on the far side."""
+        """Mark a direction; directions on the far side are marked on the rim."""
         point = self._view @ (np.asarray(direction) / np.linalg.norm(np.asarray(direction)))
         x, y = point[:2]
         if point[2] < 0.0:

@@ -1,8 +1,8 @@
-"""How far the surface of a target is from where it should be: the measures of BOP.
+"""Distances between the estimated and the true surface of a target: BOP's measures.
 
 Hodaň et al., "BOP Challenge 2020 on 6D Object Localization", ECCVW 2020, section 2.2 (MSSD,
-MSPD); Hinterstoisser et al., ACCV 2012 (ADD, ADD-S). The numbers are those of the public BOP
-toolkit, its way of taking continuous symmetries in steps included; lengths here are metres.
+MSPD); Hinterstoisser et al., ACCV 2012 (ADD, ADD-S). The numbers equal those of the public BOP
+toolkit, including its steps of continuous symmetries. Lengths are metres.
 """
 
 from __future__ import annotations
@@ -19,20 +19,19 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, discrete_turns
 
-# The toolkit's step: the farthest point moves by at most this share of the diameter.
-STEP = 0.01
-_REFERENCE_WIDTH_PX = 640.0  # BOP's thresholds in pixels are for pictures that wide
-_BLOCK = 2000  # rows of distances at once
+STEP = 0.01  # of the diameter; largest motion of a point per step. Source: BOP toolkit
+_REFERENCE_WIDTH_PX = 640.0  # px; width to which BOP's thresholds refer. Source: BOP 2020, 2.2
+_BLOCK = 2000  # rows of distances computed at once, to limit memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    """What the measures need of a target."""
+class ModelPoints:
+    """The vertices of a target, and what the measures need of them."""
 
     points_m: Array  # (V, 3) vertices, target frame
     hull_m: Array  # (H, 3) those on the convex hull
     diameter_m: float  # largest distance of two vertices
-    alike: tuple[Pose, ...]  # target_from_target that change nothing, the identity first
+    alike: tuple[Pose, ...]  # target_from_target of the symmetries, the identity first
 
     @classmethod
     def of(
@@ -40,16 +39,16 @@ class Surface:
         points_m: npt.ArrayLike,
         alike: Sequence[Pose] = (),
         diameter_m: float | None = None,
-    ) -> Surface:
-        """The surface with these vertices.
+    ) -> ModelPoints:
+        """Compute hull and diameter of the vertices.
 
         Args:
             points_m: (V, 3) vertices, target frame.
-            alike: see `alike_of`; none: no symmetry.
-            diameter_m: largest distance of two vertices, where it is known.
+            alike: of `alike_of`; empty: no symmetry.
+            diameter_m: largest distance of two vertices, if known.
 
         Raises:
-            ValueError: no vertices, or all in one place.
+            ValueError: no vertices, or all at one place.
         """
         points = np.asarray(points_m, dtype=np.float64)
         if points.ndim != 2 or points.shape[1:] != (3,) or not len(points):
@@ -68,7 +67,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceErrors:
-    """One estimate against the truth; 0 or more, infinite where it cannot be projected."""
+    """Errors of one estimate; infinite if it cannot be projected."""
 
     mssd_m: float  # maximum symmetry-aware surface distance
     mspd_px: float  # maximum symmetry-aware projection distance, without lens distortion
@@ -84,17 +83,17 @@ class SurfaceErrors:
 
     @property
     def mspd_640_px(self) -> float:
-        """MSPD as in a picture 640 pixels wide."""
+        """MSPD scaled to a picture 640 pixels wide."""
         return self.mspd_px * _REFERENCE_WIDTH_PX / self.width_px
 
 
 def alike_of(symmetries: Sequence[Symmetry]) -> tuple[Pose, ...]:
-    """The turns of a target's symmetries, target_from_target, the identity first.
+    """The rotations of a target's symmetries, target_from_target, the identity first.
 
-    A continuous symmetry is taken in 315 steps (`STEP`), as the toolkit does.
+    A continuous symmetry is sampled in 315 steps (`STEP`), as in the toolkit.
 
     Raises:
-        ValueError: discrete turns that never come round.
+        ValueError: the multiples of a discrete rotation never return to the identity.
     """
     discrete = [Pose(turn, np.zeros(3)) for turn in discrete_turns(symmetries)]
     axes = [s.axis / np.linalg.norm(s.axis) for s in symmetries if s.kind == "continuous"]
@@ -102,36 +101,36 @@ def alike_of(symmetries: Sequence[Symmetry]) -> tuple[Pose, ...]:
 
 
 def turns_about(axis: Array, through_m: Array) -> list[Pose]:
-    """Turns about an axis (3,), unit, through a point (3,), in steps; the identity first."""
+    """Rotations about an axis (3,), unit, through a point (3,), in steps; the identity first."""
     count = int(np.ceil(np.pi / STEP))
     turns = Rotation.from_rotvec(np.arange(count)[:, None] * (2.0 * np.pi / count) * axis)
     return [Pose(turn, through_m - turn @ through_m) for turn in turns.as_matrix()]
 
 
 def combined(discrete: Sequence[Pose], continuous: Sequence[Pose]) -> tuple[Pose, ...]:
-    """Each discrete turn, then each step of the continuous ones."""
+    """All products of a discrete rotation and a step of the continuous ones."""
     if not continuous:
         return tuple(discrete)
     return tuple(step @ turn for turn in discrete for step in continuous)
 
 
 def surface_errors(
-    truth: Pose, estimate: Pose, surface: Surface, matrix: Array, width_px: int
+    truth: Pose, estimate: Pose, model: ModelPoints, matrix: Array, width_px: int
 ) -> SurfaceErrors:
     """Errors of one estimated ``camera_from_target``.
 
     Args:
         truth: camera_from_target.
         estimate: the same, estimated.
-        surface: of the target.
+        model: vertices of the target.
         matrix: (3, 3) of the camera, px.
         width_px: of the picture.
     """
-    points, truths = surface.points_m, [truth @ turn for turn in surface.alike]
+    points, truths = model.points_m, [truth @ turn for turn in model.alike]
     found, true = estimate.apply(points), truth.apply(points)
-    # The distance of two images of a point under affine maps is convex: largest on the hull.
-    hull = estimate.apply(surface.hull_m)
-    mssd = min(_norms(hull - alike.apply(surface.hull_m)).max() for alike in truths)
+    # The distance between two affine images of a point is convex, so its maximum is on the hull.
+    hull = estimate.apply(model.hull_m)
+    mssd = min(_norms(hull - alike.apply(model.hull_m)).max() for alike in truths)
     mspd = np.inf
     if (found_px := _projected(found, matrix)) is not None:
         for alike in truths:
@@ -143,7 +142,7 @@ def surface_errors(
         mspd_px=float(mspd),
         add_m=float(_norms(found - true).mean()),
         add_s_m=float(cKDTree(found).query(true)[0].mean()),
-        diameter_m=surface.diameter_m,
+        diameter_m=model.diameter_m,
         width_px=width_px,
     )
 
@@ -153,9 +152,9 @@ def _norms(vectors: Array) -> Array:
 
 
 def _projected(points: Array, matrix: Array) -> Array | None:
-    """(V, 2) pixels of points (V, 3); None where one is beside or behind the camera.
+    """(V, 2) pixels of points (V, 3); None if one is beside or behind the camera.
 
-    There the toolkit goes on with the mirrored pixel; no picture has it.
+    The toolkit uses the mirrored pixel then, which no picture contains.
     """
     if not (points[:, 2] > 0.0).all():
         return None

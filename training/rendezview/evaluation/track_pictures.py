@@ -1,4 +1,4 @@
-"""Curves over the frames, the cloud of points in space, and where the time goes."""
+"""Curves over the frames, the cloud of points in space, and the computing time by stage."""
 
 from __future__ import annotations
 
@@ -9,36 +9,35 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 
 from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.palette import (
-    AXIS_COLOURS,
-    BACKGROUND,
+    ACTIVE,
     ESTIMATE,
     GREEN,
-    GRID,
     INK,
     MUTED,
-    ON_NODE,
     PROBLEM,
     PURPLE,
     TRUTH,
+    draw_axes,
     dress,
     dress_legend,
+    legend_below,
     new_figure,
+    space_axes,
 )
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance import AppearanceObservation
 
-_LOG_ABOVE = 30.0  # largest over median: on a linear axis the rest would be a flat line
+_LOG_ABOVE = 30.0  # ratio of largest to median error above which an axis is logarithmic
 _CURVES: tuple[tuple[str, tuple[tuple[str, str, float, str], ...]], ...] = (
     (
         "attitude, °",
         (
             ("rotation_rad", "rotation", math.degrees(1.0), ESTIMATE),
-            ("direction_rad", "view direction", math.degrees(1.0), ON_NODE),
+            ("direction_rad", "view direction", math.degrees(1.0), ACTIVE),
             ("roll_rad", "roll", math.degrees(1.0), PURPLE),
         ),
     ),
@@ -48,11 +47,11 @@ _CURVES: tuple[tuple[str, tuple[tuple[str, str, float, str], ...]], ...] = (
 
 
 def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = None) -> Figure:
-    """Errors over the frames; where there was no pose the curves break and a band says so.
+    """Errors over the frames. Frames without a pose are gaps, marked by a band.
 
     Args:
         evaluation: of a sequence.
-        active_nodes: how many nodes were on in each frame of the evaluation.
+        active_nodes: number of active nodes in each frame of the evaluation.
     """
     frames = evaluation.frames
     times = [frame.time_s for frame in frames]
@@ -76,12 +75,8 @@ def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = No
         if len(curves) > 1:
             dress_legend(axes.legend(loc="upper right", ncols=3, fontsize=8.5))
     if active_nodes is not None:
-        axes = grid[-1]
-        dress(axes, y="on nodes")
-        wide = 0.7 * float(np.median(np.diff(x))) if len(x) > 1 else 0.7
-        axes.bar(x, np.asarray(active_nodes), width=wide, color=ON_NODE)
-        axes.grid(False, axis="x")
-        axes.yaxis.get_major_locator().set_params(integer=True)
+        _node_bars(grid[-1], x, active_nodes)
+        grid[-1].yaxis.get_major_locator().set_params(integer=True)
     grid[-1].set_xlabel("time, s" if timed else "frame", color=MUTED, fontsize=10)
     _bands(list(grid), x, missing)
     return figure
@@ -90,18 +85,22 @@ def error_curves(evaluation: Evaluation, active_nodes: Sequence[int] | None = No
 def observation_curves(
     x: npt.ArrayLike, ranges_m: npt.ArrayLike, active_nodes: npt.ArrayLike, *, x_label: str
 ) -> Figure:
-    """Range and on nodes over the frames, for sequences without truth; NaN: no pose."""
+    """Range and number of active nodes over the frames, without truth; NaN: no pose."""
     frames, ranges = np.asarray(x, dtype=np.float64), np.asarray(ranges_m, dtype=np.float64)
     figure = new_figure(9.6, 4.4)
     top, below = figure.subplots(2, 1, sharex=True)
     dress(top, y="range, m")
     top.plot(frames, ranges, ".-", color=ESTIMATE, linewidth=1.4, markersize=4.5)
-    dress(below, x=x_label, y="on nodes")
-    wide = 0.7 * float(np.median(np.diff(frames))) if len(frames) > 1 else 0.7
-    below.bar(frames, np.asarray(active_nodes), width=wide, color=ON_NODE)
-    below.grid(False, axis="x")
+    _node_bars(below, frames, active_nodes, x_label)
     _bands([top, below], frames, np.isnan(ranges))
     return figure
+
+
+def _node_bars(axes: Axes, x: Array, active_nodes: npt.ArrayLike, x_label: str = "") -> None:
+    dress(axes, x=x_label, y="active nodes")
+    wide = 0.7 * float(np.median(np.diff(x))) if len(x) > 1 else 0.7
+    axes.bar(x, np.asarray(active_nodes), width=wide, color=ACTIVE)
+    axes.grid(False, axis="x")
 
 
 def point_cloud(
@@ -113,15 +112,15 @@ def point_cloud(
     truth_m: npt.ArrayLike | None = None,
     joined: bool = True,
 ) -> Figure:
-    """Where the on nodes put the camera, and its estimated and true tracks; target frame.
+    """Camera positions by the active nodes, and estimated and true tracks, in the target frame.
 
     Args:
-        points_m: (N, 3) camera as placed by every on node of every frame.
+        points_m: (N, 3) camera position by every active node of every frame.
         centre_m: (3,) view centre, where the target's axes are drawn.
         target_radius_m: length of these axes.
         estimates_m: (F, 3) estimated camera positions, NaN where there was no pose.
         truth_m: (F, 3) true ones.
-        joined: the frames follow each other, so their positions are joined by lines.
+        joined: the frames are a sequence, so lines join their positions.
     """
     figure = new_figure(6.2, 5.9)
     axes = figure.add_subplot(projection="3d")
@@ -131,7 +130,12 @@ def point_cloud(
     points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
     if len(points):
         axes.plot(
-            *points.T, ".", color=ON_NODE, markersize=3.5, alpha=0.6, label="placed by an on node"
+            *points.T,
+            ".",
+            color=ACTIVE,
+            markersize=3.5,
+            alpha=0.6,
+            label="placed by an active node",
         )
     if truth_m is not None:
         axes.plot(
@@ -143,34 +147,10 @@ def point_cloud(
             *np.asarray(estimates_m).T, "o", linestyle=line, color=ESTIMATE, linewidth=1.6,
             markersize=3.5, label="estimated camera",
         )  # fmt: skip
-    centre = np.asarray(centre_m, dtype=np.float64)
-    for k, letter in enumerate("XYZ"):
-        tip = centre + target_radius_m * np.eye(3)[k]
-        axes.plot(*np.stack([centre, tip]).T, color=AXIS_COLOURS[k], linewidth=2.6)
-        beyond = centre + 1.25 * target_radius_m * np.eye(3)[k]
-        axes.text(*beyond, letter, color=AXIS_COLOURS[k], fontsize=9, fontweight="bold")
+    draw_axes(axes, np.asarray(centre_m, dtype=np.float64), target_radius_m)
     axes.set_aspect("equal")
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        dress_legend(
-            figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9.5)
-        )
+    legend_below(figure, axes)
     return figure
-
-
-def space_axes(axes: Axes3D) -> None:
-    """The house's look for axes in space, metres."""
-    axes.set_facecolor(BACKGROUND)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
-        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)
-        axis.line.set_color(GRID)
-        axis.set_major_locator(MaxNLocator(5))
-    axes.tick_params(colors=MUTED, labelsize=8, pad=1)
-    axes.set_xlabel("X, m", color=MUTED, fontsize=10)
-    axes.set_ylabel("Y, m", color=MUTED, fontsize=10)
-    axes.set_zlabel("Z, m", color=MUTED, fontsize=10)
-    axes.set_box_aspect(None, zoom=0.88)  # room for the labels
 
 
 def stage_picture(observations: Iterable[AppearanceObservation]) -> Figure:
@@ -202,7 +182,7 @@ def stage_picture(observations: Iterable[AppearanceObservation]) -> Figure:
 
 
 def _scale(axes: Axes, values: Array) -> None:
-    """A logarithmic axis where few large errors would hide the others."""
+    """A logarithmic axis if few large errors would hide the others."""
     known = values[np.isfinite(values) & (values > 0.0)]
     if known.size and known.max() > _LOG_ABOVE * np.median(known):
         axes.set_yscale("log")

@@ -1,4 +1,4 @@
-"""The cloud with the fitted path, the plan and the correction, in space; and rates over time."""
+"""The fitted path with its points, the plan and the corrections in space; and rates over time."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from rendezview.evaluation.palette import (
+    ACTIVE,
     AXIS_COLOURS,
     ESTIMATE,
     GREEN,
-    ON_NODE,
     PROBLEM,
     PURPLE,
     TRUTH,
+    draw_axes,
     dress,
     dress_legend,
+    legend_below,
     new_figure,
+    space_axes,
 )
-from rendezview.evaluation.track_pictures import space_axes
 from rendezview.geometry.pose import Array
 
-_ARROW = 0.25  # of the range: length of the arrow of the largest correction
+_ARROW = 0.25  # of the range; length of the arrow of the largest correction
 
 
 def path_picture(records: Sequence[dict[str, Any]], points_m: Array) -> Figure:
@@ -32,25 +34,25 @@ def path_picture(records: Sequence[dict[str, Any]], points_m: Array) -> Figure:
 
     Args:
         records: frames of a log, each with its ``trajectory``.
-        points_m: (N, 3) points of the on nodes about the path's centre, plan's axes.
+        points_m: (N, 3) points of the active nodes about the path's centre, plan's axes.
     """
     figure = new_figure(7.4, 6.6)
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
     space_axes(axes)
-    told = [r["trajectory"] for r in records if r["trajectory"].get("segment")]
+    given = [r["trajectory"] for r in records if r["trajectory"].get("segment")]
     if len(points_m):
-        axes.plot(*points_m.T, ".", color=ON_NODE, markersize=2.5, alpha=0.45, label="on nodes")
-    places = np.array([t["segment"]["place_m"] for t in told]).reshape(-1, 3)
+        axes.plot(*points_m.T, ".", color=ACTIVE, markersize=2.5, alpha=0.45, label="active nodes")
+    places = np.array([t["segment"]["place_m"] for t in given]).reshape(-1, 3)
     axes.plot(*places.T, color=ESTIMATE, linewidth=1.8, label="fitted")
-    ends = [t for k, t in enumerate(told) if t["ended"] or k == len(told) - 1]
+    ends = [t for k, t in enumerate(given) if t["ended"] or k == len(given) - 1]
     for k, t in enumerate(ends):
         ahead = np.array(t["segment"]["predicted_m"])
         words = "predicted" if k == 0 else None
         axes.plot(*ahead.T, "--", color=PURPLE, linewidth=1.2, label=words)
     planned = [
         np.array(t["segment"]["place_m"]) - t["correction"]["error_m"]
-        for t in told
+        for t in given
         if t.get("correction")
     ]
     if planned:
@@ -65,19 +67,15 @@ def path_picture(records: Sequence[dict[str, Any]], points_m: Array) -> Figure:
             words = f"correction, longest {1e3 * largest:.3g} mm/s" if k == 0 else None
             axes.quiver(*start, *thrust, color=PROBLEM, linewidth=2.0, label=words)
     if len(places):
-        length = 0.2 * float(np.median(np.linalg.norm(places, axis=1)))
-        for k, letter in enumerate("XYZ"):
-            tip = length * np.eye(3)[k]
-            axes.plot(*np.stack([0.0 * tip, tip]).T, color=AXIS_COLOURS[k], linewidth=2.6)
-            axes.text(*(1.25 * tip), letter, color=AXIS_COLOURS[k], fontsize=9)
+        length_m = 0.2 * float(np.median(np.linalg.norm(places, axis=1)))
+        draw_axes(axes, np.zeros(3), length_m)
     axes.set_aspect("equal")
-    handles, labels = axes.get_legend_handles_labels()
-    dress_legend(figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9))
+    legend_below(figure, axes, size=9)
     return figure
 
 
 def rate_picture(records: Sequence[dict[str, Any]], x: Sequence[float], x_label: str) -> Figure:
-    """Speed, spin and distance to the plan over time, each with one σ where it has one."""
+    """Speed, spin and distance to the plan over time, with one σ where it is known."""
     figure = new_figure(9.6, 6.0)
     top, middle, below = figure.subplots(3, 1, sharex=True)
     dress(top, y="speed, m/s")

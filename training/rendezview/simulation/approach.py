@@ -1,9 +1,9 @@
-"""A final approach along V-bar to a docking ring: the motion, and a laser ranger's echoes.
+"""A final approach along V-bar to a docking ring: the motion and a laser ranger's echoes.
 
-The camera starts some tens of metres before the ring and ends at contact. Both craft wander:
-each disturbance is a damped oscillator driven by white acceleration, whose spectral density is
-what a filter needs to know. The ranger's beam meets the mesh itself, so that its echo comes from
-whatever stands there: rim, nozzle, heat shield, or nothing.
+The camera starts tens of metres from the ring and ends at contact. Both spacecraft wander: each
+disturbance is a damped oscillator driven by white acceleration, whose spectral density a filter
+needs. The ranger's beam is intersected with the mesh, so the echo comes from the rim, the nozzle,
+the heat shield, or is missing.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from rendezview.training.mesh import Mesh
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ApproachOptions:
-    """How the chaser comes, and how both craft wander about it."""
+    """Motion of the chaser, and disturbances of both spacecraft."""
 
     start_m: float = 60.0  # camera to ring plane
     end_m: float = 1.0
     duration_s: float = 240.0
     dt_s: float = 0.5
-    power: float = 1.5  # distance − end falls as (1 − t/T)^power: slower and slower
+    power: float = 1.5  # distance − end ∝ (1 − t/T)^power
     lateral_sigma_m: float = 0.06  # of the camera off the approach axis
     pointing_sigma_rad: float = math.radians(0.3)  # of the camera, each axis
     target_sigma_rad: float = math.radians(1.0)  # of the target's attitude, each axis
@@ -38,7 +38,7 @@ class ApproachOptions:
     damping: float = 0.7
 
     def density(self, sigma: float) -> float:
-        """White acceleration (unit/s² √s) that keeps an oscillator wandering by ``sigma``."""
+        """White acceleration (unit/s² √s) that gives an oscillator the σ ``sigma``."""
         omega = 2.0 * math.pi / self.period_s
         return sigma * math.sqrt(4.0 * self.damping * omega**3)
 
@@ -48,7 +48,7 @@ def approach(
 ) -> list[tuple[float, Pose]]:
     """Times from 0 in steps of ``dt_s`` with the true camera_from_target.
 
-    The camera looks at the ring's centre along its axis, rolled at random, but for its wander.
+    Without disturbances, the camera looks at the ring's centre along its axis, at a random roll.
     """
     count = round(options.duration_s / options.dt_s) + 1
     times_s = options.dt_s * np.arange(count)
@@ -68,7 +68,7 @@ def approach(
         # Near contact the corridor narrows with the range.
         narrowed = min(1.0, along_m[k] / 10.0)
         place = np.array([*(narrowed * lateral[k]), along_m[k]])
-        # The target turns about its origin, and takes the ring along.
+        # The target rotates about its origin, together with the ring.
         origin = place - roll @ straight @ ring.centre_m
         facing = Pose(Rotation.from_rotvec(turned[k]).as_matrix() @ roll @ straight, origin)
         poses.append((float(times_s[k]), _turned(narrowed * pointing[k]) @ facing))

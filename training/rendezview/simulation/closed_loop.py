@@ -1,9 +1,8 @@
 """A flight along a plan: Clohessy–Wiltshire motion, imperfect thrusts, drag, corrections.
 
-The engine flies the plan by impulses, one a step, that would keep it to the millimetre if all
-were perfect. Every impulse comes out too large or small and askew, drag differs from the
-target's, and the flight starts beside the plan. What a corrected flight sees at each step is up
-to its ``look``: camera frames at the true pose, for instance.
+One impulse per step follows the plan; without errors the flight would stay on the plan to the
+millimetre. Every impulse has errors of size and direction, drag differs from the target's, and
+the flight starts beside the plan. The function ``look`` gives the measurements of each step.
 """
 
 from __future__ import annotations
@@ -21,28 +20,30 @@ from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import Correction, PathFollower, Plan, Report
 from rendezview.trajectory.relative_orbit import push, transition, velocity_to_reach
 
-# Time and true camera_from_target to what a follower takes in: pose, covariance, points, weights.
+# Time and true camera_from_target → measurement of the follower: pose, covariance, points, weights.
 Seen = tuple[Pose | None, Array | None, Array, Array]
 Look = Callable[[float, Pose], Seen]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightErrors:
-    """One σ of each, drawn once a flight unless said otherwise."""
+    """One σ each, drawn once per flight unless the comment says otherwise."""
 
     place_m: float = 0.3  # each axis, at the start
     velocity_m_s: float = 0.004  # each axis, at the start
-    thrust_scale: float = 0.02  # part of every impulse, the same in all …
-    thrust_scale_each: float = 0.01  # … and anew in each
+    thrust_scale: float = 0.02  # share of every impulse, the same for all
+    thrust_scale_each: float = 0.01  # share of every impulse, new for each
     thrust_askew_rad: float = math.radians(0.5)  # about each axis, the same in all
-    drag_m_s2: float = 2e-5  # against the orbital velocity, as it is, no σ
-    pointing_rad: float = math.radians(0.3)  # of the camera, each axis, anew each frame
-    attitude_rad: float = math.radians(0.02)  # of what the star tracker says of it, the same
+    drag_m_s2: float = 2e-5  # against the orbital velocity; a value, not a σ
+    pointing_rad: float = math.radians(0.3)  # of the camera, each axis, new for each frame
+    attitude_rad: float = math.radians(
+        0.02
+    )  # of the star tracker's attitude, each axis, new for each frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Flight:
-    """What was flown, in Hill's frame."""
+    """The flown path, in Hill's frame."""
 
     times_s: Array  # (N,)
     places_m: Array  # (N, 3) true
@@ -78,9 +79,9 @@ def fly(
         plan: with an orbit, whose target keeps its attitude to the Earth.
         centre_m: (3,) of the plan, target frame.
         step_s: between impulses, and between frames.
-        look, follower: of a corrected flight; None of one that is not.
-        own_attitude: the follower is told the chaser's attitude in Hill's frame, as a star
-            tracker knows it; False: the target's own attitude is all it has.
+        look, follower: of a corrected flight; None without corrections.
+        own_attitude: the follower receives the chaser's attitude in Hill's frame, as from a star
+            tracker; False: it knows the target's attitude only.
         first, every: steps to the first correction, and from one to the next.
 
     Raises:
@@ -100,7 +101,7 @@ def fly(
     start = rng.standard_normal(6) * np.repeat([errors.place_m, errors.velocity_m_s], 3)
     state = np.concatenate([planned[0], arrivals[0]]) + start
     shaken = errors.pointing_rad * rng.standard_normal((len(times), 3))
-    told = errors.attitude_rad * rng.standard_normal((len(times), 3))
+    reported = errors.attitude_rad * rng.standard_normal((len(times), 3))
     uneven = 1.0 + errors.thrust_scale_each * rng.standard_normal((len(times), 2))
     places, reports = [], []
     count, spent = 0, 0.0
@@ -113,7 +114,7 @@ def fly(
             pose = Pose(turn, np.zeros(3)) @ looking_at(camera_m, centre_m, up)
             attitude = None
             if own_attitude:
-                off = Rotation.from_rotvec(told[k]).as_matrix()
+                off = Rotation.from_rotvec(reported[k]).as_matrix()
                 attitude = plan.orbit.hill_from_target @ pose.rotation.T @ off
             seen = look(float(time_s), pose)
             report = follower.update(float(time_s), *seen, path_from_camera=attitude)
@@ -148,5 +149,5 @@ def _impulses(planned: Array, mean_motion_rad_s: float, step_s: float) -> tuple[
 
 
 def _up(place: Array) -> Array:
-    """Hill's normal, or the radial where the camera stands on it."""
+    """Hill's normal, or the radial direction if the camera is on the normal."""
     return np.asarray(np.eye(3)[2 if abs(place[2]) < 0.9 * np.linalg.norm(place) else 0])

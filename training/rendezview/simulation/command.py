@@ -22,6 +22,7 @@ from rendezview.simulation.sensor import SensorOptions
 from rendezview.simulation.shading import ShadingOptions
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.bundled import find_target
+from rendezview.training.command_options import Jobs
 from rendezview.training.mesh import Mesh, load_mesh
 
 
@@ -41,7 +42,7 @@ def simulate(
         str, typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the BOP scene.")],
-    kind: Annotated[Kind, typer.Option("--trajectory", help="How camera and target move.")],
+    kind: Annotated[Kind, typer.Option("--trajectory", help="Motion of camera and target.")],
     unit: Annotated[str | None, typer.Option(help="Unit of a bare mesh.")] = None,
     camera: Annotated[
         Path | None, typer.Option(help="Camera file; default 640 × 480, 53° across.")
@@ -49,12 +50,12 @@ def simulate(
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     dt: Annotated[float, typer.Option(help="Seconds between frames.")] = 1.0,
     start_range: Annotated[
-        float | None, typer.Option(help="Metres from the target's middle; default 6 target radii.")
+        float | None, typer.Option(help="Metres from the target's centre; default 6 target radii.")
     ] = None,
     end_range: Annotated[
         float | None, typer.Option(help="Metres at the end; default 3 target radii, or the start.")
     ] = None,
-    turn: Annotated[float, typer.Option(help="Degrees around the target in all.")] = 120.0,
+    turn: Annotated[float, typer.Option(help="Total angle around the target, degrees.")] = 120.0,
     sun_phase: Annotated[
         float, typer.Option(min=0.0, max=180.0, help="Degrees Sun–target–camera.")
     ] = 0.0,
@@ -66,25 +67,27 @@ def simulate(
     noise: Annotated[float, typer.Option(help="Noise, grey levels (one σ).")] = 3.0,
     blur: Annotated[float, typer.Option(help="Blur of the optics, pixels (one σ).")] = 0.7,
     bearing: Annotated[
-        float, typer.Option(help="Random trajectory: off-boresight by up to so many degrees.")
+        float, typer.Option(help="Random trajectory: largest angle off the boresight, degrees.")
     ] = 0.0,
     jitter: Annotated[float, typer.Option(help="Pointing jitter, degrees (one σ).")] = 0.3,
     mitsuba: Annotated[
         bool,
-        typer.Option("--mitsuba", help="Drawn by Mitsuba (rendezview[mitsuba]), a second a frame."),
+        typer.Option(
+            "--mitsuba", help="Render with Mitsuba (rendezview[mitsuba]), a second per frame."
+        ),
     ] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Write mask_visib/ too.")] = False,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
+    jobs: Jobs = -1,
+    seed: Annotated[int, typer.Option(min=0, help="Of all random numbers.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a scene.")] = False,
 ) -> None:
-    """Render camera frames of a target with the truth of every one.
+    """Render camera frames of a target, with the true pose of each.
 
     Example: rendezview simulate hubble -o approach --trajectory spiral --sun-phase 20
     """
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
-    seen_by = load_camera(camera) if camera else default_camera()
+    flight_camera = load_camera(camera) if camera else default_camera()
     options = SceneOptions(
         sky_frame="camera" if kind is Kind.TUMBLE else "target",
         sun_phase_rad=float(np.deg2rad(sun_phase)),
@@ -106,12 +109,12 @@ def simulate(
     with ProgressBar() as progress:
         simulate_scene(
             mesh,
-            seen_by,
+            flight_camera,
             path,
             options,
             output,
             seed,
-            jobs=1 if mitsuba else jobs,  # Mitsuba takes all cores by itself
+            jobs=1 if mitsuba else jobs,  # Mitsuba uses all cores itself
             progress=lambda done, total: progress("frames", done, total),
             overwrite=overwrite,
         )
@@ -119,7 +122,7 @@ def simulate(
 
 
 def default_camera() -> Camera:
-    """640 × 480, 53° across: a target fills it at 2.7 of its radii."""
+    """640 × 480, 53° wide: a target fills it at 2.7 target radii."""
     return Camera.from_fov(640, 480, float(np.deg2rad(53.0)))
 
 

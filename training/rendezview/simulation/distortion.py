@@ -1,4 +1,4 @@
-"""The undistorted, wider picture behind a camera with distortion."""
+"""Simulation of lens distortion: a wider pinhole picture and the map from it."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.training.zbuffer import Float32s
 
-_AREA_MAX = 9.0  # the wide picture has at most this many times the camera's pixels
+_AREA_MAX = 9.0  # largest area of the wide picture, in areas of the camera's picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Widened:
-    """A pinhole camera that sees all that a distorted one sees, and the map between."""
+    """A pinhole camera that covers the view of a distorted one, and the map between them."""
 
     pinhole: Camera
-    map_x: Float32s  # (H, W) column of the wide picture seen by each pixel
+    map_x: Float32s  # (H, W) column in the wide picture for each pixel
     map_y: Float32s  # (H, W) row
 
     def bend(self, wide: Float32s, interpolation: int, outside: float = 0.0) -> Float32s:
-        """The wide picture (h, w) as the distorted camera takes it, (H, W)."""
+        """Distort the wide picture (h, w) to the camera's (H, W)."""
         bent = cv2.remap(
             wide,
             self.map_x,
@@ -50,11 +50,10 @@ def pixel_rays(camera: Camera) -> Array:
 
 @lru_cache(maxsize=4)
 def widened(camera: Camera) -> Widened | None:
-    """The wide camera behind a distorted one; None when there is no distortion.
+    """The wide pinhole camera for a distorted one; None without distortion.
 
     Raises:
-        RendezviewError: the rays of the corners are so far out (or cannot be
-            computed) that the wide picture would be unreasonably large.
+        RendezviewError: the corner rays are too oblique, or cannot be computed.
     """
     if not any(camera.distortion):
         return None

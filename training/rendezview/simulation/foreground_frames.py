@@ -1,4 +1,4 @@
-"""Pictures for learning which pixels show a spacecraft: one that nobody built, any bright sky."""
+"""Training pictures for foreground segmentation: random spacecraft before random skies."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rendezview.simulation.shading import ShadingOptions, render
 from rendezview.training.mesh import Mesh
 from rendezview.training.zbuffer import Float32s
 
-WIDTH, HEIGHT = 320, 240  # what the network is shown of a frame
-_RADIUS_PX = (40.0, 118.0)
-_DARK_EXPOSURE = 300.0  # where nothing of the craft is lit
+WIDTH, HEIGHT = 320, 240  # px; input of the network
+_RADIUS_PX = (40.0, 118.0)  # px; radius of the craft in the picture
+_DARK_EXPOSURE = 300.0  # grey levels per unit of radiance, if no part of the craft is lit
 
 
 def foreground_frame(rng: np.random.Generator) -> tuple[UInt8s, UInt8s]:
-    """A grey picture (240, 320) and how much of each pixel the craft covers, 0 … 255."""
+    """A grey picture (240, 320) and the coverage of each pixel by the craft, 0 … 255."""
     mesh = random_craft(rng)
     centre_m, _ = mesh.bounding_sphere
     camera, pose = _view(mesh, rng)
@@ -56,7 +56,7 @@ def foreground_frame(rng: np.random.Generator) -> tuple[UInt8s, UInt8s]:
 
 
 def _view(mesh: Mesh, rng: np.random.Generator) -> tuple[Camera, Pose]:
-    """Any attitude, anywhere in the picture, now and then over its border."""
+    """Any attitude, anywhere in the picture, sometimes across its border."""
     centre_m, radius_m = mesh.bounding_sphere
     focal = float(rng.uniform(200.0, 600.0))
     camera = Camera(width=WIDTH, height=HEIGHT, fx=focal, fy=focal,
@@ -70,7 +70,7 @@ def _view(mesh: Mesh, rng: np.random.Generator) -> tuple[Camera, Pose]:
 
 
 def _behind(camera: Camera, earth_camera: Array, sun: Array, rng: np.random.Generator) -> Float32s:
-    """The Earth, or another sky; some dimmed, brightened, blurred or plain."""
+    """The Earth or a random sky; sometimes dimmed, brightened, blurred or uniform."""
     if rng.random() < 0.55:
         earth = Earth(
             seed=int(rng.integers(2**31)), angular_radius_rad=float(rng.uniform(0.7, 1.3))

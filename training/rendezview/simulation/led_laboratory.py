@@ -1,9 +1,9 @@
 """The optics laboratory of Welch et al. (1991): lights on a rotary stage, two photodiodes.
 
-Laboratory (rig) frame: z down, origin at the stage. The cameras hang above, look down at it
-and see six lights that are switched on one after the other. The paper prints neither the
-places of the cameras nor those of the lights: the field is filled as its lens and detector
-allow (25 mm, 1 cm × 1 cm), with SCOLE's lights as ``models_cad/scole`` has them.
+Laboratory (rig) frame: z down, origin at the stage. The cameras hang above the stage and see six
+lights, which are switched on one after the other. The paper gives neither the positions of the
+cameras nor those of the lights. Here the lights of ``models_cad/scole`` fill the field of the
+paper's lens and detector (25 mm, 1 cm × 1 cm).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo import Lens, Photodiode, Response, Rig, RigCamera
 from rendezview.sensors.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
 
-_STEP = 1e-6  # rad, m, for the derivatives of the bound
+_STEP = 1e-6  # rad, m; step of the numeric derivatives of the bound
 
 
 @dataclass(frozen=True, kw_only=True)
 class LaboratoryOptions:
-    """What the laboratory is like."""
+    """Options of the laboratory."""
 
     signal_to_noise: float = 200.0  # largest signal of an electrode over r.m.s. noise of one
     height_m: float = 7.0  # of the cameras above the stage
     baseline_m: float = 6.0
     focal_m: float = 0.025
     half_width_m: float = 0.005
-    pin_cushion: float = 0.04  # excess of the reading at the middle of an edge; 7 % at a corner
+    pin_cushion: float = 0.04  # distortion of the reading at the middle of an edge; 7 % at a corner
     plane_tilt_rad: float = float(np.deg2rad(2.0))  # of the lights' plane against the stage
     plate_sigma_m: float = 0.0005  # of the calibration plate's lights; the paper's: below 0.05 in
     distorted: bool = True  # a lens with all of eq. 6, misaligned; False: a perfect one
@@ -42,7 +42,7 @@ class Laboratory:
     Args:
         leds: (L, 3) lights in the target frame, metres.
         options: of the laboratory.
-        seed: of what differs between two laboratories: lens, detectors, misalignment.
+        seed: of lens, detectors and misalignment, which differ between laboratories.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""The same laboratory with two picture cameras in place of the photodiodes.
+"""The same laboratory with two picture cameras instead of the photodiodes.
 
-Lights are round Gaussian spots. The signal-to-noise ratio is the paper's: the largest signal
-of the sensor, here the grey level of a spot's peak above the sky, over the r.m.s. noise of one
+Lights are round Gaussian spots. The signal-to-noise ratio is defined as in the paper: the
+largest signal of the sensor, here the peak of a spot above the sky, over the r.m.s. noise of one
 pixel.
 """
 
@@ -17,13 +17,13 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo import Lens, Rig
 from rendezview.simulation.led_laboratory import Laboratory
 
-_STEP = 1e-6
-_REACH = 5.0  # of a spot that is drawn, in its σ
+_STEP = 1e-6  # rad, m; step of the numeric derivatives of the bound
+_REACH = 5.0  # σ; extent of a drawn spot
 
 
 @dataclass(frozen=True, kw_only=True)
 class PictureOptions:
-    """Two cameras that see the photodiodes' field in so many pixels."""
+    """Two cameras with the photodiodes' field of view."""
 
     size_px: int = 1024
     peak_grey: float = 200.0  # above the sky
@@ -55,7 +55,7 @@ def picture_rig(laboratory: Laboratory, options: PictureOptions) -> Rig:
 def draw(
     rig: Rig, camera: int, points_rig_m: Array, options: PictureOptions, rng: np.random.Generator
 ) -> npt.NDArray[np.uint8]:
-    """One picture of lights (N, 3), rig frame; those outside are left out."""
+    """One picture of lights (N, 3), rig frame; lights outside the picture are ignored."""
     width, height = rig.cameras[camera].size or (0, 0)
     noise = rng.standard_normal((height, width), dtype=np.float32)
     grey = options.sky_grey + options.noise_grey * noise
@@ -76,8 +76,8 @@ def draw(
 def picture_bound(rig: Rig, leds: Array, pose: Pose, options: PictureOptions) -> Array:
     """(6, 6) Cramér–Rao bound of rig_from_target from one picture of each camera.
 
-    A round Gaussian spot of any width and brightness in white noise σ is placed at best to
-    ``sqrt(2/π) σ / peak`` px in each coordinate; rounding to whole grey levels adds 1/12 to σ².
+    The position of a round Gaussian spot in white noise σ has a standard deviation of at least
+    ``sqrt(2/π) σ / peak`` px per coordinate. Rounding to whole grey levels adds 1/12 to σ².
     """
     sigma_px = math.sqrt(2.0 / math.pi * (options.noise_grey**2 + 1.0 / 12.0)) / options.peak_grey
     information = np.zeros((6, 6))

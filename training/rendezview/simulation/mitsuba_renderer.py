@@ -1,9 +1,8 @@
 """Pictures by Mitsuba 3, an independent, physically based renderer.
 
-It shares nothing with our own scanlines but the mesh, so that a result on its frames
-says something about reality and not about our renderer. Hard shadows from a Sun at
-infinity, diffuse paint with rough foil on top, light of the Earth from half the sky.
-Radiance is in units of a white Lambert surface that faces the Sun, as everywhere here.
+It shares only the mesh with our own renderer, so results on its frames do not depend on our
+renderer. It has hard shadows from a Sun at infinity, diffuse paint blended with rough foil, and
+earthshine from half the sky. The unit of radiance is a white Lambert surface that faces the Sun.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ from rendezview.simulation.distortion import widened
 from rendezview.training.mesh import Mesh
 from rendezview.training.zbuffer import Float32s
 
-_SKY_ROWS = 64  # of the map of light from the sky
+_SKY_ROWS = 64  # rows of the environment map
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MitsubaOptions:
-    """How Mitsuba draws the target."""
+    """Options of the Mitsuba renderer."""
 
-    samples: int = 48  # a pixel; about one second a 640 × 480 frame on one core
-    foil: float = 0.2  # share of rough aluminium in every surface: it glints
+    samples: int = 48  # per pixel; about one second per 640 × 480 frame on one core
+    foil: float = 0.2  # share of rough, glinting aluminium in every surface
     foil_roughness: float = 0.25  # Beckmann alpha of the wrinkled foil
-    ambient: float = 0.01  # light from everywhere: stars, own scattered light
+    ambient: float = 0.01  # light from all directions: stars, scattered light
     earthshine: float = 0.3  # radiance of the day side of the Earth (its mean albedo)
 
     def __post_init__(self) -> None:
@@ -60,7 +59,7 @@ def render_mitsuba(
     Args:
         sun_direction_camera: (3,) unit, towards the Sun.
         earth_direction_camera: (3,) unit, towards the Earth's centre; None: no Earth.
-        earth_radius_rad: half the angle under which the Earth is seen.
+        earth_radius_rad: angular radius of the Earth.
         seed: of the samples.
 
     Raises:
@@ -129,7 +128,7 @@ def _render(
     scene = mi.load_dict(
         {
             "type": "scene",
-            # more than one emitter sample comes out too bright in this version
+            # more than one emitter sample gives too bright pictures in Mitsuba 3.7.1
             "integrator": {
                 "type": "direct",
                 "emitter_samples": 1,
@@ -170,7 +169,7 @@ def _render(
 
 
 def _shape(mi: Any, mesh: Mesh, vertices: Array, options: MitsubaOptions) -> Any:
-    """The mesh with a flat albedo for every face, paint and foil blended."""
+    """The mesh with a constant albedo per face, as a blend of paint and foil."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(
         {
@@ -210,7 +209,7 @@ def _shape(mi: Any, mesh: Mesh, vertices: Array, options: MitsubaOptions) -> Any
 def _sky(
     mi: Any, sun: Array, options: MitsubaOptions, earth: Array | None, earth_radius_rad: float
 ) -> Any:
-    """Light from everywhere, and from the day side of the Earth."""
+    """Ambient light, and light from the day side of the Earth."""
     if earth is None:
         return {"type": "constant", "radiance": {"type": "rgb", "value": options.ambient}}
     # Latitude-longitude map of Mitsuba: y is up, u = 0 towards +z and rising towards -x.

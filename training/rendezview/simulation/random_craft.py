@@ -1,6 +1,6 @@
-"""Spacecraft that nobody built: random bodies, panels, dishes and booms.
+"""Random spacecraft of bodies, panels, dishes and booms.
 
-What is learned from them knows spacecraft in general and none in particular.
+A network trained on them knows spacecraft in general and none in particular.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from rendezview.training.mesh import Mesh
 
 Solid = tuple[trimesh.Trimesh, Array]  # and the albedo of its faces (F,)
 
-# White paint and foil, grey metal, black blankets: albedo, and how often.
+# White paint and foil, grey metal, black blankets: ranges of albedo, and their shares.
 _PAINTS = ((0.6, 0.95), (0.25, 0.6), (0.02, 0.2))
 _PAINT_SHARES = (0.45, 0.35, 0.2)
 
 
 def random_craft(rng: np.random.Generator) -> Mesh:
-    """One craft of a few metres: one to three bodies along an axis, and what is fixed to them."""
+    """One craft of a few metres: one to three bodies along an axis, with attached parts."""
     solids: list[Solid] = []
     length = 0.0
     for _ in range(int(rng.integers(1, 4))):
@@ -103,13 +103,13 @@ def _body(rng: np.random.Generator, height: float) -> Solid:
 
 
 def _panel(rng: np.random.Generator, width: float) -> Solid:
-    """A wing in the xy plane, from a yoke outwards along x: cells in a grid, dark or bright."""
+    """A solar wing in the xy plane, along x from its yoke: a grid of dark or bright cells."""
     length, chord = rng.uniform(0.5, 3.0) * width, rng.uniform(0.2, 1.2) * width
     gap = width * rng.uniform(0.3, 0.8)
     rows, columns = int(rng.integers(1, 6)), int(rng.integers(1, 12))
     cell, line = rng.uniform(0.02, 0.25), rng.uniform(0.05, 0.6)
     if rng.random() < 0.3:
-        cell = _albedo(rng)  # a back, a radiator, a wing
+        cell = _albedo(rng)  # a back side or a radiator
     share = rng.uniform(0.0, 0.15)
     taper = rng.uniform(0.3, 1.0) if rng.random() < 0.2 else 1.0
     back = trimesh.creation.box([length, chord, 0.02 * width])
@@ -122,7 +122,7 @@ def _panel(rng: np.random.Generator, width: float) -> Solid:
                 [length * ((i + 0.5) / columns - 0.5), chord * ((j + 0.5) / rows - 0.5), 0.0]
             )
             paint = cell * rng.uniform(0.8, 1.2) * np.ones(len(box.faces))
-            if rng.random() < 0.7:  # the back is another surface
+            if rng.random() < 0.7:  # the back side differs
                 paint[box.face_normals[:, 2] < -0.5] = line
             parts.append((box, paint))
     mesh, albedo = _joined(parts)
@@ -156,7 +156,7 @@ def _box(rng: np.random.Generator, size: float) -> Solid:
 
 
 def _fixed(rng: np.random.Generator, solid: Solid, width: float, length: float) -> Solid:
-    """Turned at random, mostly upright or across, and set on a body's surface."""
+    """Rotate a solid, mostly upright or across, and place it on a body's surface."""
     mesh, albedo = solid
     if rng.random() < 0.6:
         upright = rng.choice([0.0, 0.5, 1.0]) * np.pi

@@ -1,4 +1,4 @@
-"""Bright skies of many kinds: clouds of any spectrum, coasts, fields, plain grey."""
+"""Random bright skies: clouds of any spectrum, coasts, fields."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from rendezview.training.zbuffer import Float32s
 
-_LARGEST_FIELDS = 150
+_LARGEST_FIELDS = 150  # patches; most of a picture of fields
 
 
 def random_sky(height: int, width: int, rng: np.random.Generator) -> Float32s:
@@ -27,7 +27,7 @@ def random_sky(height: int, width: int, rng: np.random.Generator) -> Float32s:
 
 
 def _spectral(height: int, width: int, rng: np.random.Generator) -> Float32s:
-    """0 … 1, power falling with frequency; cut from twice the size, so that it does not repeat."""
+    """0 … 1, power-law noise, cut from twice the size so that it does not repeat."""
     rows, columns = 2 * height, 2 * width
     frequency = np.hypot(fft.fftfreq(rows)[:, None] * height, fft.rfftfreq(columns) * width)
     frequency[0, 0] = 1.0
@@ -39,14 +39,14 @@ def _spectral(height: int, width: int, rng: np.random.Generator) -> Float32s:
 
 
 def _slow(height: int, width: int, rng: np.random.Generator) -> Float32s:
-    """0 … 1, a few knots across, smooth between."""
+    """0 … 1, smooth interpolation of a few random knots."""
     knots = rng.random(tuple(rng.integers(3, 30, 2))).astype(np.float32)
     smooth = cv2.resize(knots, (width, height), interpolation=cv2.INTER_CUBIC)
     return np.asarray(np.clip(smooth, 0.0, 1.0), dtype=np.float32)
 
 
 def _fields(height: int, width: int, rng: np.random.Generator) -> Float32s:
-    """0 … 1, one level for every patch (Voronoi)."""
+    """0 … 1, one level per patch (Voronoi)."""
     count = int(rng.integers(10, _LARGEST_FIELDS))
     seeds = rng.uniform([-20.0, -20.0], [width + 20.0, height + 20.0], (count, 2))
     x, y = np.meshgrid(np.arange(width), np.arange(height))

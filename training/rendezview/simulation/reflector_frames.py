@@ -1,8 +1,8 @@
-"""Frames of a video guidance sensor: laser light on, retro-reflectors back, all else behind.
+"""Frames of a video guidance sensor: laser-lit retro-reflectors, clutter and background.
 
-A *lit* picture at 830 nm, which the reflectors' filters pass, and a *dark* one at 780 nm, which
-they do not. Every reflector is integrated over its disc through the camera's full model, so that
-perspective, tilt and lens distortion are in its spot.
+A reading has a *lit* picture at 830 nm, which the reflectors' filters pass, and a *dark* one at
+780 nm, which they block. Every reflector is integrated over its disc through the full camera model,
+so its spot contains perspective, tilt and lens distortion.
 """
 
 from __future__ import annotations
@@ -18,23 +18,27 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 from rendezview.simulation.background import Earth, Stars, earth_radiance, star_radiance
+from rendezview.simulation.sensor import with_shot_noise
+from rendezview.training.directions import perpendicular
 
 Grey = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
 
-_REACH = 5.0  # of a spot beyond its disc, in σ of the blur
+_REACH = 5.0  # σ of the blur; extent of a spot beyond its disc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReflectorFrameOptions:
     """Light, optics and detector of the sensor. Grey levels are those of the 8-bit picture."""
 
-    peak_grey: float = 180.0  # of the reflectors: the integration time is controlled so …
-    control_range_m: float = 40.0  # … out to here; beyond, the return falls with range⁴
+    peak_grey: float = 180.0  # of the reflectors, by automatic integration time
+    control_range_m: float = (
+        40.0  # largest range of this control; beyond, the return falls with range⁴
+    )
     beam_half_power_rad: float = math.radians(20.0)  # of the laser diodes, off the boresight
     return_half_power_rad: float = math.radians(45.0)  # of the reflectors, off their normal
     leak: float = 0.02  # share of a reflector's return that passes its filter at 780 nm
-    starring_rad: float | None = None  # incidence at which the filter's glass mirrors both colours
+    starring_rad: float | None = None  # incidence at which the filter's glass reflects both colours
     starring_width_rad: float = math.radians(1.0)
     blur_sigma_px: float = 0.7  # Gaussian optics
     noise_sigma_grey: float = 2.0  # read noise
@@ -55,7 +59,7 @@ class ReflectorFrameOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clutter:
-    """Light that is no reflector, one row each: glints, foil, false spots.
+    """Light sources other than reflectors, one per row: glints, foil, false spots.
 
     Columns: x, y (px), σ along and across (px), angle (rad), peak in the lit picture, peak in the
     dark one (grey), shift of the dark one in x and y (px).
@@ -66,9 +70,9 @@ class Clutter:
 
 
 def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float = 0.15) -> Clutter:
-    """A crumpled sheet of sunlit foil: facets about one place, some saturated, in both pictures.
+    """A crumpled sheet of sunlit foil: facets around one place in both pictures, some saturated.
 
-    Between the two pictures the craft move by ``motion_px`` (σ) and each facet flickers by 4 %.
+    Between the pictures the foil moves by ``motion_px`` (σ), and each facet flickers by 4 %.
     """
     centre = rng.uniform((0.0, 0.0), (camera.width, camera.height))
     spots = np.empty((facets, 9))
@@ -83,7 +87,7 @@ def foil(camera: Camera, rng: np.random.Generator, facets: int, motion_px: float
 
 
 def glints(camera: Camera, rng: np.random.Generator, count: int) -> Clutter:
-    """False spots that the dark picture lacks: as large and bright as reflectors may be."""
+    """False spots that are missing in the dark picture, as large and bright as reflectors."""
     spots = np.zeros((count, 9))
     spots[:, :2] = rng.uniform((0.0, 0.0), (camera.width, camera.height), (count, 2))
     spots[:, 2] = np.exp(rng.uniform(math.log(0.7), math.log(6.0), count))
@@ -132,14 +136,14 @@ def render_pair(
     """The lit and the dark picture (H, W) of one reading.
 
     Args:
-        camera: its model, distortion included.
+        camera: with its distortion.
         pattern: all reflectors of the target.
         camera_from_target: at the lit picture.
         options: light, optics, detector.
         rng: of the noise.
-        dark_pose: at the dark picture; None where both come at once (beam splitter).
-        hidden: numbers of reflectors that something stands before.
-        clutter: everything else that shines.
+        dark_pose: at the dark picture; None: both are simultaneous (beam splitter).
+        hidden: numbers of occluded reflectors.
+        clutter: all other light.
     """
     gain = exposure(camera, pattern, camera_from_target, options)
     pictures = []
@@ -160,9 +164,9 @@ def render_pair(
 def exposure(
     camera: Camera, pattern: ReflectorPattern, pose: Pose, options: ReflectorFrameOptions
 ) -> float:
-    """Gain that gives the brightest reflector its peak, as far as the integration time reaches.
+    """Gain that gives the brightest reflector its peak, up to the limit of the integration time.
 
-    The return of a reflector is that of `_radiance`; the gain is grey levels a unit of it.
+    The gain is in grey levels per unit of `_radiance`.
     """
     gains = []
     limits = []
@@ -185,7 +189,7 @@ def exposure(
 def _concentration(
     camera: Camera, pattern: ReflectorPattern, k: int, far_m: float, options: ReflectorFrameOptions
 ) -> float:
-    """Peak of a disc's spot over the radiance of a wide one: blur spreads the light of a small."""
+    """Peak of a disc's spot relative to a wide disc: blur spreads the light of a small one."""
     radius = 0.5 * pattern.diameters_m[k] * camera.fx / far_m
     spread = options.blur_sigma_px**2 + 1.0 / 12.0
     return 1.0 - math.exp(-0.5 * radius * radius / spread)
@@ -196,7 +200,7 @@ def _radiance(
 ) -> float:
     """Radiance of a reflector, 1 at 1 m head-on: illumination by range² and beam, return by angle.
 
-    What comes back to the camera spreads by range² again, which the disc's solid angle has.
+    The returned light spreads by range² again, which the disc's solid angle contains.
     """
     place = pose.apply(pattern.positions_m[k])
     far = float(np.linalg.norm(place))
@@ -212,7 +216,7 @@ def _radiance(
 def _dark_share(
     pattern: ReflectorPattern, k: int, pose: Pose, options: ReflectorFrameOptions
 ) -> float:
-    """Share of a reflector's light at 780 nm; its glass may mirror both colours at one angle."""
+    """Share of a reflector's light at 780 nm; its glass may reflect both colours at one angle."""
     if options.starring_rad is None:
         return options.leak
     place = pose.apply(pattern.positions_m[k])
@@ -231,7 +235,7 @@ def paint_reflector(
     gain: float,
     options: ReflectorFrameOptions,
 ) -> None:
-    """Add one reflector's spot: points of its disc, each a Gaussian of the blur and the pixel."""
+    """Add one reflector's spot: points of its disc, each blurred by optics and pixel."""
     radiance = _radiance(pattern, k, pose, options)
     if radiance <= 0.0 or gain <= 0.0:
         return
@@ -252,8 +256,8 @@ def paint_reflector(
         return
     across = np.exp(-0.5 * ((np.arange(x0, x1 + 1)[None] - pixels[:, :1]) / sigma) ** 2)
     down = np.exp(-0.5 * ((np.arange(y0, y1 + 1)[None] - pixels[:, 1:]) / sigma) ** 2)
-    # A picture has the radiance of what it shows: each point counts by its area in the picture
-    # (n·p / z³ for a plane), times the illumination there.
+    # Each point is weighted by its area in the picture (n·p / z³ for a plane) and its
+    # illumination.
     plane = -float(pose.rotation @ pattern.normals[k] @ place)
     far2 = float(place @ place)
     seen = camera.fx * camera.fy * plane / rays[:, 2] ** 3 * far2 / np.sum(rays * rays, axis=1)
@@ -267,11 +271,10 @@ def paint_reflector(
 def _disc(pattern: ReflectorPattern, k: int, rings: int) -> tuple[Array, Array]:
     """Points (M, 3) on a reflector, target frame, and their shares of its area (M,)."""
     normal = pattern.normals[k]
-    first = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
-    first /= np.linalg.norm(first)
+    first = perpendicular(normal)
     second = np.cross(normal, first)
     nodes, shares = np.polynomial.legendre.leggauss(rings)
-    radii = np.sqrt(0.5 * (nodes + 1.0))  # Gauss in radius², where area is even
+    radii = np.sqrt(0.5 * (nodes + 1.0))  # Gauss nodes in radius², which is uniform in area
     spokes = max(12, 4 * rings)
     angles = 2.0 * math.pi * np.arange(spokes) / spokes
     ring = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
@@ -303,8 +306,7 @@ def _paint_clutter(grey: Float32s, spots: Array, number: int) -> None:
 def _detect(grey: Float32s, options: ReflectorFrameOptions, rng: np.random.Generator) -> Grey:
     """Shot noise, read noise, saturation, 8 bits."""
     if options.electrons_per_grey is not None:
-        electrons = np.maximum(grey, 0.0) * options.electrons_per_grey
-        grey = (rng.poisson(electrons) / options.electrons_per_grey).astype(np.float32)
+        grey = with_shot_noise(grey, options.electrons_per_grey, rng)
     if options.noise_sigma_grey > 0.0:
         grey = grey + np.float32(options.noise_sigma_grey) * rng.standard_normal(
             grey.shape, dtype=np.float32

@@ -18,6 +18,7 @@ from numba import njit
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.simulation.sensor import SensorOptions, expose
+from rendezview.training.directions import perpendicular
 
 GreyImage = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
@@ -187,8 +188,7 @@ def radiance(scene: RingScene) -> Float32s:
 
 
 def _across(axis: Array, angle_rad: float) -> Array:
-    first = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    first /= np.linalg.norm(first)
+    first = perpendicular(axis)
     return np.asarray(
         math.cos(angle_rad) * first + math.sin(angle_rad) * np.cross(axis, first), dtype=float
     )

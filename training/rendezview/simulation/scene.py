@@ -1,4 +1,4 @@
-"""Camera frames with truth: one frame in memory, or a whole scene on disk."""
+"""Camera frames with truth: a single frame, or a scene on disk."""
 
 from __future__ import annotations
 
@@ -38,31 +38,32 @@ from rendezview.training.zbuffer import Float32s
 Progress = Callable[[int, int], None]
 Picture = tuple[Float32s, Float32s]  # radiance, premultiplied by coverage, and coverage
 
-_METERED_FRAMES = 5  # rendered to find the exposure of a scene
-_MASK_COVERAGE = 0.5  # a pixel belongs to the mask when the target covers half of it
+_METERED_FRAMES = 5  # frames rendered for the automatic exposure of a scene
+_MASK_COVERAGE = 0.5  # least coverage of a pixel in the mask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneOptions:
     """Light, sky and detector of a scene.
 
-    The *sky frame* is the one in which the stars, the Earth and a fixed Sun stand
-    still: the target's, for a target that keeps its attitude, or the camera's, for
-    a tumbling target before a camera that keeps its own.
+    Stars, Earth and a fixed Sun do not move in the *sky frame*. It is the target frame for a target
+    with a constant attitude, or the camera frame for a tumbling target and a fixed camera.
     """
 
     sky_frame: Literal["target", "camera"] = "target"
     sun_phase_rad: float = math.radians(45.0)  # angle Sun–target–camera, held in every frame
     sun_azimuth_rad: float | None = None  # in the picture, from right to down; None: seeded
-    sun_azimuth_each_frame: bool = False  # drawn anew for every frame (independent frames)
+    sun_azimuth_each_frame: bool = (
+        False  # a new random azimuth for every frame (independent frames)
+    )
     sun_direction_sky: Triple | None = None  # a fixed Sun instead, towards it, in the sky frame
     earth: Earth | None = None
-    # To the Earth's centre, in the sky frame. None puts it behind the target as seen
-    # from the target's +X axis, where trajectories begin, or along the camera's boresight.
+    # Towards the Earth's centre, in the sky frame. None: behind the target as seen from the
+    # target's +X axis, where trajectories begin, or along the camera's boresight.
     earth_direction_sky: Triple | None = None
     stars: Stars | None = None
     shading: ShadingOptions = field(default_factory=ShadingOptions)
-    mitsuba: MitsubaOptions | None = None  # drawn by Mitsuba, not by our own scanlines
+    mitsuba: MitsubaOptions | None = None  # render with Mitsuba instead of our own renderer
     sensor: SensorOptions = field(default_factory=SensorOptions)
     masks: bool = False  # write mask_visib/ too
 
@@ -96,8 +97,8 @@ def sun_at_phase(centre_camera_m: npt.ArrayLike, phase_rad: float, azimuth_rad: 
 
     Args:
         centre_camera_m: (3,) the target in the camera frame.
-        phase_rad: 0 is the Sun behind the camera, π the Sun behind the target.
-        azimuth_rad: where the Sun stands in the picture: 0 right, π/2 below.
+        phase_rad: 0: the Sun is behind the camera; π: behind the target.
+        azimuth_rad: direction of the Sun in the picture: 0 right, π/2 down.
     """
     ahead = unit(centre_camera_m, "centre_camera_m")
     right = np.array([1.0, 0.0, 0.0]) - ahead[0] * ahead
@@ -117,7 +118,7 @@ def render_frame(
     rng: np.random.Generator,
     time_s: float = 0.0,
 ) -> UInt8s:
-    """One 8-bit picture (H, W). An automatic exposure is that of this very frame."""
+    """One 8-bit picture (H, W). An automatic exposure uses this frame only."""
     return _frame(
         mesh, camera, camera_from_target, unit(sun_direction_camera, "sun"), options, rng, time_s
     )[0]
@@ -137,12 +138,12 @@ def simulate(
 ) -> None:
     """Render every pose and write a BOP scene; frame i of ``poses`` is image i.
 
-    The bytes depend on ``seed`` and not on ``jobs``: each frame has a child seed.
-    Automatic exposure is found once for the scene, on a few of its frames.
+    The bytes depend on ``seed`` and not on ``jobs``: each frame has a child seed. Automatic
+    exposure is set once for the scene, from a few of its frames.
 
     Raises:
-        RendezviewError: there are no poses, times do not rise, or the folder
-            cannot be written.
+        RendezviewError: there are no poses, times do not increase, or the folder cannot be
+            written.
     """
     if not poses:
         raise RendezviewError("there is nothing to simulate: the trajectory has no frames")
@@ -164,7 +165,7 @@ def simulate(
         suns.append(_sun(mesh, pose, options, azimuth))
     if options.sensor.exposure is None:
         chosen = np.unique(np.linspace(0, len(poses) - 1, _METERED_FRAMES).round().astype(int))
-        # One sample a pixel and no shadows measure the lit faces well enough.
+        # One sample per pixel without shadows is enough to measure the lit faces.
         plain = replace(options.shading, samples=1, shadows=False)
         drawn = [render(mesh, camera, poses[i][1], suns[i], plain) for i in chosen]
         pictures = [(picture.radiance, picture.coverage) for picture in drawn]
@@ -197,8 +198,7 @@ def _exposure(mesh: Mesh, pictures: list[Picture], options: SceneOptions) -> flo
     metered = automatic_exposure(pictures, options.sensor.black_level_grey)
     if metered is not None:
         return metered
-    # Nothing of the target is lit, or none of it is in sight: expose for its mean
-    # albedo in full sunlight, as a mission would by table.
+    # No part of the target is lit and visible: expose for its mean albedo in full sunlight.
     albedo = float(np.mean(mesh.face_albedo)) if len(mesh.faces) else 0.0
     return (200.0 - options.sensor.black_level_grey) / max(albedo, 0.05)
 
@@ -243,7 +243,7 @@ def _target(
     options: SceneOptions,
     rng: np.random.Generator,
 ) -> Picture:
-    """The target alone, by the renderer that was asked for."""
+    """The target without background, by the chosen renderer."""
     if options.mitsuba is None:
         drawn = render(mesh, camera, camera_from_target, sun, options.shading, earth)
         return drawn.radiance, drawn.coverage

@@ -1,4 +1,4 @@
-"""From radiance to the grey levels that a camera reports."""
+"""Optics and detector: from radiance to grey levels."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from rendezview.training.zbuffer import Float32s
 
 UInt8s = npt.NDArray[np.uint8]
 
-_TARGET_GREY = 200.0  # where automatic exposure puts the brightest tenth of the lit target
-_LIT_SHARE = 0.1  # lit: brighter than this share of the brightest pixels
-_LIT_RADIANCE = 0.03  # … and than any dark side in ambient light
+_TARGET_GREY = 200.0  # grey level of the brightest tenth of the lit target
+_LIT_SHARE = 0.1  # of the brightest pixels; lit pixels are brighter
+_LIT_RADIANCE = 0.03  # lit pixels are brighter; dark sides in ambient light are not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorOptions:
     """Optics and detector. Grey levels are those of the 8-bit picture."""
 
-    exposure: float | None = None  # grey levels a unit of radiance; None is automatic
+    exposure: float | None = None  # grey levels per unit of radiance; None: automatic
     blur_sigma_px: float = 0.7  # Gaussian optics
     noise_sigma_grey: float = 3.0  # additive Gaussian read noise
-    black_level_grey: float = 5.0  # a real detector's offset, so that noise is not cut in half
-    electrons_per_grey: float | None = None  # photon (shot) noise; None is none
+    black_level_grey: float = 5.0  # a detector's offset, so that noise is not cut off at 0
+    electrons_per_grey: float | None = None  # photon (shot) noise; None: no shot noise
 
     def __post_init__(self) -> None:
         for name in ("exposure", "electrons_per_grey"):
@@ -52,9 +52,8 @@ def automatic_exposure(
         pictures: (radiance, coverage) of one or several renderings of the target.
 
     Returns:
-        Grey levels a unit of radiance: the median of the brightest tenth (the
-        95th percentile) of the fully covered, sunlit pixels goes to 200. None
-        when no pixel of the target is lit.
+        Grey levels per unit of radiance. The median of the brightest tenth (the 95th percentile) of
+        the fully covered, sunlit pixels becomes 200. None if no pixel of the target is lit.
     """
     seen = [np.asarray(radiance[coverage > 0.99]) for radiance, coverage in pictures]
     values = np.concatenate(seen) if seen else np.empty(0, np.float32)
@@ -65,16 +64,24 @@ def automatic_exposure(
     return (_TARGET_GREY - black_level_grey) / float(np.percentile(lit, 95.0))
 
 
+def with_shot_noise(
+    grey: Float32s, electrons_per_grey: float, rng: np.random.Generator
+) -> Float32s:
+    """The picture with Poisson noise of its photo-electrons."""
+    electrons = np.maximum(grey, 0.0) * electrons_per_grey
+    return (rng.poisson(electrons) / electrons_per_grey).astype(np.float32)
+
+
 def expose(
     radiance: Float32s, exposure: float, options: SensorOptions, rng: np.random.Generator
 ) -> UInt8s:
     """The 8-bit picture of a radiance image (H, W): blur, gain, noise, rounding, saturation.
 
-    ``exposure`` stands in for the options' own, which may be automatic.
+    ``exposure`` replaces that of the options, which may be automatic.
     """
     signal = np.asarray(radiance, dtype=np.float32)
     if options.blur_sigma_px > 0.0:
-        # Nothing is known outside the frame: the edge is repeated rather than darkened.
+        # Repeats the border, because the scene outside the frame is unknown.
         signal = np.asarray(
             cv2.GaussianBlur(
                 signal, (0, 0), options.blur_sigma_px, borderType=cv2.BORDER_REPLICATE
@@ -83,8 +90,7 @@ def expose(
         )
     grey = signal * np.float32(exposure)
     if options.electrons_per_grey is not None:
-        electrons = np.maximum(grey, 0.0) * options.electrons_per_grey
-        grey = (rng.poisson(electrons) / options.electrons_per_grey).astype(np.float32)
+        grey = with_shot_noise(grey, options.electrons_per_grey, rng)
     grey = grey + np.float32(options.black_level_grey)
     if options.noise_sigma_grey > 0.0:
         noise = rng.standard_normal(grey.shape, dtype=np.float32)

@@ -1,9 +1,9 @@
 """Grey pictures of a mesh in sunlight, with the truth of every pixel.
 
-Radiance is in units of a white Lambert surface that faces the Sun. Faces are
-flat and two-sided: CAD winding is unreliable, so a normal is turned towards the
-camera, and the far side of a lit sheet is dark because the turned normal looks
-away from the Sun. The Sun is a direction in the *camera* frame, from the target.
+The unit of radiance is a white Lambert surface that faces the Sun. Faces are flat and two-sided.
+CAD winding is unreliable, so normals are turned towards the camera. The far side of a lit sheet is
+dark, because its turned normal points away from the Sun. The Sun is a direction in the *camera*
+frame.
 """
 
 from __future__ import annotations
@@ -24,21 +24,19 @@ from rendezview.simulation.shadows import ShadowMap, shadow_map
 from rendezview.training.mesh import Mesh
 from rendezview.training.zbuffer import Float32s, draw_perspective, empty_buffers
 
-# What a grey camera with a flat visible response makes of linear RGB (Rec. 709 luminance).
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShadingOptions:
-    """How the target is drawn."""
+    """Options of the shaded renderer."""
 
-    samples: int = 3  # a side: 3 means 3 × 3 samples in a pixel, box-averaged
-    near_m: float = 0.05  # nothing closer is drawn; triangles are cut there
-    specular: float = 0.15  # Blinn–Phong highlight of foil and radiators; 0 is pure Lambert
+    samples: int = 3  # per pixel side: 3 means 3 × 3 samples, box-averaged
+    near_m: float = 0.05  # triangles are clipped there
+    specular: float = 0.15  # Blinn–Phong highlight of foil and radiators; 0: pure Lambert
     shininess: float = 30.0
-    ambient: float = 0.015  # light from everywhere: dark sides are not quite black
-    earthshine: float = 0.15  # from straight below at noon, where there is an Earth
+    ambient: float = 0.015  # light from all directions, so that dark sides are not black
+    earthshine: float = 0.15  # from below at noon, with an Earth
     shadows: bool = True
-    shadow_texels_max: int = 2048  # a side of the shadow map, smaller where samples are coarser
+    shadow_texels_max: int = 2048  # per side of the shadow map; fewer for coarser samples
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= 8:
@@ -60,8 +58,8 @@ class Rendering:
     """The target alone, on black."""
 
     radiance: Float32s  # (H, W) premultiplied by coverage: add (1 − coverage) × background
-    coverage: Float32s  # (H, W) fraction of the pixel that the target covers
-    depth_m: Float32s  # (H, W) mean z of the covered samples; infinite where there are none
+    coverage: Float32s  # (H, W) share of the pixel that the target covers
+    depth_m: Float32s  # (H, W) mean z of the covered samples; infinite without any
 
 
 def render(
@@ -74,8 +72,8 @@ def render(
 ) -> Rendering:
     """Draw ``mesh`` at a pose, lit from ``sun_direction_camera`` (3,), towards the Sun.
 
-    A camera with distortion gets an undistorted, wider picture bent by linear
-    interpolation. Parts nearer than ``near_m`` are cut away.
+    For a camera with distortion, a wider undistorted picture is drawn and resampled linearly. Parts
+    nearer than ``near_m`` are cut away.
 
     Raises:
         RendezviewError: the distortion cannot be undone within a picture of
@@ -143,7 +141,7 @@ def _render_pinhole(
     albedo = mesh.face_albedo
     sun_cosine = np.maximum(normals @ sun, 0.0)
     glow = np.full(len(faces), options.ambient)
-    if earth is not None:  # a hemisphere of light about the Earth, as far as it is day there
+    if earth is not None:  # light of a hemisphere around the Earth, in proportion to its daylight
         day = max(0.0, -float(sun @ earth))
         glow += options.earthshine * day * 0.5 * (1.0 + normals @ earth)
     shadow = ShadowMap.empty()
@@ -168,7 +166,7 @@ def _window(vertices: Array, camera: Camera, near_m: float) -> tuple[int, int, i
     z = vertices[:, 2]
     if not len(z) or z.max() < near_m:
         return 0, 0, 0, 0
-    if z.min() < near_m:  # part of it reaches behind the camera: it may be anywhere
+    if z.min() < near_m:  # part of it is behind the camera, so it may be anywhere
         return 0, 0, camera.width, camera.height
     u = camera.fx * vertices[:, 0] / z + camera.cx
     v = camera.fy * vertices[:, 1] / z + camera.cy

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.training.directions import axes_towards
 from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _MARGIN_TEXELS = 2.0  # texels around the map, so that every lookup finds its neighbours
@@ -50,9 +51,7 @@ def shadow_map(
         lit: (F,) cosine of the Sun's incidence on each face, 0 for a dark one.
         texels_max: limit of either side; texels are otherwise as small as samples.
     """
-    across = np.cross(sun, np.eye(3)[np.argmin(np.abs(sun))])
-    across /= np.linalg.norm(across)
-    axes = np.stack([across, np.cross(sun, across), sun])
+    axes = axes_towards(sun)
     bounds = _visible_bounds(*visible, *intrinsics, lit, axes)
     left, top, right, bottom, z_min = bounds
     if not left <= right:

@@ -1,8 +1,7 @@
-"""Paths of a camera about a target, as poses with times.
+"""Trajectories of a camera relative to a target, as poses with times.
 
-All paths are made about ``centre_m``, the point of the target that the camera
-looks at and whose distance is the range. The camera's x axis lies across the
-target's +Z ("up" in the picture) unless a docstring says otherwise.
+The camera looks at ``centre_m``, a point of the target; the range is its distance. The target's +Z
+points up in the picture unless a docstring says otherwise.
 """
 
 from __future__ import annotations
@@ -26,19 +25,19 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrajectoryOptions:
-    """One set for all kinds; what a kind does not use is said beside it."""
+    """Options of all kinds; comments name the kinds that use them."""
 
     frames: int = 100
     dt_s: float = 1.0
     start_range_m: float = 30.0
     end_range_m: float | None = None  # None: same as start; circular stays at start
     centre_m: Triple = (0.0, 0.0, 0.0)
-    turn_rad: float = 2.0 * math.pi  # angle about the target in all: circular, spiral, flyaround
+    turn_rad: float = 2.0 * math.pi  # total angle around the target: circular, spiral, flyaround
     inclination_rad: float = math.radians(35.0)  # flyaround: its plane to the target's XY
     approach_axis: Triple = (1.0, 0.0, 0.0)  # vbar: from the target to the camera
     hops: int = 3  # vbar
-    hop_ratio: float = 0.03  # vbar: height of a hop as a part of the distance
-    body_rate_rad_s: Triple = (0.005, 0.05, 0.01)  # tumble: first angular velocity, target axes
+    hop_ratio: float = 0.03  # vbar: height of a hop as a share of the distance
+    body_rate_rad_s: Triple = (0.005, 0.05, 0.01)  # tumble: initial angular velocity, target axes
     inertia: Triple = (1.0, 1.6, 2.0)  # tumble: principal moments on the target axes, any unit
     bearing_max_rad: float = 0.0  # random: the centre lies in this cone about the boresight
     pointing_jitter_rad: float = 0.0  # one sigma each of the camera's x and y, new each frame
@@ -69,8 +68,8 @@ class TrajectoryOptions:
         a, b, c = sorted(self.inertia)
         if a <= 0.0 or a + b < c * (1.0 - 1e-9):
             raise RendezviewError(
-                f"inertia {self.inertia} belongs to no body: moments are positive and none "
-                "is more than the other two together"
+                f"inertia {self.inertia} belongs to no body: moments must be positive, and none "
+                "may exceed the sum of the other two"
             )
         if self.bearing_max_rad >= math.pi / 2:
             raise RendezviewError(f"bearing_max_rad must be below π/2, not {self.bearing_max_rad}")
@@ -82,21 +81,21 @@ class TrajectoryOptions:
 
 
 def trajectory(kind: TrajectoryKind, options: TrajectoryOptions | None = None) -> list[TimedPose]:
-    """Times in seconds, rising from 0 by ``dt_s``, with ``camera_from_target`` poses.
+    """Times from 0 in steps of ``dt_s`` with ``camera_from_target`` poses.
 
     - ``circular``: at ``start_range_m`` in the target's XY plane from +X towards
       +Y, through ``turn_rad``.
-    - ``spiral``: the same with the range going linearly to ``end_range_m``.
-    - ``vbar``: straight down ``approach_axis``, the distance linear in time, with
-      ``hops`` arcs across it whose height shrinks with the distance.
+    - ``spiral``: the same, with the range changing linearly to ``end_range_m``.
+    - ``vbar``: along ``approach_axis``, with the distance linear in time and ``hops`` arcs across
+      the axis, whose height shrinks with the distance.
     - ``flyaround``: a closed loop in a plane through the target's X axis tilted by
-      ``inclination_rad``; the range swings to ``end_range_m`` half-way and back.
+      ``inclination_rad``; the range reaches ``end_range_m`` half-way and returns.
     - ``tumble``: camera fixed at ``start_range_m``, the target in free tumble about
       ``centre_m``, taken for its centre of mass: :func:`torque_free`.
     - ``random``: attitudes uniform on SO(3), ranges uniform between start and end,
       bearings of the centre uniform over a cone about the boresight.
 
-    Jitter turns the camera about its own optical centre and leaves the range.
+    Jitter rotates the camera about its optical centre and does not change the range.
 
     Raises:
         RendezviewError: ``kind`` is unknown, or ``end_range_m`` is given to a kind
@@ -135,12 +134,12 @@ def trajectory(kind: TrajectoryKind, options: TrajectoryOptions | None = None) -
 
 
 def looking_at(camera_m: npt.ArrayLike, centre_m: npt.ArrayLike, up: npt.ArrayLike) -> Pose:
-    """``camera_from_target`` of a camera at a point, boresight at another, ``up`` upwards.
+    """``camera_from_target`` of a camera at a point that looks at another point.
 
-    All (3,) in the target frame.
+    All arguments are (3,) in the target frame; ``up`` points up in the picture.
 
     Raises:
-        ValueError: the points are one, or ``up`` lies along the boresight.
+        ValueError: the points are equal, or ``up`` is parallel to the boresight.
     """
     camera, centre = np.asarray(camera_m, np.float64), np.asarray(centre_m, np.float64)
     z = centre - camera
@@ -203,7 +202,7 @@ def _around(kind: str, options: TrajectoryOptions, progress: Array) -> list[Pose
     ahead = np.array([0.0, math.cos(tilt), math.sin(tilt)])
     sideways = np.cos(angle)[:, None] * [1.0, 0.0, 0.0] + np.sin(angle)[:, None] * ahead
     centre = np.asarray(options.centre_m)
-    # The plane's own normal is up, so that the picture never spins.
+    # The plane's normal is up, so that the picture does not roll.
     return [
         looking_at(centre + r * s, centre, normal) for r, s in zip(range_m, sideways, strict=True)
     ]

@@ -8,21 +8,21 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 
-_MAX_ROUNDS = 1000  # ten to twenty are usual; the radius grows every round
+_MAX_ROUNDS = 1000  # ten to twenty are usual
 
 
 def smallest_enclosing_sphere(points: Array) -> tuple[Array, float]:
     """The smallest sphere that encloses all points.
 
-    Active-set form of Welzl's problem: the sphere of a basis of at most four points is
-    enlarged by the farthest point outside it until none is outside. The radius grows
-    strictly, so the rounds end; the result is exact up to rounding.
+    An active-set method: the sphere of at most four points is enlarged by the farthest point
+    outside, until no point is outside. The radius grows strictly, so the loop ends. The result is
+    exact up to rounding.
 
     Args:
         points: (N, 3), finite, N >= 1.
 
     Returns:
-        centre (3,) and radius, in the unit of the points; no point is outside.
+        Centre (3,) and radius, in the unit of the points; no point is outside.
     """
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
@@ -33,7 +33,7 @@ def smallest_enclosing_sphere(points: Array) -> tuple[Array, float]:
     scale = float(np.abs(points - offset).max())
     if scale == 0.0:
         return offset, float(np.linalg.norm(points - offset, axis=1).max())
-    unit = (points - offset) / scale  # well-conditioned whatever the unit
+    unit = (points - offset) / scale  # well-conditioned for any unit
     basis = unit[[int(np.argmax(np.linalg.norm(unit, axis=1)))]]
     centre, radius = basis[0], 0.0
     for _ in range(_MAX_ROUNDS):
@@ -42,7 +42,7 @@ def smallest_enclosing_sphere(points: Array) -> tuple[Array, float]:
         if distance[farthest] <= radius * (1.0 + 1e-12) + 1e-15:
             break
         larger = _sphere_of_few(np.vstack([unit[farthest], basis]))
-        if larger[1] <= radius:  # rounding has the last word
+        if larger[1] <= radius:  # no progress, because of rounding
             break
         centre, radius, basis = larger
     centre = centre * scale + offset
@@ -50,7 +50,7 @@ def smallest_enclosing_sphere(points: Array) -> tuple[Array, float]:
 
 
 def _sphere_of_few(points: Array) -> tuple[Array, float, Array]:
-    """Smallest enclosing sphere of at most five points, and the points that carry it."""
+    """Smallest enclosing sphere of at most five points, and the points that define it."""
     best: tuple[Array, float, Array] | None = None
     for size in range(1, min(4, len(points)) + 1):
         for chosen in combinations(range(len(points)), size):
@@ -60,7 +60,7 @@ def _sphere_of_few(points: Array) -> tuple[Array, float, Array]:
             encloses = np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-10)
             if encloses and (best is None or radius < best[1]):
                 best = centre, radius, basis
-    if best is None:  # nearly coplanar points at rounding level: a sphere that is safe
+    if best is None:  # points coplanar up to rounding: a safe sphere
         centre = points.mean(axis=0)
         return centre, float(np.linalg.norm(points - centre, axis=1).max()), points[:4]
     return best

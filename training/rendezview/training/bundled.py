@@ -1,4 +1,4 @@
-"""Targets by path, or by the name of one that comes with rendezview."""
+"""Targets by path, or by the name of a bundled vehicle."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from rendezview.errors import RendezviewError
 from rendezview.io.target import Target
 
 _HERE = Path(__file__).resolve()
-# In an installed package the vehicles lie beside this one, in a checkout at its top.
+# Vehicles are in the installed package, or at the top of a checkout.
 _FOLDERS = (_HERE.parents[1] / "models_cad", _HERE.parents[3] / "models_cad")
 
 
 def bundled_names() -> list[str]:
-    """Names of the vehicles that come with rendezview."""
+    """Names of the bundled vehicles."""
     return sorted({p.parent.name for f in _FOLDERS for p in f.glob("*/target.toml")})
 
 

@@ -1,4 +1,4 @@
-"""How well a model recognises views it was not trained on: its own statement of error."""
+"""Errors of recognition on held-out views, which a model states as its own."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.training.views import ViewSet
 
-_LOST_RAD = np.deg2rad(30.0)  # farther off is a wrong answer, which no covariance describes
-_USUAL = 0.995  # share of the held-out views that have less residual than the model states
-_PRIOR_ERROR_RAD = np.deg2rad(10.0)
+_LOST_RAD = np.deg2rad(30.0)  # rad; a larger error is a wrong answer, not covered by a covariance
+_USUAL = 0.995  # quantile of the residual that the model states
+_PRIOR_ERROR_RAD = np.deg2rad(10.0)  # rad; error of the priors
 
 
 def prior_errors(count: int, seed: int) -> Array:
-    """(K, 3) rotation vectors by which the priors of K held-out views are off: 10° each."""
+    """(K, 3) rotation vectors, the errors of the priors of K held-out views: 10° each."""
     errors = np.random.default_rng([seed, _STREAM]).normal(size=(count, 3))
     errors *= _PRIOR_ERROR_RAD / np.linalg.norm(errors, axis=1, keepdims=True)
     return errors
 
 
 def recognition_errors(model: ViewModel, views: ViewSet, priors: Array, rows: slice) -> Array:
-    """(M, 5) of the views among ``rows`` that are recognised: errors and residual.
+    """(M, 5) errors and residual of the recognised views among ``rows``.
 
-    Each view is matched from a prior that is off by its row of ``priors`` (K, 3). Columns:
+    Each view is matched from a prior whose error is its row of ``priors`` (K, 3). Columns:
     direction, rad; roll, rad; range, share; bearing, share of the sphere radius; residual.
     """
     matcher = Matcher(model)
@@ -48,7 +48,7 @@ def recognition_errors(model: ViewModel, views: ViewSet, priors: Array, rows: sl
 
 
 def calibrated(model: ViewModel, errors: Array) -> ViewModel:
-    """The model with the root-mean-square of ``recognition_errors`` (M, 5) on held-out views."""
+    """The model with the root-mean-square of ``recognition_errors`` (M, 5) as its stated errors."""
     if not len(errors):
         return model
     direction, roll, range_fraction, bearing = np.sqrt(np.mean(np.square(errors[:, :4]), axis=0))

@@ -1,4 +1,4 @@
-"""Many models: every target, seen from every set of shells, in every light."""
+"""Catalogues: one model per combination of target, shells and lighting."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class _File(_Row):
 class Entry:
     """One model of a catalogue."""
 
-    name: str  # of the model: target, shells and lighting
+    name: str  # of the model: target-shells-lighting
     target: str
     unit: str | None
     camera: Path | None
@@ -65,18 +65,18 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of a catalogue, by the names of its models."""
+    """Result of a catalogue, by the names of its models."""
 
     trained: tuple[str, ...]
     there_already: tuple[str, ...]
-    refused: dict[str, str]  # why
+    refused: dict[str, str]  # name: reason
 
 
 def read_catalogue(path: Path) -> list[Entry]:
-    """The models that a catalogue file asks for: targets × shells × lighting.
+    """The models of a catalogue file: targets × shells × lighting.
 
     Raises:
-        RendezviewError: no such file, unknown keys or options, two models of one name.
+        RendezviewError: no such file, unknown keys or options, or two models with one name.
     """
     try:
         content = tomllib.loads(read_bytes(path, "a catalogue file").decode("utf-8"))
@@ -92,7 +92,7 @@ def read_catalogue(path: Path) -> list[Entry]:
     for entry in entries:
         if entry.name in seen or "/" in entry.name or not entry.name.strip("."):
             raise RendezviewError(
-                f"{path}: {entry.name!r} cannot be the name of a model, or is that of two: "
+                f"{path}: {entry.name!r} is not a valid name of a model, or names two: "
                 "give each target, set of shells and lighting its own name"
             )
         seen.add(entry.name)
@@ -138,20 +138,20 @@ def train_catalogue(
     at_once: int = 1,
     progress: Progress | None = None,
 ) -> Outcome:
-    """Train every model of a catalogue that is not there yet, as ``folder``/name.rvm.
+    """Train every missing model of a catalogue, as ``folder``/name.rvm.
 
     Args:
-        at_once: models. With more than one the workers of a cluster have something to do while
-            the stages of a model are joined.
-        progress: told of models and of shards; the number of shards grows as stages begin.
+        at_once: models at a time. With more than one, a cluster has work while the command joins
+            the results of a stage.
+        progress: receives models and shards; the number of shards grows as stages begin.
 
     Returns:
-        Targets that cannot be trained (no mesh, flat …) are in ``refused``; the others go on.
+        The outcome. Targets that cannot be trained (no mesh, flat …) are in ``refused``.
 
     Raises:
         RendezviewError: the folder cannot be written.
-        Exception: what befalls the workers, a cluster that is gone for example. What is done is
-            kept, and found when the same is asked again.
+        Exception: of the executor, such as a lost cluster. Finished work is kept and used again
+            when the call is repeated.
     """
     make_folder(folder)
     count = _Count(len(entries), progress)
@@ -223,7 +223,7 @@ class _Stopped(Exception):
 
 
 class _Count:
-    """Models and shards of several trainings at once."""
+    """Counts models and shards of parallel trainings."""
 
     def __init__(self, models: int, progress: Progress | None) -> None:
         self.stop = threading.Event()
@@ -233,17 +233,17 @@ class _Count:
         self._shards = [0, 0]
 
     def model(self) -> None:
-        """One more is done with."""
+        """Count one more finished model."""
         with self._lock:
             self._models[0] += 1
             if self._progress:
                 self._progress("models", *self._models)
 
     def shards(self) -> Progress:
-        """The progress of one training."""
+        """A progress callback for one training."""
         stages: dict[str, int] = {}
 
-        def told(stage: str, done: int, of: int) -> None:
+        def report(stage: str, done: int, of: int) -> None:
             if self.stop.is_set():
                 raise _Stopped
             with self._lock:
@@ -254,4 +254,4 @@ class _Count:
                 if self._progress:
                     self._progress("shards", *self._shards)
 
-        return told
+        return report

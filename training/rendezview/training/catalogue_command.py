@@ -12,27 +12,25 @@ from rich.console import Console
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.training.catalogue import read_catalogue, train_catalogue
+from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.open_executor import open_executor
 
 
 def catalogue(
     file: Annotated[Path, typer.Argument(help="Catalogue, TOML: targets, shells, lighting.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the models.")],
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    dask: Annotated[
-        str | None, typer.Option(help="Scheduler of a Dask cluster that does the work.")
-    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the models.")],
+    jobs: Jobs = -1,
+    dask: Dask = None,
     at_once: Annotated[
         int | None,
         typer.Option(
-            min=1, help="Models at a time; by itself 1, on a cluster 3.", show_default=False
+            min=1, help="Models at a time; default 1, or 3 on a cluster.", show_default=False
         ),
     ] = None,
 ) -> None:
-    """Train models of many targets, with several sets of shells, in several lights.
+    """Train models of many targets, with several sets of shells and lighting.
 
-    Models that are there are left as they are. Given again after an interruption, the same
-    command goes on where it stopped.
+    Existing models are kept. Repeat the command to continue after an interruption.
 
     Example: rendezview catalogue targets.toml -o models --dask tcp://host:8786
     """
@@ -51,7 +49,7 @@ def catalogue(
             progress=progress,
         )
     console.print(
-        f"{output}: {len(outcome.trained)} models trained, {len(outcome.there_already)} were there "
+        f"{output}: {len(outcome.trained)} models trained, {len(outcome.there_already)} existed "
         f"already, in {time.perf_counter() - start:.0f} s",
         highlight=False,
         soft_wrap=True,

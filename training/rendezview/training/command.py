@@ -15,6 +15,7 @@ from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import load_camera
 from rendezview.training.bundled import find_target
+from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.job import Trained
 from rendezview.training.job import train as train_model
 from rendezview.training.mesh import load_mesh
@@ -33,12 +34,12 @@ def train(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Model file to write (*.rvm).")],
     unit: Annotated[
-        str | None, typer.Option(help="Unit of the mesh: m, cm, mm, in, ft; wins over the file.")
+        str | None, typer.Option(help="Unit of the mesh: m, cm, mm, in, ft; overrides the file.")
     ] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="Flight camera; decides sphere radius and sharpness.")
+        Path | None, typer.Option(help="Flight camera; sets sphere radius and sharpness.")
     ] = None,
-    order: Annotated[int, typer.Option(help="Order of the sphere: 3 has 642 nodes.")] = 3,
+    order: Annotated[int, typer.Option(help="Order of the sphere; 3 has 642 nodes.")] = 3,
     bins: Annotated[int, typer.Option(help="Readings of a signature.")] = 360,
     sphere_radius: Annotated[
         float | None, typer.Option(help="Radius of the sphere of views, metres.")
@@ -48,27 +49,25 @@ def train(
     ] = _SHELLS,
     resolution: Annotated[int, typer.Option(help="Pixels of a clean view.")] = 512,
     views: Annotated[
-        int, typer.Option(help="Perturbed views to learn from.")
+        int, typer.Option(help="Perturbed views for training.")
     ] = _DEFAULT.perturbed_views,
     held_out: Annotated[
-        int, typer.Option(help="Perturbed views to measure with.")
+        int, typer.Option(help="Perturbed views for the reported accuracy.")
     ] = _DEFAULT.held_out_views,
     paper: Annotated[
-        bool, typer.Option("--paper", help="As in the paper: 73 clean views a node, raw bins.")
+        bool, typer.Option("--paper", help="As in the paper: 73 clean views per node, raw bins.")
     ] = False,
     neighbourhood: Annotated[
-        Neighbourhood, typer.Option(help="Reading of the paper's 73 views.")
+        Neighbourhood, typer.Option(help="Interpretation of the paper's 73 views.")
     ] = Neighbourhood.DISC,
-    renderer: Annotated[Renderer, typer.Option(help="What draws the views.")] = Renderer.NUMBA,
-    jobs: Annotated[int, typer.Option(help="Parallel jobs; -1 for all cores.")] = -1,
-    dask: Annotated[
-        str | None, typer.Option(help="Scheduler of a Dask cluster that does the work.")
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random views.")] = 0,
+    renderer: Annotated[Renderer, typer.Option(help="Renderer of the views.")] = Renderer.NUMBA,
+    jobs: Jobs = -1,
+    dask: Dask = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random views.")] = 0,
 ) -> None:
     """Train a view model of a target.
 
-    A killed job goes on where it stopped when the same command is given again.
+    Repeat the command to continue a killed job where it stopped.
 
     \b
     Example: rendezview train mysat.stl --unit mm --camera camera.yaml -o mysat.rvm
@@ -77,7 +76,7 @@ def train(
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
     notes = "\n".join(mesh.notes)
-    if console.is_terminal:  # a log says them with the rest, so that an error is one line
+    if console.is_terminal:  # in a log they come at the end, so that an error is one line
         console.print(notes, highlight=False, style="dim", soft_wrap=True)
     options = TrainingOptions(
         order=order,
@@ -129,7 +128,7 @@ def _radii(text: str) -> tuple[float, ...]:
 
 
 def summary(trained: Trained) -> str:
-    """What came of a training, in a few lines."""
+    """Summary of a training, in a few lines."""
     model, forest = trained.model, trained.model.forest
     depths = [forest.depth(k) for k in range(len(forest))]
     leaves = [forest.leaf_count(k) for k in range(len(forest))]
@@ -138,13 +137,13 @@ def summary(trained: Trained) -> str:
         f"{model.target_radius_m:.2f} m, {len(forest)} nodes, {len(model.lattice.nodes)} views",
         f"trees: depth {np.mean(depths):.1f} (at most {max(depths)}), "
         f"{np.mean(leaves):.0f} leaves; "
-        f"{100 * np.mean(model.training_accuracy):.1f} % of the training samples right",
+        f"{100 * np.mean(model.training_accuracy):.1f} % of the training samples correct",
     ]
     if model.contours is not None:
         lit = 0 if model.lit is None else len(model.lit.sun)
         lines.append(
-            f"refinement: {model.contours.kind.shape[2]} contour points a view from "
-            f"{len(model.contours.shells_m)} distances, {lit} lit silhouettes; "
+            f"refinement: {model.contours.kind.shape[2]} contour points per view from "
+            f"{len(model.contours.shells_m)} distances, {lit} shadowed silhouettes; "
             + (f"{len(model.symmetries)} symmetries" if model.symmetries else "no symmetry")
         )
     if trained.decisions is not None:
@@ -152,10 +151,10 @@ def summary(trained: Trained) -> str:
         right = d.in_right.sum() + d.out_right.sum()
         total = d.in_total.sum() + d.out_total.sum()
         lines.append(
-            f"held-out decisions right: {100 * right / max(total, 1):.1f} %, "
+            f"held-out decisions correct: {100 * right / max(total, 1):.1f} %, "
             f"in-views {100 * d.in_right.sum() / max(d.in_total.sum(), 1):.1f} %, "
             f"out-views {100 * d.out_right.sum() / max(d.out_total.sum(), 1):.1f} %; "
-            f"direction of view to {np.rad2deg(model.held_out.direction_rad):.1f}° an axis, "
+            f"direction of view to {np.rad2deg(model.held_out.direction_rad):.1f}° per axis, "
             f"range to {100 * model.held_out.range_fraction:.1f} %"
         )
     return "\n".join(lines)

@@ -17,13 +17,13 @@ from rendezview.training.neighbourhood import neighbourhood
 from rendezview.training.options import TrainingOptions
 from rendezview.training.views import ViewSet
 
-IN_EDGES = 1.0  # a view within one edge of the node should be recognised …
-OUT_EDGES = (1.32, 3.0)  # … one in here should not; the lattice has nothing between
+IN_EDGES = 1.0  # edges; a view within this distance of the node should be recognised
+OUT_EDGES = (1.32, 3.0)  # edges; a view in this range should not. The lattice has none between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TreeSet:
-    """Trees of consecutive nodes, each entry with the training samples that reached it."""
+    """Trees of consecutive nodes, with the number of training samples that reached each entry."""
 
     forest: Forest
     leaf_on: npt.NDArray[np.int32]  # (M,)
@@ -32,7 +32,7 @@ class TreeSet:
 
     @classmethod
     def joined(cls, parts: list[TreeSet]) -> TreeSet:
-        """One set of many, in order."""
+        """Join several sets, in order."""
         offsets = np.cumsum([0, *(len(p.forest.component) for p in parts[:-1])])
 
         def moved(name: str) -> npt.NDArray[np.int32]:
@@ -61,7 +61,7 @@ class TreeSet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Everything the trees learn from: the lattice's views, then the perturbed ones."""
+    """The training data of the trees: the lattice's views and the perturbed views."""
 
     order: int
     lattice: ViewSet
@@ -70,7 +70,7 @@ class Samples:
     def of_node(
         self, node: int, options: TrainingOptions
     ) -> tuple[Readings, npt.NDArray[np.bool_]]:
-        """Readings (K, N), rolled as the node's own camera would have them, and labels (K,)."""
+        """Readings (K, N), rolled to the node's own camera, and labels (K,)."""
         lattice = Geodesic.of_order(self.order + 1)
         node_rotation = self.lattice.centred_from_target[node]
         inside, outside = neighbourhood(lattice, node, options.neighbourhood)
@@ -102,7 +102,7 @@ def learn_trees(samples: Samples, options: TrainingOptions, nodes: range) -> Tre
 
 
 def _learn(readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingOptions) -> TreeSet:
-    """One tree. Its thresholds are whole readings, so that a listing is the tree exactly."""
+    """Train one tree. Thresholds are integers, so that a listing reproduces the tree exactly."""
     learner = DecisionTreeClassifier(
         criterion="entropy",
         min_samples_split=options.min_samples_split,
@@ -133,7 +133,7 @@ def _learn(readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingO
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decisions:
-    """Right and wrong decisions of each node (T,) on views it was not trained on."""
+    """Correct and wrong decisions of each node (T,) on held-out views."""
 
     in_right: npt.NDArray[np.int64]
     in_total: npt.NDArray[np.int64]
@@ -142,7 +142,7 @@ class Decisions:
 
     @property
     def accuracy(self) -> Array:
-        """(T,) share of right decisions; NaN for a node that no view fell to."""
+        """(T,) share of correct decisions; NaN for a node without views."""
         total = self.in_total + self.out_total
         right = self.in_right + self.out_right
         share = np.full(len(total), np.nan)
@@ -158,11 +158,11 @@ def decide(
     roll_error_rad: float,
     rng: np.random.Generator,
 ) -> Decisions:
-    """Ask every node about every view within three edges whose answer is known.
+    """Test every node on all views within three edges of it.
 
-    In-views lie within one edge of the node, out-views between 1.32 and 3 edges: the
-    paper's lattice has nothing between, and no decision there can be right. The roll of
-    each view is known but for a Gaussian error of ``roll_error_rad``.
+    In-views lie within one edge of the node, out-views between 1.32 and 3 edges. Views between have
+    no correct answer, because the paper's lattice has none there. The roll of each view is given
+    with a Gaussian error of ``roll_error_rad``.
     """
     count = len(sphere.nodes)
     in_right, in_total = np.zeros(count, np.int64), np.zeros(count, np.int64)

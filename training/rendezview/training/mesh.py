@@ -17,15 +17,15 @@ from rendezview.training.mesh_colours import GREY, Rgb
 from rendezview.training.mesh_files import FORMATS, MeshFile, read_mesh_file
 from rendezview.training.mesh_notes import counted, topology_notes
 
-MAX_FACES = 20_000_000
-MAX_FILE_BYTES = 2 * 2**30
-# Diameters outside these are a wrong unit, not a spacecraft: the narrow range where the
-# unit is a guess or a mere convention of the format, the wide one where it was stated.
-GUESSED_DIAMETER_M = (0.05, 300.0)
-STATED_DIAMETER_M = (0.005, 1000.0)
+MAX_FACES = 20_000_000  # of a mesh
+MAX_FILE_BYTES = 2 * 2**30  # bytes of a mesh file
+# Diameters outside these ranges mean a wrong unit. The narrow range applies where the unit is a
+# guess or a convention of the format, the wide one where it is stated.
+GUESSED_DIAMETER_M = (0.05, 300.0)  # m
+STATED_DIAMETER_M = (0.005, 1000.0)  # m
 
-_GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])
-_LARGEST_COORDINATE = 1e15  # of the file's numbers; its powers still fit a double
+_GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])  # luminance weights. Source: ITU-R BT.709
+_LARGEST_COORDINATE = 1e15  # in the unit of the file; its powers still fit a double
 _CAD_SUFFIXES = frozenset({".step", ".stp", ".iges", ".igs", ".sldprt", ".sldasm", ".blend"})
 
 
@@ -38,8 +38,8 @@ class Mesh:
 
     vertices_m: Array  # (V, 3)
     faces: NDArray[np.int32]  # (F, 3)
-    face_rgb: NDArray[np.float32]  # (F, 3) in [0, 1]; 0.6 grey where the file gives none
-    notes: tuple[str, ...]  # what was found, guessed or ignored: one sentence each
+    face_rgb: NDArray[np.float32]  # (F, 3) in [0, 1]; 0.6 grey without a colour in the file
+    notes: tuple[str, ...]  # one sentence for everything found, guessed or ignored
 
     @property
     def bounding_sphere(self) -> tuple[Array, float]:
@@ -60,17 +60,16 @@ class Mesh:
 
 
 def load_mesh(path: Path, unit: str | None = None) -> Mesh:
-    """Read a mesh file: all its bodies as one mesh, in metres, cleaned.
+    """Read a mesh file as one clean mesh in metres, with all its bodies.
 
     Args:
         path: STL, OBJ, PLY, GLB, glTF, 3MF or DAE file.
-        unit: unit of the file's numbers; it overrules what the file says. Without it
-            3MF, DAE and glTF say theirs, and the others are taken as metres if the
-            size is then plausible.
+        unit: of the file's numbers; overrides the file. Without it, 3MF, DAE and glTF files state
+            their unit, and the others are read as metres if the size is then plausible.
 
     Raises:
-        RendezviewError: the file is missing, unreadable, without triangles or too
-            large, or its unit must be given.
+        RendezviewError: the file is missing, unreadable, without triangles or too large, or its
+            unit is needed.
     """
     path = Path(path)
     if unit is not None and unit not in METRES_PER_UNIT:
@@ -120,7 +119,7 @@ def _check_file(path: Path) -> None:
 
 
 def _announced_faces(path: Path) -> int:
-    """Triangles that the start of the file promises, 0 where it does not say."""
+    """Number of triangles that the start of the file announces, or 0."""
     try:
         with path.open("rb") as stream:
             start = stream.read(4096)
@@ -146,7 +145,7 @@ def _check_count(path: Path, count: int) -> None:
 def _cleaned(
     path: Path, content: MeshFile
 ) -> tuple[Array, NDArray[np.int64], Rgb, tuple[str, ...]]:
-    """Faces without area or position dropped, equal vertices merged, unused ones dropped."""
+    """Drop faces without area or position, merge equal vertices, drop unused ones."""
     faces, rgb = content.faces, content.face_rgb
     if len(faces) == 0:
         what = " (a cloud of points?)" if len(content.vertices) else ""
@@ -183,10 +182,10 @@ def _cleaned(
 
 
 def _merged(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Used vertices, each position once, in order of first use by number."""
+    """Used vertices, each position once, in the order of the file."""
     used = np.unique(faces)
     number = np.zeros(len(vertices), dtype=np.int64)
-    positions = vertices[used] + 0.0  # −0.0 and 0.0 are one place
+    positions = vertices[used] + 0.0  # makes −0.0 equal to 0.0
     _, first, inverse = np.unique(positions, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
@@ -196,7 +195,7 @@ def _merged(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[n
 
 
 def _scale(path: Path, vertices: Array, content: MeshFile, unit: str | None) -> tuple[float, str]:
-    """Metres per unit of the file and the note that says where it comes from."""
+    """Metres per unit of the file, and the note that states its origin."""
     diameter = 2.0 * smallest_enclosing_sphere(vertices)[1]
     extent = np.ptp(vertices, axis=0)
     limits, source = STATED_DIAMETER_M, ""
@@ -209,7 +208,7 @@ def _scale(path: Path, vertices: Array, content: MeshFile, unit: str | None) -> 
         factor = content.unit[0]
         source = f"Unit from the file: {content.unit[1]}"
         if path.suffix.lower() in (".glb", ".gltf"):
-            limits = GUESSED_DIAMETER_M  # the format's convention, not its author's word
+            limits = GUESSED_DIAMETER_M  # a convention of the format, not a statement of the author
     else:
         factor, limits = 1.0, GUESSED_DIAMETER_M
     if not limits[0] <= diameter * factor <= limits[1]:

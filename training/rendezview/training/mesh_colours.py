@@ -1,8 +1,7 @@
-"""Colours of mesh files as linear albedo, one colour a face.
+"""Colours of mesh files as linear albedo, one colour per face.
 
-Colours that a file gives as 8-bit values, as ``Kd`` (OBJ) or as ``diffuse`` (DAE) are
-what their author saw on a screen, that is sRGB, and are made linear here. The factors
-and vertex colours of glTF are linear by its specification and are left as they are.
+8-bit values, ``Kd`` (OBJ) and ``diffuse`` (DAE) are sRGB, as on a screen, and are converted to
+linear values. Factors and vertex colours of glTF are linear by its specification.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from numpy.typing import NDArray
 from rendezview.geometry.pose import Array
 
 Rgb = NDArray[np.float32]
-GREY = 0.6  # linear albedo where a file gives none
+GREY = 0.6  # linear albedo without a colour in the file
 
-# Corner weights of the four places where a texture is read in each triangle.
+# Barycentric weights of the four places at which a texture is read in each triangle.
 _TEXTURE_PLACES = np.array([[2, 2, 2], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0
 
 
@@ -37,12 +36,12 @@ def unit_range(values: Any) -> Array:
 
 
 def grey(count: int) -> Rgb:
-    """The colour of faces whose file gives none."""
+    """The colour of faces without a colour in the file."""
     return np.full((count, 3), GREY, dtype=np.float32)
 
 
 def texture_face_rgb(image: Any, corner_uv: Array) -> Array:
-    """Mean linear colour of a Pillow image over each triangle, read in four places.
+    """Mean linear colour of a Pillow image over each triangle, read at four places.
 
     Args:
         image: Pillow image, sRGB.
@@ -58,7 +57,7 @@ def texture_face_rgb(image: Any, corner_uv: Array) -> Array:
 
 
 def visual_face_rgb(geometry: Any, linear: bool, ignore_white: bool) -> Rgb | None:
-    """Face colours of one trimesh geometry, or None where it has none.
+    """Face colours of one trimesh geometry, or None.
 
     Args:
         geometry: ``trimesh.Trimesh``.
@@ -85,7 +84,7 @@ def visual_face_rgb(geometry: Any, linear: bool, ignore_white: bool) -> Rgb | No
 
 
 def _material_rgb(visual: Any, faces: Any, decode: Any, ignore_white: bool) -> Array | None:
-    """Base colour, times the texture where there is one with coordinates."""
+    """Base colour, multiplied by the texture if it has coordinates."""
     material = visual.material
     factor = getattr(material, "baseColorFactor", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
@@ -99,9 +98,9 @@ def _material_rgb(visual: Any, faces: Any, decode: Any, ignore_white: bool) -> A
 
 
 def stl_face_rgb(attributes: NDArray[np.uint16], header: bytes) -> tuple[Rgb, int] | None:
-    """Colours in the attribute words of a binary STL, and how many faces have one.
+    """Colours in the attribute words of a binary STL, and the number of faces with a colour.
 
-    Two habits exist, each with five bits a channel. VisCAM: bit 15 set means the word is
+    Two conventions exist, each with five bits per channel. VisCAM: bit 15 set means the word is
     a colour, blue in the low bits. Materialise Magics: the header holds ``COLOR=`` and
     the RGBA of the whole part, bit 15 clear means the word is a colour, red in the low bits.
     """

@@ -1,4 +1,4 @@
-"""What trimesh leaves aside in container formats: units, 3MF colours, texture references."""
+"""Data of container formats that trimesh ignores: units, 3MF colours, texture references."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from rendezview.training.mesh_colours import GREY, Rgb, linear_from_srgb
 
-# 3MF core specification, ST_Unit.
+# Source: 3MF core specification, ST_Unit.
 _METRES_PER_3MF_UNIT = {
     "micron": 1e-6,
     "millimeter": 1e-3,
@@ -30,7 +30,7 @@ _TEXTURE_MARKS = {
 
 
 def file_unit(path: Path) -> tuple[float, str] | None:
-    """Metres per unit of a file that says its unit, and how to call it in a note."""
+    """Metres per unit of a file that states its unit, and the unit's name for a note."""
     suffix = path.suffix.lower()
     if suffix in (".glb", ".gltf"):
         return 1.0, "metres (glTF)"
@@ -48,7 +48,7 @@ def file_unit(path: Path) -> tuple[float, str] | None:
 
 
 def refers_to_texture(path: Path) -> bool:
-    """Whether a colour texture is named in the file, loadable or not."""
+    """Whether the file names a colour texture, loadable or not."""
     mark = _TEXTURE_MARKS.get(path.suffix.lower())
     if mark is None:
         return False
@@ -110,7 +110,7 @@ def _model_of_3mf(path: Path) -> ElementTree.Element:
 
 
 def _dae_metre(path: Path) -> float | None:
-    """``<asset><unit meter=…>`` of the document; None where it does not say."""
+    """``<asset><unit meter=…>`` of the document, or None."""
     for _, element in ElementTree.iterparse(path, events=("end",)):
         if _tag(element) == "unit":
             metre = float(element.get("meter", "1"))

@@ -1,4 +1,4 @@
-"""Reading mesh files of every supported format into one soup of triangles."""
+"""Readers of all supported mesh formats; they give unconnected triangles."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _LOGGERS = ("trimesh", "collada")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeshFile:
-    """Triangles as the file has them: nothing merged, dropped or scaled."""
+    """The triangles of a file: nothing merged, dropped or scaled."""
 
     vertices: Array  # (V, 3), unit of the file
     faces: NDArray[np.int64]  # (F, 3)
     face_rgb: Rgb  # (F, 3) linear
-    unit: tuple[float, str] | None  # metres per unit and its name, where the file says it
+    unit: tuple[float, str] | None  # metres per unit and its name, if the file states it
     notes: tuple[str, ...]
 
 
@@ -43,7 +43,7 @@ def read_mesh_file(path: Path) -> MeshFile:
     """Read one file of a supported format.
 
     Raises:
-        RendezviewError: whatever the reading library raised, with the file's name.
+        RendezviewError: the file cannot be read; the message names the file.
     """
     kind = path.suffix.lower().lstrip(".").upper()
     try:
@@ -76,7 +76,7 @@ def _read_with_trimesh(path: Path) -> MeshFile:
 
         options: dict[str, Any] = {"process": False}
         if suffix == ".3mf":
-            options["postprocess"] = False  # it would rename bodies and merge them
+            options["postprocess"] = False  # it would rename and merge bodies
         scene = trimesh.load_scene(str(path), file_type=suffix[1:], **options)
     notes = _texture_notes(path, messages)
     lost_texture = any(note.startswith("Textures") for note in notes)
@@ -149,7 +149,7 @@ def _special_colours(path: Path, scene: Any, notes: list[str]) -> dict[str, Rgb]
 
 
 def _check_stl_length(path: Path) -> None:
-    """Refuse a text without its end and a binary whose length its header does not announce."""
+    """Refuse a text without its end, and a binary file whose length contradicts its header."""
     with path.open("rb") as stream:
         start = stream.read(1024)
         size = stream.seek(0, io.SEEK_END)
@@ -170,7 +170,7 @@ def _check_stl_length(path: Path) -> None:
 
 
 def _texture_notes(path: Path, messages: list[tuple[int, str]]) -> list[str]:
-    """Notes from what the library logged; it keeps lost textures to its debug log."""
+    """Notes from the library's log; it reports lost textures at debug level only."""
     notes: list[str] = []
     troubled = [text for _, text in messages if _TEXTURE_TROUBLE.search(text)]
     if refers_to_texture(path) and troubled:
@@ -209,7 +209,7 @@ class _Recorder(logging.Handler):
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[list[tuple[int, str]]]:
-    """Record what the library logs, warns and prints; nothing reaches the terminal."""
+    """Record the library's logs and warnings, and keep its output off the terminal."""
     recorder = _Recorder()
     loggers = [logging.getLogger(name) for name in _LOGGERS]
     before = [(logger.level, logger.propagate, list(logger.handlers)) for logger in loggers]

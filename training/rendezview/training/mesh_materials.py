@@ -1,4 +1,4 @@
-"""Reading the material libraries (``.mtl``) of OBJ files: diffuse colour and texture."""
+"""Material libraries (``.mtl``) of OBJ files: diffuse colour and texture."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ class Material:
     image: Any | None  # Pillow image, ``map_Kd``
 
     def face_rgb(self, corner_uv: Array | None, count: int) -> Rgb:
-        """Colours of ``count`` faces; ``corner_uv`` (count, 3, 2) where they are mapped."""
+        """Colours of ``count`` faces; ``corner_uv`` (count, 3, 2) with texture coordinates."""
         if self.image is not None and corner_uv is not None:
-            # Kd is left out: exporters write 0 or 1 there as they please beside a texture.
+            # Kd is ignored: beside a texture, exporters write 0 or 1 arbitrarily.
             return texture_face_rgb(self.image, corner_uv).astype(np.float32)
         if self.diffuse is None:
             return grey(count)
@@ -69,7 +69,7 @@ def _parse(folder: Path, text: str, materials: dict[str, Material], notes: list[
             image = _open_image(folder, rest, notes)
             known = _known(materials, name)
             white = known.diffuse is not None and np.all(known.diffuse >= 1.0)
-            lost = image is None and white  # white beside a texture says nothing
+            lost = image is None and white  # white beside a lost texture has no meaning
             materials[name] = Material(None if lost else known.diffuse, image)
 
 
@@ -109,7 +109,7 @@ def _open_image(folder: Path, entry: str, notes: list[str]) -> Any | None:
 
 
 def _find(folder: Path, entry: str) -> Path | None:
-    """The file as written, or its last name beside the mesh (paths of another machine)."""
+    """The file as written, or its name in the mesh's folder (paths of another machine)."""
     written = PurePosixPath(entry.strip().strip('"').replace("\\", "/"))
     if not written.name:
         return None

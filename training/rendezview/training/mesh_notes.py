@@ -1,4 +1,4 @@
-"""Sentences about what a mesh is like."""
+"""Notes about the topology of a mesh."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def topology_notes(faces: NDArray[np.int64]) -> tuple[str, ...]:
-    """Open edges and mixed winding: the renderer minds neither, their owner may.
+    """Notes on open edges and mixed winding. Both are fine for rendering.
 
     Args:
         faces: (F, 3) vertices, equal positions merged.

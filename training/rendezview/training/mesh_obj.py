@@ -1,8 +1,8 @@
-"""Reading Wavefront OBJ files and their materials.
+"""Wavefront OBJ files and their materials.
 
-Own code, because trimesh takes relative indices from the end of the file instead of
-from the line they stand on (a wrong shape without a word) and stops at comments behind
-values, tabs and indented lines.
+Own code, because trimesh counts relative indices from the end of the file instead of from their
+line, which gives a wrong shape without a message. It also stops at comments after values, tabs and
+indented lines.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ _FREE_FORM = frozenset({"curv", "curv2", "surf"})
 
 @dataclass(slots=True)
 class _Content:
-    """What the lines of the file said, in their order."""
+    """The content of the file's lines, in their order."""
 
     positions: list[list[float]] = field(default_factory=list)
     colours: dict[int, list[float]] = field(default_factory=dict)  # by vertex
     texture_uv: list[list[float]] = field(default_factory=list)
     polygons: list[list[int]] = field(default_factory=list)  # vertex of each corner
-    polygon_uv: list[list[int]] = field(default_factory=list)  # -1 where there is none
+    polygon_uv: list[list[int]] = field(default_factory=list)  # −1: none
     polygon_line: list[int] = field(default_factory=list)
     polygon_material: list[str] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
@@ -120,12 +120,12 @@ def _take_vertex(content: _Content, values: list[str]) -> None:
     if len(values) < 3:
         raise ValueError("a vertex needs three coordinates")
     content.positions.append([float(x) for x in values[:3]])
-    if len(values) >= 6:  # x y z r g b; a fourth value alone is a weight
+    if len(values) >= 6:  # x y z r g b; a single fourth value is a weight
         content.colours[len(content.positions) - 1] = [float(x) for x in values[3:6]]
 
 
 def _take_polygon(content: _Content, corners: list[str]) -> None:
-    """``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; negative counts back from this line."""
+    """``v``, ``v/vt``, ``v//vn`` or ``v/vt/vn``; negative indices count back from this line."""
     vertex: list[int] = []
     texture: list[int] = []
     for corner in corners:
@@ -187,7 +187,7 @@ def _material_rgb(
 
 
 def _vertex_rgb(content: _Content, faces: NDArray[np.int64], rgb: Rgb, notes: list[str]) -> Rgb:
-    """Colours behind the coordinates win over materials, on faces that have three of them."""
+    """Vertex colours override materials, on faces whose three corners have one."""
     if not content.colours:
         return rgb
     colours = np.full((len(content.positions), 3), np.nan)

@@ -1,4 +1,4 @@
-"""Which views of the half-edge lattice are in and out for a node (the paper's figure 3)."""
+"""In-views and out-views of a node on the half-edge lattice (the paper's figure 3)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def neighbourhood(lattice: Geodesic, node: int, reading: Neighbourhood) -> tuple
     """In-views and out-views of a node, as ascending indices of the lattice.
 
     Args:
-        lattice: the sphere of one order more than that of the nodes.
+        lattice: the sphere of the next order after that of the nodes.
         node: index of the node.
-        reading: how the paper's "73 views" is read.
+        reading: interpretation of the paper's "73 views".
     """
     rings = _rings(lattice, node, max(_RINGS_OF_OUT))
     inside = np.sort(np.concatenate(rings[: _RING_OF_IN + 1]))

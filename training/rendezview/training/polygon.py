@@ -1,4 +1,4 @@
-"""Cutting planar polygons into triangles."""
+"""Triangulation of planar polygons."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ Triangle = tuple[int, int, int]
 def triangulate(corners: Array) -> tuple[list[Triangle], bool]:
     """Triangles of a simple polygon without holes, and whether it is concave.
 
-    Convex polygons are cut as a fan, concave ones by clipping ears (a fan would draw
-    outside them). A polygon that is not finite or not simple comes out as a fan.
+    A convex polygon becomes a fan. A concave one is triangulated by ear clipping, because a fan
+    would cover area outside. A polygon that is not finite or not simple becomes a fan.
 
     Args:
         corners: (N, 3), in order around the polygon, N >= 3, nearly planar.
 
     Returns:
-        N - 2 triples of corner indices, winding kept.
+        N - 2 triples of corner indices with the same winding, and whether the polygon is concave.
     """
     count = len(corners)
     fan: list[Triangle] = [(0, k, k + 1) for k in range(1, count - 1)]
@@ -46,7 +46,7 @@ def triangulate(corners: Array) -> tuple[list[Triangle], bool]:
 
 
 def _find_ear(flat: Array, remaining: list[int], tolerance: float) -> int | None:
-    """Place of a corner whose triangle turns left and holds no other corner."""
+    """Position of a corner whose triangle turns left and contains no other corner."""
     size = len(remaining)
     for place in range(size):
         before, here, after = remaining[place - 1], remaining[place], remaining[(place + 1) % size]
@@ -54,7 +54,7 @@ def _find_ear(flat: Array, remaining: list[int], tolerance: float) -> int | None
         if _cross(a, b, c) < -tolerance:
             continue
         others = flat[[k for k in remaining if k not in (before, here, after)]]
-        # Corners that share a place with the triangle's own (bridges) do not block it.
+        # Corners at the same place as the triangle's own (bridges) do not block it.
         apart = ~((others == a).all(1) | (others == b).all(1) | (others == c).all(1))
         others = others[apart]
         sides = [_cross(a, b, others), _cross(b, c, others), _cross(c, a, others)]

@@ -15,6 +15,7 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import LIT_BINS, READING_UNIT
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
+from rendezview.training.directions import axes_towards
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
@@ -52,9 +53,7 @@ def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
     texel = 2.0 * radius / (_MAP_TEXELS - 2)
     axes, nearness = [], []
     for sun in suns:
-        across = np.cross(sun, np.eye(3)[np.argmin(np.abs(sun))])
-        across /= np.linalg.norm(across)
-        basis = np.stack([across, np.cross(sun, across), sun])
+        basis = axes_towards(sun)
         on_map = vertices @ basis.T + np.array([radius, radius, 1.01 * radius])
         on_map[:, :2] /= texel
         near, owner = empty_buffers(_MAP_TEXELS, _MAP_TEXELS)

@@ -1,4 +1,4 @@
-"""Work in shards whose results outlive a killed job."""
+"""Shards of work, whose results outlive a killed job."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ Progress = Callable[[str, int, int], None]  # stage, done, of
 
 
 def shares(count: int, size: int) -> list[range]:
-    """0 … count − 1 in shards of at most ``size``, down to a quarter of it towards the end.
+    """0 … count − 1 in shards of at most ``size``.
 
-    So workers that come to the end of a stage wait little for the last one.
+    Shards shrink to a quarter of ``size`` towards the end, so that no worker waits long for the
+    last one.
     """
     parts, start = [], 0
     while start < count:
@@ -38,7 +39,7 @@ def shares(count: int, size: int) -> list[range]:
 
 
 class Shards:
-    """A folder of finished shards beside the model to be, valid for one set of inputs."""
+    """A folder of finished shards beside the output, valid for one set of inputs."""
 
     def __init__(self, folder: Path, inputs: dict[str, Any]) -> None:
         key = json.dumps(inputs, sort_keys=True)
@@ -62,10 +63,10 @@ class Shards:
         executor: ShardExecutor,
         progress: Progress | None,
     ) -> list[Arrays]:
-        """``task(*shared, *own)`` for the own arguments of each shard, in their order.
+        """Results of ``task(*shared, *own)`` for the arguments of each shard, in their order.
 
-        Finished shards are read back; the others are computed by the workers, and each is kept
-        as soon as it is done.
+        Finished shards are read from the folder. The executor computes the others, and each is
+        written as soon as it is finished.
         """
         results: dict[int, Arrays] = {}
         for k in range(len(arguments)):
@@ -87,7 +88,7 @@ class Shards:
         return [results[k] for k in range(len(arguments))]
 
     def remove(self) -> None:
-        """Forget the shards: the model is written."""
+        """Delete the shards, after the output is written."""
         shutil.rmtree(self._parent, ignore_errors=True)
 
     def _path(self, stage: str, index: int) -> Path:
@@ -101,7 +102,7 @@ class Shards:
             with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
                 return {name: file[name] for name in file.files}
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            return None  # cut off by the kill: computed again
+            return None  # incomplete after a kill: computed again
 
     def _write(self, stage: str, index: int, result: Arrays) -> None:
         buffer = io.BytesIO()

@@ -1,4 +1,4 @@
-"""The few kinds of surface that lie beside the edges of a target: a palette, as of a picture."""
+"""A palette of the surfaces beside the edges of a target, like the colour palette of a picture."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from rendezview.sensors.appearance.edges.contours import KINDS_OF_SURFACE
 
 Bytes = npt.NDArray[np.uint8]
 
-# Against a step in what the Sun lights, albedo times normal: one in albedo, which the light all
-# around lights, and one in the normal, which tells how wide a facet is seen.
+# Weights relative to differences of albedo × normal, which sunlight shows. Differences of albedo
+# show in ambient light, differences of the normal in the visible width of a facet.
 _ALBEDO_WEIGHT, _NORMAL_WEIGHT = 0.3, 0.1
 
 
 def packed_surfaces(normals: Array, albedo: Array) -> Bytes:
-    """(…, 4) bytes of mean normals (…, 3), either way round, and albedo (…): 0 is nothing."""
+    """(…, 4) bytes of mean normals (…, 3), up to sign, and albedo (…); 0 means no surface."""
     way = np.where(normals @ [0.9, 0.37, 0.23] < 0.0, -1.0, 1.0)
     whole = np.concatenate(
         [normals * way[..., None] * 127.0 + 128.0, np.clip(albedo, 0.0, 1.0)[..., None] * 255.0], -1
@@ -25,18 +25,17 @@ def packed_surfaces(normals: Array, albedo: Array) -> Bytes:
 
 
 def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
-    """The kinds of a great many surfaces, and the kind of each.
+    """A palette of many surfaces, and the palette entry of each.
 
-    The kinds are split from one another in turn, always the one whose surfaces vary most, at
-    the mean along its longest axis, as palettes of pictures are made (Wan, Wong & Prusinkiewicz,
-    1988).
+    The entry with the largest variance is split repeatedly, at the mean along its longest axis, as
+    for colour palettes (Wan, Wong & Prusinkiewicz, 1988).
 
     Args:
         surfaces: (…, 4) of ``packed_surfaces``.
 
     Returns:
-        (KINDS_OF_SURFACE, 4) mean normal, either way, and albedo of each kind; the first is
-        nothing at all, albedo 0. (…) the kind of each surface.
+        (KINDS_OF_SURFACE, 4) mean normal, up to sign, and albedo of each entry; the first means no
+        surface, with albedo 0. (…) the entry of each surface.
     """
     packed = np.ascontiguousarray(surfaces).view("<u4")[..., 0]
     distinct, which, count = np.unique(packed, return_inverse=True, return_counts=True)
@@ -66,7 +65,7 @@ def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
 
 
 def _spread(features: Array, weight: Array) -> tuple[float, Array, Array]:
-    """Energy of the variation of some surfaces, its longest axis, and their mean."""
+    """Largest variance of some surfaces, its axis, and their mean."""
     total = float(weight.sum())
     if total <= 0.0:
         return 0.0, np.zeros(7), np.zeros(7)

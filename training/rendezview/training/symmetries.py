@@ -1,4 +1,4 @@
-"""Turns that leave a mesh as it is, found from its surface."""
+"""Symmetries of a mesh, found from its surface."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from rendezview.geometry.symmetry import Symmetry
 from rendezview.training.mesh import Mesh
 
 _POINTS = 4000  # on the surface
-_SAME = 0.01  # of the radius: points nearer than their own spacing …
-_SHARE = 0.997  # … for so many of them: an antenna of 0.3 % of the surface breaks a symmetry
-_ORDERS = (2, 3, 4, 5, 6, 8)
-_CONTINUOUS_RAD = np.deg2rad([7.0, 31.0, 53.0, 97.0])  # no regular prism has all of them
+_SAME = 0.01  # of the radius; a rotated point this close to the surface lies on it
+_SHARE = 0.997  # least share of such points: an antenna of 0.3 % of the surface breaks a symmetry
+_ORDERS = (2, 3, 4, 5, 6, 8)  # of discrete rotations that are tested
+_CONTINUOUS_RAD = np.deg2rad([7.0, 31.0, 53.0, 97.0])  # rad; no regular prism has all of them
 
 
 def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
-    """Discrete and continuous turns about axes through the origin of the target frame.
+    """Discrete and continuous symmetries about axes through the origin of the target frame.
 
-    The axes tried are the coordinate axes and the surface's principal ones. A symmetry whose
-    axis misses the origin cannot be said in a target file, and is not looked for.
+    The coordinate axes and the surface's principal axes are tested. Target files cannot express a
+    symmetry whose axis misses the origin, so these are not tested.
     """
     points = _surface(mesh, np.random.default_rng(seed))
     centre_m, radius_m = mesh.bounding_sphere
@@ -43,7 +43,7 @@ def find_symmetries(mesh: Mesh, seed: int = 0) -> tuple[Symmetry, ...]:
 
 
 def _surface(mesh: Mesh, rng: np.random.Generator, count: int = _POINTS) -> Array:
-    """Points (count, 3) spread evenly over the surface."""
+    """Random points (count, 3), uniform over the surface."""
     corners = mesh.vertices_m[mesh.faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)

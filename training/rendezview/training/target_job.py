@@ -1,4 +1,4 @@
-"""Training from a target's path or name: what the command does, as one function."""
+"""Training from a target's path or name, as one function."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def train(
         output: of the model, ``*.rvm``.
         unit: of a bare mesh: mm, cm, m, inch, foot.
         options: of the training; the defaults take a few minutes on two cores.
-        camera: of the frames to come; decides the smallest distance.
+        camera: the flight camera; sets the sphere radius and the sharpness of the views.
         jobs: parallel jobs; -1 for all cores.
         progress: called with stage, done, total.
 

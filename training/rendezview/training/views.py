@@ -1,4 +1,4 @@
-"""Views of the target: the clean ones of the lattice, and random ones as a camera has them."""
+"""Training views: clean views of the lattice, and perturbed views as a real camera sees them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from rendezview.sensors.appearance.outline.silhouette import (
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.projection import Mask, SilhouetteRenderer, Window
 
-_SUPERSAMPLING = 2  # of perturbed views
-_MARGIN_PX = 6  # of sky around a perturbed view
-_SKY_GREY = 12.0
-_TILE = 1024  # side of the tile of noise
-# One target is in the picture, so all blobs are its own. A low threshold, as in flight, and a
-# high one, which stands for wires and panels too dim to be seen.
+_SUPERSAMPLING = 2  # samples per pixel side of perturbed views
+_MARGIN_PX = 6  # px of sky around a perturbed view
+_SKY_GREY = 12.0  # grey levels
+_TILE = 1024  # px; side of the tile of noise
+# All blobs belong to the one target. The low threshold is that of flight; the high one stands for
+# wires and panels that are too dim to be visible.
 _THRESHOLDS = (
     SilhouetteOptions(merge_gap=10.0),
     SilhouetteOptions(merge_gap=10.0, averaged_px=1, least_contrast_grey=8.0),
@@ -36,7 +36,7 @@ _THRESHOLDS = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewSet:
-    """Signatures of K views with where they were seen from."""
+    """Signatures of K views and their view directions."""
 
     direction: Array  # (K, 3) unit, view centre → camera, target frame
     range_m: Array  # (K,) view centre to camera
@@ -50,7 +50,7 @@ class ViewSet:
 
     @classmethod
     def joined(cls, parts: list[ViewSet]) -> ViewSet:
-        """One set of many."""
+        """Join several sets."""
         return cls(
             *(
                 np.concatenate([getattr(p, name) for p in parts])
@@ -62,8 +62,8 @@ class ViewSet:
 def look_from(direction: Array, roll_rad: float = 0.0) -> Array:
     """(3, 3) attitude of a camera that looks at the view centre from a unit direction (3,).
 
-    At roll 0 the target's +z is up on the screen (or +x, within 26° of the poles): only a
-    convention, since every comparison takes the roll between views.
+    At roll 0 the target's +z is up in the picture (+x within 26° of the poles). This is a
+    convention: every comparison uses the roll between two views.
     """
     up = np.array([0.0, 0.0, 1.0]) if abs(direction[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     rotation = np.empty((3, 3))
@@ -90,7 +90,7 @@ def clean_views(
     directions: Array,
     range_radii: float = 1.0,
 ) -> ViewSet:
-    """Noiseless views from given directions (K, 3), the target filling the picture."""
+    """Noiseless views from given directions (K, 3), in which the target fills the picture."""
     size = geometry.resolution_px
     range_m = geometry.sphere_radius_m * range_radii
     tangent = np.tan(np.arcsin(geometry.target_radius_m / range_m))
@@ -118,7 +118,7 @@ def far_views(
     options: TrainingOptions,
     directions: Array,
 ) -> ViewSet:
-    """The clean views again from four sphere radii, where perspective has nearly gone."""
+    """Clean views from four sphere radii, where perspective is weak."""
     return clean_views(renderer, geometry, options, directions, FAR_RADII)
 
 
@@ -129,10 +129,10 @@ def perturbed_views(
     stream: int,
     indices: range,
 ) -> ViewSet:
-    """Random views as a real camera has them: range, bearing, blur, noise, threshold.
+    """Random views as a real camera sees them: range, bearing, blur, noise, threshold.
 
-    Each view has its own random numbers (seed, stream, index), so the same views come
-    whatever the shares of work.
+    Each view has its own random numbers (seed, stream, index), so the views do not depend on the
+    shards.
     """
     return _view_set(
         [
@@ -165,7 +165,7 @@ def _perturbed_view(
     corner = rng.integers(0, _TILE, size=2)
     threshold = _THRESHOLDS[int(rng.integers(len(_THRESHOLDS)))]
     range_m = geometry.sphere_radius_m * radii
-    # off-centre bearing, as far as the target stays in the picture
+    # off-centre bearing that keeps the target in the picture
     half = np.arctan(geometry.flight_half_px / geometry.flight_focal_px)
     room = max(0.0, half - np.arcsin(geometry.target_radius_m / range_m))
     bearing = room * rng.uniform(-0.7, 0.7, size=2)
@@ -182,14 +182,14 @@ def _perturbed_view(
     blurred = np.asarray(cv2.GaussianBlur(cover, (0, 0), blur_px), dtype=np.uint8)
     frame = exposed(blurred, level / 255.0, _SKY_GREY, noise, _noise_tile(), corner[0], corner[1])
     outlines = _flight_outlines(frame, window, threshold)
-    if not outlines:  # a speck of noise at the border of this small window, or a dark target
+    if not outlines:  # noise at the border of this small window, or a dark target
         mask = np.where(cover > 127, 255, 0).astype(np.uint8)
         outlines = [_rays(points, window) for points in outlines_of_mask(mask)]
     return _view(direction, range_m, turned, outlines, options)
 
 
 def _flight_outlines(frame: Mask, window: Window, threshold: SilhouetteOptions) -> list[Array]:
-    """Outlines as the flight code finds them; none where it finds no silhouette."""
+    """Outlines as the flight code finds them; empty if it finds no silhouette."""
     found = find_silhouette(frame, threshold)
     return [] if isinstance(found, Missing) else [_rays(o, window) for o in found.outlines_px]
 
@@ -197,7 +197,7 @@ def _flight_outlines(frame: Mask, window: Window, threshold: SilhouetteOptions) 
 def _looking(
     rotation: Array, range_m: float, geometry: ViewGeometry, bearing: Array | None = None
 ) -> Pose:
-    """camera_from_target of a camera at the range whose boresight, less the bearing, hits."""
+    """camera_from_target of a camera that sees the view centre at a range and a bearing."""
     sight = np.array([0.0, 0.0, range_m])
     if bearing is not None:
         sight = bearing @ sight
@@ -205,7 +205,7 @@ def _looking(
 
 
 def _bearing_rotation(bearing_rad: Array) -> Array:
-    """(3, 3) small turn of the camera about its x and y axes."""
+    """(3, 3) small rotation of the camera about its x and y axes."""
     return np.asarray(cv2.Rodrigues(np.array([bearing_rad[0], bearing_rad[1], 0.0]))[0])
 
 
@@ -218,7 +218,7 @@ def _window_around(pose: Pose, geometry: ViewGeometry) -> Window:
     off_axis = np.arctan2(np.hypot(centre[0], centre[1]), centre[2])
     if off_axis + half_angle > np.deg2rad(85.0):
         raise RendezviewError("the camera's field of view is too wide for a plane picture")
-    # a bound on the cone's picture: its widest meridian
+    # the widest meridian bounds the picture of the cone
     middle = centre[:2] / centre[2] * focal
     reach = focal * (np.tan(off_axis + half_angle) - np.tan(off_axis))
     low = np.floor(middle - reach) - _MARGIN_PX
@@ -245,7 +245,7 @@ def _view(
     signature = Signature.of_outlines(outlines, options.bins, options.smooth_bins)
     if signature is None:
         raise RendezviewError(
-            "the target cannot be seen from one side: it is flat or too thin for the "
+            "the target is invisible from one side: it is flat or too thin for the "
             f"resolution of the views; its direction is {np.round(direction, 3).tolist()}"
         )
     centred = signature.centred_from_camera @ camera_rotation
@@ -262,7 +262,7 @@ _noise: npt.NDArray[np.float32] | None = None
 
 
 def _noise_tile() -> npt.NDArray[np.float32]:
-    """A tile of unit Gaussian noise, drawn once: a view takes it from a random corner on."""
+    """A tile of unit Gaussian noise, drawn once; a view reads it from a random corner."""
     global _noise
     if _noise is None:
         rng = np.random.default_rng(20_260_101)
@@ -280,7 +280,7 @@ def exposed(
     row: int,
     column: int,
 ) -> npt.NDArray[np.uint8]:
-    """Grey frame of a coverage picture: gain, sky level, noise from a tile, 8 bits."""
+    """8-bit frame of a coverage picture, with gain, sky level and noise from a tile."""
     height, width = cover.shape
     side = tile.shape[0]
     frame = np.empty((height, width), dtype=np.uint8)
@@ -289,7 +289,7 @@ def exposed(
     for y in range(height):
         line, source, result = tile[(y + row) % side], cover[y], frame[y]
         x = 0
-        while x < width:  # pieces of the row that lie in one tile
+        while x < width:  # pieces of the row within one tile
             start = (x + column) % side
             length = min(width - x, side - start)
             for k in range(length):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+import threading
 import zlib
 from collections.abc import Iterator
 
@@ -24,13 +25,37 @@ Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
 
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Silence OpenCV's own messages: our error says what is wrong."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    """Silence OpenCV's own messages: our error says what is wrong. Threads may overlap."""
+    _silence.enter()
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        _silence.leave()
+
+
+class _Silence:
+    """OpenCV's log level, which is global: the first thread silences it, the last restores it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._threads = 0
+        self._level = 0
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._threads == 0:
+                self._level = cv2.utils.logging.getLogLevel()
+                cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+            self._threads += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._threads -= 1
+            if self._threads == 0:
+                cv2.utils.logging.setLogLevel(self._level)
+
+
+_silence = _Silence()
 
 
 def decode_grey(content: Bytes) -> GreyImage | None:

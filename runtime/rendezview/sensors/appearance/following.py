@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
-from rendezview.sensors.observation import Status
+from rendezview.sensors.run import observe
 
 
 def follow(
@@ -51,31 +51,22 @@ def follow(
     """
     recognizers: dict[Camera, Recognizer] = {}
     tracker: Tracker | None = None
-    last_s = float("-inf")
-    for index, frame in enumerate(sequence):
+
+    def look(frame: Frame, time_s: float, image: GreyImage) -> AppearanceObservation:
+        nonlocal tracker
         if frame.camera not in recognizers:
             recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette, refine=refine)
         recognizer = recognizers[frame.camera]
-        if tracker is None:
-            tracker = Tracker(recognizer, prior, options)
-        tracker.recognizer = recognizer
-        time_s = float(index) if frame.time_s is None else frame.time_s
-        try:
-            image = frame.read()
-        except RendezviewError as error:
-            yield frame, AppearanceObservation(Status.UNREADABLE, str(error), time_s=time_s)
-            continue
         if independent:
-            yield frame, recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
-            continue
-        if not time_s > last_s:
-            raise RendezviewError(
-                f"{sequence.source}: the time of frame {frame.im_id} ({time_s} s) is not later "
-                f"than that of the frame before ({last_s} s); use --independent for a set of "
-                "single frames"
-            )
-        last_s = time_s
-        yield frame, tracker.update(time_s, image, sun_camera)
+            return recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
+        tracker = tracker or Tracker(recognizer, prior, options)
+        tracker.recognizer = recognizer
+        return tracker.update(time_s, image, sun_camera)
+
+    for frame, _, observation in observe(
+        sequence, look, AppearanceObservation, ordered=not independent
+    ):
+        yield frame, observation
 
 
 def result_row(scene_id: int, frame: Frame, observation: AppearanceObservation) -> ResultRow | None:

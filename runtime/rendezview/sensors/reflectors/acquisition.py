@@ -32,14 +32,15 @@ from rendezview.sensors.reflectors.triplets import hourglass_of, search
 
 _MOST_TRIPLETS = 20_000
 _MOST_CANDIDATES = 12  # are looked at one by one, the best first
-_NO_RANGE = np.array([0.0, np.inf])
+_NO_RANGE = np.array([0.0, np.inf])  # m. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AcquisitionOptions:
     """Which triplets pass for the target. Tolerances are those of one spot, one σ."""
 
-    # Yaw and pitch against the line of sight; published are 40° on the boresight.
+    # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
+    # boresight.
     tilt_rad: float = math.radians(45.0)
     nearest_m: float = 0.3
     farthest_m: float = 150.0

@@ -21,8 +21,8 @@ from rendezview.geometry.camera import Camera
 
 Grey = npt.NDArray[np.uint8]
 
-_NOISE_STEP = 12  # one row in so many tells the noise
-_NO_DARK = np.zeros((0, 0), np.uint8)
+_NOISE_STEP = 12  # rows; the noise is measured on one row in so many
+_NO_DARK = np.zeros((0, 0), np.uint8)  # Source: by construction
 
 
 class Opening(StrEnum):
@@ -34,6 +34,7 @@ class Opening(StrEnum):
     SQUARE = "square"  # what holds no 3 × 3 pixels goes: the paper's zeroing of the edge
 
 
+# Of each opening: kernel, anchors of erosion and dilation. Source: by construction
 _KERNELS = {
     Opening.SMALL: (np.ones((2, 2), np.uint8), (1, 1), (0, 0)),  # even: dilated the other way
     Opening.CROSS: (cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)), (1, 1), (1, 1)),

@@ -1,7 +1,7 @@
 """How well three spots go with a triangle of reflectors: their sizes and brightnesses, as χ².
 
-Most triplets of a crowd are refused by a pose in weak perspective, corrected twice for the depths
-it finds (as POSIT is), which costs a tenth of a P3P. Those that it leaves are judged with P3P's.
+A pose in weak perspective, corrected twice for the depths it finds (as in POSIT), rejects most
+triplets of a crowd at a tenth of the cost of P3P. The rest are judged at the poses of P3P.
 """
 
 from __future__ import annotations

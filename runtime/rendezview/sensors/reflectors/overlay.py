@@ -14,9 +14,13 @@ from rendezview.sensors.reflectors.difference import Grey, LitDark
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
-_SCALE = 2
+_SCALE = 2  # px of the drawing a pixel. Source: by construction
 _SPOT, _REFLECTOR, _WORDS = (120, 120, 120), (0, 165, 255), (230, 230, 230)  # blue green red
-_AXES = ((80, 80, 255), (80, 220, 80), (255, 160, 80))
+_AXES = (
+    (80, 80, 255),
+    (80, 220, 80),
+    (255, 160, 80),
+)  # x red, y green, z blue. Source: by construction
 
 
 def draw_reading(

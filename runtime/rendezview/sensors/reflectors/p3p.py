@@ -27,7 +27,7 @@ from rendezview.geometry.pose import Array, Pose
 
 Counts = npt.NDArray[np.int64]
 
-MAX_ROOTS = 4
+MAX_ROOTS = 4  # poses. Source: Persson & Nordberg 2018, two conics meet in four points
 EXACT = 1e-11  # residual, in squares of the longest side, that a root of exact rays keeps below
 
 

@@ -188,7 +188,7 @@ class SixNumbers:
     yaw_rad: float
 
 
-_HEAD_ON = np.diag([1.0, -1.0, -1.0])
+_HEAD_ON = np.diag([1.0, -1.0, -1.0])  # camera from face. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,10 +27,12 @@ Floats = npt.NDArray[np.float64]
 
 _ITERATIONS = 30
 _TRIALS = 8  # of damping, before the last pose is taken as the minimum
-_STEP = 1e-12  # rad and share of the range: a smaller step ends the iteration
-_ROUNDING = 1e-9  # rad + share of the range: after so small a step the cost may rise by rounding
-_GAIN = 1e-13  # of the cost: a smaller gain ends the iteration
-_EXACT = 1e-18  # χ²: the spots are fitted to rounding
+_STEP = 1e-12  # rad and share of the range: the end. Source: by construction, rounding
+# rad + share of the range: after so small a step the cost may rise by rounding.
+# Source: by construction, root of rounding
+_ROUNDING = 1e-9
+_GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
+_EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,13 +9,11 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame, Sequence
-from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import (
     ClosedFormCalibration,
@@ -28,6 +26,7 @@ from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.track import TrackingOptions
+from rendezview.sensors.run import observe
 
 
 class Mode(StrEnum):
@@ -44,10 +43,37 @@ class FramePair:
 
     lit: Frame
     dark: Frame | None
+    lit_from_dark: Array | None = None  # (2, 3) of a second camera; see `registered`
+
+    @property
+    def name(self) -> str:
+        """Of the lit picture."""
+        return self.lit.name
+
+    @property
+    def time_s(self) -> float | None:
+        """Of the lit picture."""
+        return self.lit.time_s
+
+    def read(self) -> LitDark:
+        """Both pictures, the dark one as the lit camera sees it.
+
+        Raises:
+            RendezviewError: one cannot be read, or they do not fit each other.
+        """
+        dark = None if self.dark is None else self.dark.read()
+        if dark is not None and self.lit_from_dark is not None:
+            dark = registered(dark, self.lit_from_dark)
+        return LitDark(self.lit.read(), dark)
 
 
-def pair_up(sequences: list[Sequence], mode: Mode) -> list[FramePair]:
+def pair_up(
+    sequences: list[Sequence], mode: Mode, lit_from_dark: Array | None = None
+) -> list[FramePair]:
     """The readings of one or two sequences.
+
+    ``lit_from_dark`` (2, 3) maps pixels of the dark camera to those of the lit one, with a
+    splitter; see `registered`.
 
     Raises:
         RendezviewError: not as many sequences as the mode has, or an odd number of pictures.
@@ -69,14 +95,16 @@ def pair_up(sequences: list[Sequence], mode: Mode) -> list[FramePair]:
                 f"{first.source} has {len(first)} pictures and {second.source} {len(second)}: "
                 "lit and dark must be as many"
             )
-        return [FramePair(lit, dark) for lit, dark in zip(first, second, strict=True)]
+        return [
+            FramePair(lit, dark, lit_from_dark) for lit, dark in zip(first, second, strict=True)
+        ]
     if len(first) % 2:
         raise RendezviewError(
             f"{first.source}: {len(first)} pictures cannot be lit and dark in turn: "
             "remove the one without its partner, or use --mode single"
         )
     return [
-        FramePair(lit, dark)
+        FramePair(lit, dark, lit_from_dark)
         for lit, dark in zip(first.frames[::2], first.frames[1::2], strict=True)
     ]
 
@@ -89,16 +117,17 @@ def follow(
     acquisition: AcquisitionOptions | None = None,
     tracking: TrackingOptions | None = None,
     independent: bool = False,
-    lit_from_dark: npt.ArrayLike | None = None,
-) -> Iterator[tuple[FramePair, ReflectorObservation]]:
-    """One reading for each pair, in order; a picture that cannot be read says so and is passed.
+) -> Iterator[tuple[FramePair, LitDark | None, ReflectorObservation]]:
+    """One observation for each pair, in order; ``UNREADABLE`` where a picture cannot be read.
 
     Args:
         pairs: of `pair_up`; without times they count as one second apart.
         patterns: groups to look for.
         threshold, acquisition, tracking: options.
         independent: each on its own, no memory.
-        lit_from_dark: (2, 3), of a second camera; see `registered`.
+
+    Yields:
+        The pair, its pictures (``None`` where they cannot be read) and the observation.
 
     Raises:
         RendezviewError: times do not rise.
@@ -106,8 +135,8 @@ def follow(
     if independent:
         tracking = TrackingOptions(confirm=False)
     sensors: dict[Camera, ReflectorSensor] = {}
-    last_s = -math.inf
-    for index, pair in enumerate(pairs):
+
+    def look(pair: FramePair, time_s: float, frames: LitDark) -> ReflectorObservation:
         camera = pair.lit.camera
         if camera not in sensors or independent:
             sensors[camera] = ReflectorSensor(
@@ -117,22 +146,9 @@ def follow(
                 acquisition=acquisition,
                 tracking=tracking,
             )
-        time_s = float(index) if pair.lit.time_s is None else pair.lit.time_s
-        if not independent and not time_s > last_s:
-            raise RendezviewError(
-                f"the time of picture {pair.lit.name} ({time_s} s) is not later than that of the "
-                f"one before ({last_s} s); use --independent for a set of single readings"
-            )
-        last_s = time_s
-        try:
-            dark = None if pair.dark is None else pair.dark.read()
-            if dark is not None and lit_from_dark is not None:
-                dark = registered(dark, lit_from_dark)
-            frames = LitDark(pair.lit.read(), dark)
-        except RendezviewError as error:
-            yield pair, ReflectorObservation(Status.UNREADABLE, str(error), time_s=pair.lit.time_s)
-            continue
-        yield pair, replace(sensors[camera].update(time_s, frames), time_s=pair.lit.time_s)
+        return replace(sensors[camera].update(time_s, frames), time_s=pair.time_s)
+
+    return observe(pairs, look, ReflectorObservation, ordered=not independent)
 
 
 def record(
@@ -142,7 +158,8 @@ def record(
     calibration: ClosedFormCalibration | None = None,
 ) -> dict[str, Any]:
     """One reading as it stands in a log of JSON lines."""
-    line = {"im_id": pair.lit.im_id, "image": pair.lit.name, **reading.record()}
+    line = {"im_id": pair.lit.im_id, "image": pair.lit.name} | reading.record()
+    line["time_s"] = pair.lit.time_s
     if calibration is not None:
         last = {key: line.pop(key) for key in ("tracked", "stage_ms")}
         line |= {"closed_form": _closed(pair, reading, patterns, calibration), **last}
@@ -186,7 +203,6 @@ def calibrate_run(
     *,
     threshold: ThresholdOptions | None = None,
     acquisition: AcquisitionOptions | None = None,
-    lit_from_dark: npt.ArrayLike | None = None,
 ) -> tuple[ClosedFormCalibration, int]:
     """The closed form's calibration from a run whose pictures have their true pose.
 
@@ -206,10 +222,7 @@ def calibrate_run(
         )
     readings: list[tuple[Array, SixNumbers]] = []
     camera = pairs[0].lit.camera
-    run = follow(
-        pairs, [pattern], threshold=threshold, acquisition=acquisition, lit_from_dark=lit_from_dark
-    )
-    for pair, reading in run:
+    for pair, _, reading in follow(pairs, [pattern], threshold=threshold, acquisition=acquisition):
         truth = pair.lit.camera_from_target
         places = _outer_and_centre(pattern, reading)
         if truth is None or reading.pose is None or places is None:

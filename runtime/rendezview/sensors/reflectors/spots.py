@@ -26,18 +26,18 @@ from rendezview.sensors.reflectors.difference import (
     threshold_of,
 )
 
-SATURATED_GREY = 255
+SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
 MOST_SPOTS = 400  # more than that is no picture of a target
 # Columns of the spot table that the compiled loops fill.
 X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
 BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
     8, 19
 )
-COLUMNS = 19
+COLUMNS = 19  # Source: by construction
 
-_ROUNDS = 12
-_SETTLED_PX = 2e-4
-_REACH = 3.0  # of the window, in its σ: the weight there is 1 %
+_ROUNDS = 12  # iterations of the window at most
+_SETTLED_PX = 2e-4  # px, of a step: the end
+_REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction
 _SMALLEST_PX, _LARGEST_PX = 0.6, 40.0  # σ of a window
 
 

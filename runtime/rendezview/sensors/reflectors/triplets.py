@@ -20,7 +20,7 @@ from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
 Table = npt.NDArray[np.float64]
 
-_ALIKE = 0.3
+_ALIKE = 0.3  # ln of the sizes of two spots of one target, at most
 _TIE = 0.02  # sides nearer in length than this share tie
 
 
@@ -56,7 +56,8 @@ class Hourglass:
         return np.array([self.x0, self.y0, self.slope, self.x_intercept, self.y_intercept])
 
 
-# Figure 2, for the target 14.5 in wide with a post of 4 in, ±40° of yaw and pitch.
+# For the target 14.5 in wide with a post of 4 in, ±40° of yaw and pitch. Source: Book et al. 1992,
+# fig. 2
 PAPER_HOURGLASS = Hourglass(slope=0.238, x_intercept=0.22375, y_intercept=0.17141)
 
 

@@ -15,7 +15,7 @@ from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_
 # Columns of the table of arcs
 FIRST, LAST, TURN, LENGTH = 0, 1, 2, 3
 X0, Y0, XM, YM, X1, Y1, NX, NY = 4, 5, 6, 7, 8, 9, 10, 11  # ends, middle, inward normal there
-COLUMNS = 12
+COLUMNS = 12  # Source: by construction
 
 _POLYGON_PX = 0.9  # how far a chain may leave its polygon
 _CORNER_RAD = 1.15  # a sharper turn of the polygon is a corner

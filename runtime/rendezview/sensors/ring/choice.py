@@ -1,7 +1,7 @@
 """Which of a circle's two poses is true: by prior attitude, by a point off the plane, by motion.
 
-The two axes lie on either side of the line of sight, equally far from it. Each rule answers with a
-number and its reason in words, or with None and what it lacks.
+The two axes lie on either side of the line of sight, equally far from it. Each rule gives a
+number with a reason in words, or None with the missing knowledge.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 
 PLANE_SHARE = 0.004  # σ of an edge's height over the ring's plane, as a share of the radius
 _STEPS = 15  # Gauss–Newton iterations at most
-_LEAST_GAIN = 1e-4  # χ²: a smaller gain ends the iteration
+_LEAST_GAIN = 1e-4  # χ², a hundredth of a standard deviation: the end. Source: by construction
 _SLOPE_STEP = 1e-5  # of a parameter, for numerical slopes
 _MOST = 5
 _MISFIT = 4.0  # χ² over its degrees of freedom, of edges that are not of one plane

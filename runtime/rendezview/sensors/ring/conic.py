@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-SCATTER = 15  # moments x^i y^j, i + j <= 4
+SCATTER = 15  # moments x^i y^j, i + j <= 4. Source: by construction
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")

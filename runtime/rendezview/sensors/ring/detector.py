@@ -36,7 +36,7 @@ class RingOptions:
     fit_tolerance_px: float = 1.2  # of arcs from their common conic
     least_semi_axis_px: float = 8.0  # the short one
     least_ratio: float = 0.2  # short over long: a tilt of 78°
-    least_arc_rad: float = math.radians(75.0)  # that edges must bear out, all pieces together
+    least_arc_rad: float = math.radians(75.0)  # of the circle with edges, all pieces together
     least_share: float = 0.5  # of the longest piece's neighbourhood; see `verify`
     blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
     sample_px: float = 1.5  # between samples of the final fit
@@ -46,10 +46,10 @@ class RingOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingEdge:
-    """An ellipse that the picture bears out."""
+    """An ellipse that edges of the picture confirm."""
 
     ellipse: Ellipse
-    arc_rad: float  # of the circle's full turn, what edges bear out
+    arc_rad: float  # visible part of the circle
     score: float  # 0 … 1, how much it is a ring's: see `concentric_groups`
     contrast_grey: float  # outside minus inside
     group: int  # number of the set of concentric circles it belongs to
@@ -64,7 +64,7 @@ class RingEdge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Detection:
-    """What a frame shows."""
+    """The ellipses of a frame."""
 
     edges: tuple[RingEdge, ...]  # best first
     noise_grey: float

@@ -24,8 +24,10 @@ Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 BLUR_PX = 1.0  # σ of the smoothing before the gradient
-_KERNEL = (5, 5)
-SOBEL = 8.0  # of Sobel's weights, to grey levels a pixel
+_KERNEL = (5, 5)  # px of that smoothing. Source: by construction, 2 σ to either side
+SOBEL = (
+    8.0  # Sobel units of a slope of 1 grey level a pixel. Source: by construction, Sobel's weights
+)
 _GRAIN_ROWS = 48
 _GRADIENT_SHARE = 1.05  # noise of one Sobel component over the pixels' σ, after the smoothing
 

@@ -1,9 +1,9 @@
 """The two edges of a narrow lip, fitted as one: concentric ellipses of opposite contrast.
 
-A ring's lip is often only a few pixels wide. Under the Sun one of its edges shows on one side of
-the ring and the other on the other side. An ellipse through both is neither: it is shifted, and
-tilted by ten degrees where the ring is seen face-on. Here both are fitted at once, with a centre
-and a shape in common and their ratio free; each is looked for in its own sense of contrast.
+A ring's lip is often only a few pixels wide. Under the Sun its outer edge shows on one side of the
+ring and its inner edge on the other. One ellipse through both is shifted, and tilted by ten degrees
+where the ring is seen face-on. Here both edges are fitted together: centre and shape are common,
+their ratio is free, and each edge has its own sense of contrast.
 """
 
 from __future__ import annotations

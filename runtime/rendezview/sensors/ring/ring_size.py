@@ -20,7 +20,7 @@ from rendezview.sensors.ring.rectangle import rectangle_pose
 
 Array = npt.NDArray[np.float64]
 
-_POINTS = 36  # of the ellipse, as the paper's ring points
+_POINTS = 36  # of the ellipse. Source: Zhai et al., its ring points
 _PASS_STEPS = 12
 
 

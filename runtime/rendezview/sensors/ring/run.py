@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
-from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.detector import RingOptions
 from rendezview.sensors.ring.observation import RingObservation
 from rendezview.sensors.ring.sensor import RingPrior, RingSensor
+from rendezview.sensors.run import observe
 
 
 def follow(
@@ -36,22 +36,24 @@ def follow(
         independent: each on its own, no memory.
     """
     sensors: dict[Camera, RingSensor] = {}
-    for number, frame in enumerate(sequence):
+    clock = count()
+
+    def look(frame: Frame, _: float, image: GreyImage) -> RingObservation:
         if frame.camera not in sensors:
             sensors[frame.camera] = RingSensor(frame.camera, radius_m, options)
         sensor = sensors[frame.camera]
         if independent:
             sensor.reset()
-        try:
-            image = frame.read()
-        except RendezviewError as error:
-            unread = RingObservation(Status.UNREADABLE, str(error), time_s=frame.time_s)
-            yield frame, None, unread
-            continue
-        observation = sensor.update(float(number), image, prior(frame) if prior else None)
-        yield frame, image, replace(observation, time_s=frame.time_s)
+        known = prior(frame) if prior else None
+        return replace(sensor.update(float(next(clock)), image, known), time_s=frame.time_s)
+
+    return observe(sequence, look, RingObservation, ordered=False)
 
 
 def record(frame: Frame, observation: RingObservation) -> dict[str, Any]:
     """One frame as it stands in the log of JSON lines."""
-    return {"im_id": frame.im_id, "image": frame.name, **observation.record()}
+    return (
+        {"im_id": frame.im_id, "image": frame.name}
+        | observation.record()
+        | {"time_s": frame.time_s}
+    )

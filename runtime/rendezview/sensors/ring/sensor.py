@@ -21,16 +21,16 @@ from rendezview.sensors.ring.observation import RingObservation
 Array = npt.NDArray[np.float64]
 
 _MOST_COMPANIONS = 5
-_LEAST_COMPANION = 0.8  # of the ring's radius, or its inverse: what is smaller or larger by more is
-# a nozzle's rim or a flange, in another plane
-_FORGET_FRAMES = 5  # frames without a pose after which the last one says nothing any more
+# Of the ring's radius, or its inverse: other edges are a nozzle's rim or a flange, not in its plane
+_LEAST_COMPANION = 0.8
+_FORGET_FRAMES = 5  # frames without a pose, after which the last one is forgotten
 _RANGE_TOLERANCE = 0.15  # of the laser's range: it may meet another part of the target
 _PLACE_TOLERANCE = 0.35  # of the semi-axis: how far a ring may have moved since it was known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RingPrior:
-    """What is known before a frame, any of it None."""
+    """Knowledge of other sensors before a frame; any of it may be None."""
 
     centre_m: Array | None = None  # (3,) of the ring, camera frame
     axis: Array | None = None  # (3,) camera frame
@@ -176,11 +176,11 @@ class RingSensor:
     def _choose(
         self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior
     ) -> Choice:
-        alone = only_one(poses)
+        single = only_one(poses)
         if prior.axis is not None:
             return by_attitude(poses, prior.axis)
-        if alone is not None:
-            return alone
+        if single is not None:
+            return single
         planar = by_plane(misfits)
         if planar.index is not None:
             return planar
@@ -193,10 +193,10 @@ class RingSensor:
 def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
     """An edge's ellipse, then those that may be other edges of the same ring.
 
-    First its family; then, because short arcs place an ellipse badly, all of like place. Only what
-    is nearly as large: near head-on a smaller circle of another plane fits as well, with a false
-    tilt. Of a lip whose edges were fitted as one, one edge says it all. What else does not belong
-    there the joint fit leaves out.
+    Edges of the same group come first, then edges at about the same place, because a short arc
+    gives a poor place. All are of similar size: near head-on a smaller circle of another plane fits
+    as well, with a false tilt. Of a lip fitted as a pair one edge is enough. The joint fit leaves
+    out an edge that does not belong there.
     """
     main, pairs = edges[first].ellipse, {edges[first].pair}
     near: list[tuple[bool, float, Ellipse]] = []

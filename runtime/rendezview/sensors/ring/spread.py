@@ -1,4 +1,4 @@
-"""How far the samples of an ellipse's edge scatter, and what that makes of a fit's covariance."""
+"""Scatter of the samples of an ellipse's edge, and the covariance of a fit that follows from it."""
 
 from __future__ import annotations
 

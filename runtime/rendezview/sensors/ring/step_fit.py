@@ -1,4 +1,4 @@
-"""Where exactly the edges of ellipses lie: blurred steps along all of them, with covariances."""
+"""Fits ellipses to blurred steps along their edges, with covariances."""
 
 from __future__ import annotations
 

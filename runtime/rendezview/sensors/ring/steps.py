@@ -31,7 +31,7 @@ from rendezview.sensors.ring.samples import (
 
 LEAST_GAP = 2.2  # px between two edges that can still be told apart
 _FARTHEST_PX = 1.6  # from the ellipse, of an edge that the linear model places
-_FLOOR_PX2 = 4e-4  # px², variance of a place beside the noise: 0.02 px of interpolation
+_FLOOR_PX2 = 4e-4  # px², variance of a place beside the noise: (0.02 px)²
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

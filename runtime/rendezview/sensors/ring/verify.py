@@ -1,7 +1,7 @@
-"""Which rough ellipses the gradients bear out, and settling on them.
+"""Confirms rough ellipses by the gradients of the picture, and moves them onto their edges.
 
-Along a candidate enough of the circle must be edge, with one sense of contrast for a stretch. What
-lives on the edges of better ellipses is dropped.
+Enough of a candidate's circle must be edge, with one sense of contrast for a stretch. A candidate
+on the edges of better ellipses is dropped.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _SUPPORT_SAMPLES = 120
 
 @njit(cache=True, nogil=True)
 def verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # type: ignore[no-untyped-def]
-    """Rough ellipses (K, 5) that the gradients bear out, settled on them: shapes (M, 5)."""
+    """The rough ellipses (K, 5) that the gradients confirm, moved onto them: shapes (M, 5)."""
     kept = np.empty((most, 5))
     value = np.empty(most)
     count = 0

@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.least_squares import tukey_weight
+from rendezview.estimation.linear_algebra import solve_scaled
+from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import orthonormalise, perturb_into
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
 from rendezview.sensors.appearance.edges.edge_search import (
     COLUMNS,
@@ -17,7 +23,8 @@ from rendezview.sensors.appearance.edges.edge_search import (
     WEIGHT,
     measure_edges,
 )
-from rendezview.sensors.appearance.edges.lighting import light
+from rendezview.sensors.appearance.edges.lighting import fit_light
+from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
 
 
 class Stage(NamedTuple):
@@ -42,39 +49,30 @@ class Stage(NamedTuple):
     REACH, SPREAD, STEPS, SMOOTH, ROOM, LINES, STRIDE, FIT, VIEWS, DAMPING, RELAXATION, STOP,
 ) = range(len(Stage._fields))  # fmt: skip
 
-_CUT_SPREADS = 2.5  # residuals beyond so many spreads do not count (Tukey)
-CLOSE_PX = 1.5  # spread of the edges that support a refined pose …
-_LOOSE_PX = 3.0  # … and one that is roughly aligned
-_LOOSE_STRIDE = 2  # so many points are enough to judge that
-_HOPELESS = 0.65  # of the best loosely judged support: below, one of 200 right poses lies
-_LEAST_EDGES = 12  # found, for six unknowns
-_LONGEST_TURN_RAD = 0.2  # of one step
-_AGREEING = 0.53  # of the spread: such a residual ratios the pose by exp(−½)
-_SMALL = 0.01  # of the target's radius in pixels: there a step stops as at one pixel
+CLOSE_PX = 1.5  # px; spread of the inliers of a refined pose …
+_LOOSE_PX = 3.0  # px; … and of a roughly aligned one
+_LOOSE_STRIDE = 2  # one point in two is enough to judge that
+_AGREEING = 0.53  # of the spread: a residual that counts exp(−½) as an inlier
+_INNER_SHARE = 0.5  # of inner edges, beside the outline, in the loose ratio
+# Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
+_HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
+_CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
+_LEAST_EDGES = 12  # found, for six unknowns: twice as many
+_LONGEST_TURN_RAD = 0.2  # rad, of one step
+_ALONG = 0.1  # of a move along the line of sight, which shows so much less in the picture
+_SMALL = 0.01  # of the target's radius in pixels: below 100 px a step stops earlier
+_NEAREST_RADII, _FURTHEST_RADII = 1.02, 1e9  # of the target's radius; poses beyond have diverged
 _NO_LIGHT = np.zeros(1)
 _NO_SUN = np.zeros(3)
-DIVERGED = -9.0  # of ``align``: no pose
-_HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix
-
-
-@njit(cache=True, nogil=True)
-def turned(w, rotation):  # type: ignore[no-untyped-def]
-    """exp(w) rotation, for a rotation vector w (3,) (Rodrigues)."""
-    angle = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    if angle < 1e-12:
-        return rotation.copy()
-    x, y, z = w[0] / angle, w[1] / angle, w[2] / angle
-    s, c = np.sin(angle), np.cos(angle)
-    k = 1.0 - c
-    turn = np.empty((3, 3))
-    turn[0, 0], turn[0, 1], turn[0, 2] = c + x * x * k, x * y * k - z * s, x * z * k + y * s
-    turn[1, 0], turn[1, 1], turn[1, 2] = y * x * k + z * s, c + y * y * k, y * z * k - x * s
-    turn[2, 0], turn[2, 1], turn[2, 2] = z * x * k - y * s, z * y * k + x * s, c + z * z * k
-    return turn @ rotation
+DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
+_HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def nearest_views(directions, shells_m, rotation, centre, views):  # type: ignore[no-untyped-def]
+def nearest_views(
+    directions: Array, shells_m: Array, rotation: Array, centre: Array,
+    views: npt.NDArray[np.int64],
+) -> int:  # fmt: skip
     """Shell, and into ``views`` its views, from which a target is seen most nearly as at a pose."""
     distance = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
     x = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
@@ -100,16 +98,15 @@ def nearest_views(directions, shells_m, rotation, centre, views):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _weight(edge, cut):  # type: ignore[no-untyped-def]
-    """Of one edge in the normal equations (Tukey); 0 where it does not count."""
-    q = edge[RESIDUAL] / cut
-    if edge[STATE] != FOUND or q * q >= 1.0:
+def _weight(edge: Array, cut: float) -> float:
+    """Weight of one edge in the normal equations (Tukey); 0 where it does not count."""
+    if edge[STATE] != FOUND:
         return 0.0
-    return edge[WEIGHT] * (1.0 - q * q) ** 2
+    return edge[WEIGHT] * tukey_weight(edge[RESIDUAL], cut)  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def normal_equations(edges, cut, matrix, right):  # type: ignore[no-untyped-def]
+def normal_equations(edges: Array, cut: float, matrix: Array, right: Array) -> tuple[int, float]:
     """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
     matrix[:] = 0.0
     right[:] = 0.0
@@ -136,7 +133,9 @@ def normal_equations(edges, cut, matrix, right):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def covariance_of(edges, cut, least_sigma_px, loose, arm):  # type: ignore[no-untyped-def]
+def covariance_of(
+    edges: Array, cut: float, least_sigma_px: float, loose: Array, arm: Array
+) -> tuple[Array, float]:
     """(6, 6) of a pose from the edges last measured, and their root mean square, pixels.
 
     With weights w and independent edges of variance σ² the estimate (ΣwJJᵀ)⁻¹ ΣwJr has
@@ -174,7 +173,7 @@ def covariance_of(edges, cut, least_sigma_px, loose, arm):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def strain_covariance(edges, cut, loose, centre, arm):  # type: ignore[no-untyped-def]
+def strain_covariance(edges: Array, cut: float, loose: Array, centre: Array, arm: Array) -> Array:
     """(6, 6) of a pose where the craft is the model strained: per unit of the strain's variance.
 
     A strain S (symmetric, its six components independent) moves the edge of a point q from the
@@ -213,7 +212,7 @@ def strain_covariance(edges, cut, loose, centre, arm):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def _to_origin(arm):  # type: ignore[no-untyped-def]
+def _to_origin(arm: Array) -> Array:
     """(6, 6) from errors at the view centre to errors at the target's origin: t = centre − arm."""
     shift = np.eye(6)
     shift[3, 1], shift[3, 2] = -arm[2], arm[1]
@@ -223,7 +222,10 @@ def _to_origin(arm):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: ignore[no-untyped-def]
+def align(
+    image: Picture, lens: Lens, frame: Array, stages: Array, views: ViewTables, rotation: Array,
+    centre: Array, edges: Array,
+) -> float:  # fmt: skip
     """Move a pose (in place) onto the edges.
 
     Args:
@@ -235,7 +237,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
             last measurements afterwards.
 
     Returns:
-        How well one light explains the frame, see ``light``, 0 where that was not asked;
+        How well one light explains the frame, see ``fit_light``, 0 where that was not asked;
         ``DIVERGED`` where too few edges are found or the pose runs away.
     """
     matrix, right = np.empty((6, 6)), np.empty(6)
@@ -250,7 +252,7 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
         nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
         edges[len(nearest) * points :, STATE] = OUTSIDE
         if fit:
-            explained = light(
+            explained = fit_light(
                 image, edges, count, views.kind[shell, view], views.strip[shell, view],
                 views.start[shell, view], views.palette, rotation, centre,
                 lens[0][0] * radius_m / centre[2], frame, sun, shade,
@@ -270,30 +272,50 @@ def align(image, lens, frame, stages, views, rotation, centre, edges):  # type: 
                 return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre
             held = stage[DAMPING] * weights * scale * scale
-            for a in range(3):
-                matrix[a, a] += held * radius_m * radius_m
-                matrix[3 + a, 3 + a] += held
-            step = np.linalg.solve(matrix, right) * stage[RELAXATION]
-            turn = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-            shorter = min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
-            rotation[:] = turned(step[:3] * shorter, rotation)
-            centre += step[3:] * shorter
-            if not (centre[2] > 1.02 * radius_m and centre[2] < 1e9 * radius_m):
+            moved = _gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m, rotation,
+                                       centre)  # fmt: skip
+            if moved < 0.0:
                 return DIVERGED
-            shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (0.1 * step[5]) ** 2)
             # The last step is small in pixels, and beside a target that is small itself.
-            small = stage[STOP] * min(1.0, _SMALL * scale * radius_m)
-            if scale * (turn * radius_m + shift) < small:
+            if scale * moved < stage[STOP] * min(1.0, _SMALL * scale * radius_m):
                 break
-    # Without the rounding of many small turns: one step towards the nearest rotation.
-    rotation[:] = rotation @ (1.5 * np.eye(3) - 0.5 * (rotation.T @ rotation))
+    orthonormalise(rotation)
     return explained
 
 
 @njit(cache=True, nogil=True)
-def inlier_ratios(  # type: ignore[no-untyped-def]
-    image, lens, frame, views, rotation, centre, spread_px, stride, edges
-):
+def _gauss_newton_step(
+    matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, rotation: Array,
+    centre: Array,
+) -> float:  # fmt: skip
+    """Move a pose in place by one damped step; metres that the target's points move, about.
+
+    −1 where the equations give no step or the target leaves the front of the camera. ``held`` is
+    the damping, information per m²; rotations count at the target's radius.
+    """
+    for a in range(3):
+        matrix[a, a] += held * radius_m * radius_m
+        matrix[3 + a, 3 + a] += held
+    step, lower, turned = np.empty(6), np.empty((6, 6)), np.empty((3, 3))
+    if not solve_scaled(matrix, right, lower, step):
+        return -1.0
+    step *= relaxation
+    turn = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+    shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (_ALONG * step[5]) ** 2)
+    step *= min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
+    perturb_into(step[:3], rotation, turned)
+    rotation[:] = turned
+    centre += step[3:]
+    if not (centre[2] > _NEAREST_RADII * radius_m and centre[2] < _FURTHEST_RADII * radius_m):
+        return -1.0
+    return turn * radius_m + shift  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True)
+def inlier_ratios(
+    image: Picture, lens: Lens, frame: Array, views: ViewTables, rotation: Array, centre: Array,
+    spread_px: float, stride: int, edges: Array,
+) -> tuple[float, float, float]:  # fmt: skip
     """How well a pose explains the frame: shares of the outline and of inner edges, and visible.
 
     An edge within half the spread of its place counts nearly whole; every ``stride``-th point is
@@ -324,9 +346,10 @@ def inlier_ratios(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def align_each(  # type: ignore[no-untyped-def]
-    image, lens, frame, first, then, views, rotations, centres, survivors, ratios
-):
+def align_each(
+    image: Picture, lens: Lens, frame: Array, first: Array, then: Array, views: ViewTables,
+    rotations: Array, centres: Array, survivors: int, ratios: Array,
+) -> None:  # fmt: skip
     """``align`` and ``inlier_ratios`` of K hypotheses, in place.
 
     All go through the stages ``first``; the ``survivors`` with the best loose inlier ratio, go
@@ -342,7 +365,7 @@ def align_each(  # type: ignore[no-untyped-def]
             outline, inner, _ = inlier_ratios(
                 image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, _LOOSE_STRIDE, edges
             )
-            rough[k] = outline + 0.5 * inner
+            rough[k] = outline + _INNER_SHARE * inner
     order = np.argsort(-rough)
     for i in range(min(survivors, count)):
         k = order[i]

@@ -13,18 +13,20 @@ from rendezview.geometry.pose import Array
 OUTLINE, STEP, CREASE = 0, 1, 2  # against the sky, against a far surface, between two facets
 NO_POINT = 255  # kind of the rows that fill up a view with few points
 
+# Units of the stored integers. Source: by construction
 POINT_UNIT = 1.0 / 32000.0  # of the target's radius: 6 µm on a body of 20 cm
 RUN_UNIT = 1.0 / 256.0  # of the target's radius
 DIRECTION_UNIT = 1.0 / 127.0
 
-# What lies along the normal of an edge is kept as a *strip* of a few surfaces, from outside to
-# inside: its last surface goes on, as does the first of an inner edge; an outline's begins at the
-# point. Where the others begin is kept to the square root, finest at the edge.
+# The edge profile along the normal of an edge is stored as a few surfaces, from outside to inside
+# (the array ``strip``). The last surface has no end, the first of an inner edge no beginning; the
+# first of an outline begins at the point. The beginnings of the others are stored as square
+# roots, finest at the edge.
 SURFACES = 5
-REACH_RADII = 12.0 / 196.0  # of the target's radius: as far as a strip tells
-START_UNIT = REACH_RADII / 127.0**2
-DEPTH_UNIT = 1.0 / 127.0  # of the target's radius
-KINDS_OF_SURFACE = 256
+REACH_RADII = 12.0 / 196.0  # of the target's radius: length of a profile
+START_UNIT = REACH_RADII / 127.0**2  # Source: by construction
+DEPTH_UNIT = 1.0 / 127.0  # of the target's radius. Source: by construction
+KINDS_OF_SURFACE = 256  # of a byte; 0 is the sky. Source: by construction
 
 
 def packed_start(inside: Array) -> Array:
@@ -34,7 +36,7 @@ def packed_start(inside: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def start_radii(kept):  # type: ignore[no-untyped-def]
+def start_radii(kept: int) -> float:
     """A place along the normal inwards, of the target's radius, from how it is kept."""
     root = float(kept)
     return root * abs(root) * START_UNIT

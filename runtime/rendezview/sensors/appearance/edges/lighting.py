@@ -1,55 +1,97 @@
 """How bright each kind of surface of the target is in a frame.
 
-A matt surface under the Sun and some light from all around is as bright as its albedo times
-``sun max(0, n · s) + around``. The direction s and the two strengths are fitted to the grey levels
-of the frame beside the contour points of a pose that is nearly right; a direction that is known is
-taken. Cast shadows and glints lie off such a fit and count as outliers.
+The brightness of a diffuse surface is its albedo times ``sun max(0, n · s) + around``, with
+strengths of the Sun and of uniform light from all around. The direction s and the two strengths
+are fitted to the grey levels beside the contour points of a pose that is nearly right; a known
+direction is used as it is. Cast shadows and glints are outliers of this fit.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import OUTLINE, REACH_RADII, SURFACES, start_radii
 from rendezview.sensors.appearance.edges.edge_search import NX, NY, U, V
 
+Kinds = npt.NDArray[np.uint8]
+Starts = npt.NDArray[np.int8]
+
 _SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)
-_HALVINGS = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # of the way between those directions
-_BLURRED_PX = 1.8  # nearer to an edge its blur reaches
-_BESIDE_PX = 0.5  # of the next surface of a strip: like it, as a rule
-_SAMPLES_EACH = 3  # surface of a strip
+_HALVINGS_RAD = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # rad; steps from one of those directions
+_BLUR_PX = 1.8  # px; samples keep this distance from the edge, whose blur reaches so far
+_BESIDE_PX = 0.5  # px; and this distance from the next surface
+_SAMPLES_EACH = 3  # of each surface of an edge profile
 _LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
-_COARSELY = 3  # every so many-th sample says roughly where the Sun is
-_TOLERANCE = 0.1  # of the bright samples' level: what shading leaves unexplained
-_BEHIND = -0.3  # cosine to the camera of the last Sun that is tried
+_COARSELY = 3  # one sample in three gives the rough direction of the Sun
+_TOLERANCE = 0.1  # of the level of the bright samples: what diffuse shading leaves unexplained
+_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright samples
+_BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
+_CANDIDATES = 6  # directions around the best one, for each step
+_KEEP = 0.7  # component of a unit vector beyond which another axis is crossed with it
 
 
 @njit(cache=True, nogil=True)
-def light(  # type: ignore[no-untyped-def]
-    image, edges, count, kind, strip, start, palette, rotation, centre, scale, frame, sun, shade
-):
+def fit_light(
+    image: Picture, edges: Array, count: int, kind: Kinds, strip: Kinds, start: Starts,
+    palette: npt.NDArray[np.float32], rotation: Array, centre: Array, scale: float, frame: Array,
+    sun: Array, shade: Array,
+) -> float:  # fmt: skip
     """Fit the light of a frame; fills ``shade`` (K,), grey levels above black of every kind.
 
     Args:
         edges: (N, COLUMNS) where ``measure_edges`` has put the contour points, ``count`` of them.
-        kind, strip, start: of the view that is seen, as ``Contours`` has them.
+        kind, strip, start: of the nearest view, as ``Contours`` has them.
         palette: (K, 4) normals and albedo.
         rotation, centre: of the pose, camera frame.
         scale: pixels of the target's radius.
         frame: (6,) as in ``Sky.vector``.
-        sun: (3,) gets the direction to the Sun, camera frame; where it is not zero, it is near.
+        sun: (3,) gets the direction to the Sun, camera frame; unless it is zero, the search
+            starts from it.
 
     Returns:
         Share of the samples that the light explains, 0 … 1; −1 (and ``shade`` all 0) where too
         few samples lie in the frame.
     """
-    height, width = image.shape
-    noise, black = frame[0], frame[1] if frame[2] > 0.0 else 0.0
     shade[:] = 0.0
     most = count * SURFACES * _SAMPLES_EACH
     levels, which = np.empty(most), np.empty(most, dtype=np.int64)
+    black = frame[1] if frame[2] > 0.0 else 0.0
+    found = sample_surfaces(image, edges, count, kind, strip, start, scale, black, levels, which)
+    if found < _LEAST_SAMPLES:
+        return -1.0
+    every = 1 + found // _MOST_SAMPLES
+    levels, which = levels[:found:every].copy(), which[:found:every].copy()
+    away = centre / np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    normals = facing_normals(palette, rotation, away)
+    tolerance = _TOLERANCE * np.percentile(levels, _BRIGHT_PERCENTILE) + frame[0]
+    strengths = np.empty(2)
+    if frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0:
+        sun[:] = frame[3:6]
+    else:
+        search_sun(levels, which, normals, palette, away, tolerance, strengths, sun)
+    cost = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
+    for e in range(1, len(shade)):
+        n = normals[e]
+        facing = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
+        shade[e] = max(0.0, palette[e, 3] * (strengths[0] * facing + strengths[1]))
+    return 1.0 - cost / len(levels)
+
+
+@njit(cache=True, nogil=True)
+def sample_surfaces(
+    image: Picture, edges: Array, count: int, kind: Kinds, strip: Kinds, start: Starts,
+    scale: float, black: float, levels: Array, which: npt.NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Grey levels above black of the surfaces beside the contour points; how many.
+
+    ``levels`` gets them, ``which`` the kind of surface of each; see ``fit_light``.
+    """
+    height, width = image.shape
     found = 0
     for j in range(count):
         if edges[j, NX] == 0.0 and edges[j, NY] == 0.0:
@@ -65,17 +107,22 @@ def light(  # type: ignore[no-untyped-def]
                 continue
             for place in range(-1, 2):
                 inside = middle + place * half
-                if abs(inside) < _BLURRED_PX:
+                if abs(inside) < _BLUR_PX:
                     continue
                 column = int(edges[j, U] - inside * edges[j, NX] + 0.5)
                 row = int(edges[j, V] - inside * edges[j, NY] + 0.5)
                 if 0 <= column < width and 0 <= row < height:
                     levels[found], which[found] = image[row, column] - black, strip[j, k]
                     found += 1
-    if found < _LEAST_SAMPLES:
-        return -1.0
-    every = 1 + found // _MOST_SAMPLES
-    levels, which = levels[:found:every].copy(), which[:found:every].copy()
+    return found
+
+
+@njit(cache=True, nogil=True)
+def facing_normals(palette: npt.NDArray[np.float32], rotation: Array, away: Array) -> Array:
+    """(K, 3) normals of the kinds of surface in the camera frame, on the side of the camera.
+
+    ``away`` (3,) points from the camera to the target.
+    """
     normals = np.empty((palette.shape[0], 3))
     for e in range(palette.shape[0]):
         for a in range(3):
@@ -84,51 +131,53 @@ def light(  # type: ignore[no-untyped-def]
                 + rotation[a, 1] * palette[e, 1]
                 + rotation[a, 2] * palette[e, 2]
             )
-    away = centre / np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
     for e in range(len(normals)):
         n = normals[e]
-        if n[0] * away[0] + n[1] * away[1] + n[2] * away[2] > 0.0:  # the side that is seen
+        if n[0] * away[0] + n[1] * away[1] + n[2] * away[2] > 0.0:
             n[0], n[1], n[2] = -n[0], -n[1], -n[2]
-    tolerance = _TOLERANCE * np.percentile(levels, 80) + noise
-    strengths = np.empty(2)
-    known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
-    if known:
-        sun[:] = frame[3:6]
-    else:
-        if sun[0] == 0.0 and sun[1] == 0.0 and sun[2] == 0.0:
-            some, of = levels[::_COARSELY].copy(), which[::_COARSELY].copy()
-            best = np.inf
-            sun[:] = -away
-            for k in range(len(_SUNS)):
-                if -np.dot(_SUNS[k], away) > _BEHIND:
-                    cost = _misfit(some, of, normals, palette, _SUNS[k], tolerance, strengths)
-                    if cost < best:
-                        best = cost
-                        sun[:] = _SUNS[k]
-        best = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
-        for step in _HALVINGS:
-            across = np.cross(sun, np.array([1.0, 0.0, 0.0]) if abs(sun[0]) < 0.7 else
-                              np.array([0.0, 1.0, 0.0]))  # fmt: skip
-            across /= np.sqrt(np.dot(across, across))
-            other = np.cross(sun, across)
-            middle = sun.copy()
-            for k in range(6):
-                c, s = np.cos(k * np.pi / 3.0), np.sin(k * np.pi / 3.0)
-                tried = np.cos(step) * middle + np.sin(step) * (c * across + s * other)
-                cost = _misfit(levels, which, normals, palette, tried, tolerance, strengths)
+    return normals
+
+
+@njit(cache=True, nogil=True)
+def search_sun(
+    levels: Array, which: npt.NDArray[np.int64], normals: Array,
+    palette: npt.NDArray[np.float32], away: Array, tolerance: float, strengths: Array, sun: Array,
+) -> None:  # fmt: skip
+    """The direction of the Sun that explains the levels best, into ``sun`` (3,).
+
+    It starts from ``sun``, or, where that is zero, from the best of 42 directions.
+    """
+    if sun[0] == 0.0 and sun[1] == 0.0 and sun[2] == 0.0:
+        some, of = levels[::_COARSELY].copy(), which[::_COARSELY].copy()
+        best = np.inf
+        sun[:] = -away
+        for k in range(len(_SUNS)):
+            if -np.dot(_SUNS[k], away) > _BEHIND:
+                cost = _misfit(some, of, normals, palette, _SUNS[k], tolerance, strengths)
                 if cost < best:
                     best = cost
-                    sun[:] = tried
-    cost = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
-    for e in range(1, len(shade)):
-        n = normals[e]
-        facing = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
-        shade[e] = max(0.0, palette[e, 3] * (strengths[0] * facing + strengths[1]))
-    return 1.0 - cost / len(levels)
+                    sun[:] = _SUNS[k]
+    best = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
+    for step in _HALVINGS_RAD:
+        axis = np.array([1.0, 0.0, 0.0]) if abs(sun[0]) < _KEEP else np.array([0.0, 1.0, 0.0])
+        across = np.cross(sun, axis)
+        across /= np.sqrt(np.dot(across, across))
+        other = np.cross(sun, across)
+        middle = sun.copy()
+        for k in range(_CANDIDATES):
+            c, s = np.cos(k * np.pi / 3.0), np.sin(k * np.pi / 3.0)
+            tried = np.cos(step) * middle + np.sin(step) * (c * across + s * other)
+            cost = _misfit(levels, which, normals, palette, tried, tolerance, strengths)
+            if cost < best:
+                best = cost
+                sun[:] = tried
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _misfit(levels, which, normals, palette, sun, tolerance, strengths):  # type: ignore[no-untyped-def]
+def _misfit(
+    levels: Array, which: npt.NDArray[np.int64], normals: Array,
+    palette: npt.NDArray[np.float32], sun: Array, tolerance: float, strengths: Array,
+) -> float:  # fmt: skip
     """Robust misfit of one Sun, by kinds; see ``light_strengths``."""
     kinds = normals.shape[0]
     facing = np.empty(kinds)
@@ -142,7 +191,9 @@ def _misfit(levels, which, normals, palette, sun, tolerance, strengths):  # type
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def light_strengths(levels, lit, albedo, tolerance, strengths):  # type: ignore[no-untyped-def]
+def light_strengths(
+    levels: Array, lit: Array, albedo: Array, tolerance: float, strengths: Array
+) -> float:
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 
     It starts from the bright samples: shadows only darken.

@@ -248,7 +248,9 @@ def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _squared_distances(rows, one):  # type: ignore[no-untyped-def]
+def _squared_distances(
+    rows: npt.NDArray[np.float32], one: npt.NDArray[np.float32]
+) -> npt.NDArray[np.float32]:
     """Of each of some vectors (K, N) to one (N,)."""
     squares = np.empty(rows.shape[0], dtype=np.float32)
     for k in range(rows.shape[0]):
@@ -261,9 +263,10 @@ def _squared_distances(rows, one):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _spread(  # type: ignore[no-untyped-def]
-    views, shifts, directions, cosine, bins, most
-):
+def _spread(
+    views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], directions: Array, cosine: float,
+    bins: int, most: int,
+) -> npt.NDArray[np.intp]:  # fmt: skip
     """The first of some views and shifts, in order, that are not near one before."""
     chosen = np.empty(most, dtype=np.intp)
     count = 0

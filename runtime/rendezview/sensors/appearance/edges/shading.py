@@ -1,10 +1,10 @@
-"""The surface of the target as points: what of it a frame should show bright, and what dark.
+"""Shading: the brightness of the target's surface under the best light, beside the image.
 
-From every node of a sphere it is known which points are seen. So a camera's view of them is
-known, and what the Sun reaches of them: whoever stands at the Sun sees what it lights. The light
-of a frame is fitted to the points that a pose shows, and their brightness, shadows included, is
-compared with the picture's, in small windows by themselves, since no matt surface shines as foil
-does. Half turns and other poses whose edges lie alike are told apart by this.
+The model stores, for every surface point, which nodes of a sphere see it. The same table gives
+visibility from the camera and shadow from the Sun. The light is fitted to the points that a pose
+shows, and their expected brightness is correlated with the grey levels in small windows, each about
+its own means, since foil is not diffuse. This separates half turns and other poses whose edges are
+alike.
 """
 
 from __future__ import annotations
@@ -19,26 +19,33 @@ from numba import njit
 from rendezview.geometry.geodesic import MAX_ORDER, Geodesic
 from rendezview.geometry.lens import distorted
 from rendezview.geometry.pose import Array
+from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_UNIT
 from rendezview.sensors.appearance.edges.lighting import light_strengths
+from rendezview.sensors.appearance.edges.view_tables import Lens
 
 ALBEDO_UNIT = 1.0 / 255.0
 
 _WINDOWS = 18  # across the target
-_LEAST_WINDOW_PX = 5.0
+_LEAST_WINDOW_PX = 5.0  # px, a side
 _LEAST_IN_WINDOW = 5  # points
-_LEAST_POINTS = 60
-_FITTED = 240  # points the light is fitted to
-_EVEN = 0.06  # of the bright points' level: less contrast in both, and they agree
-_TOLERANCE = 0.4  # of the bright points' level: foil glints, and the Sun explains much at once
-_BEHIND = -0.3  # cosine to the camera of the last Sun that is tried
+_LEAST_POINTS = 60  # visible
+_FITTED = 240  # points at most, to which the light is fitted
+_EVEN = 0.06  # of the level of the bright points: less contrast in both counts as agreement
+_TOLERANCE = 0.4  # of the level of the bright points; a larger difference is an outlier (glints)
+_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright points
+_BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
+# Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
+# of a level lie 32°, 16° and 8° apart.
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
-_EDGE_ON = 0.08  # cosine, of surfaces that are hardly seen
+_NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that stand for it
+_EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out
+_NODE_SPACING_RAD = 0.15  # rad; of the 642 directions
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """P points of the surface and from which of S directions each is seen; compact integers.
+    """P points of the surface and which of S directions see each; compact integers.
 
     Target frame, the view centre at the origin. The directions are the nodes of a geodesic
     sphere; from each the target is seen from afar.
@@ -105,11 +112,13 @@ class SurfaceTables(NamedTuple):
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def shading(image, lens, frame, surface, rotation, centre):  # type: ignore[no-untyped-def]
-    """How well the bright and dark of a picture agree with a pose, −1 … 1; 0 where few is seen.
+def shading(
+    image: Picture, lens: Lens, frame: Array, surface: SurfaceTables, rotation: Array, centre: Array
+) -> float:
+    """Correlation of the grey levels with the expected brightness of a pose, −1 … 1.
 
-    Correlation of the grey levels with what the light that fits best makes of the surface, in
-    windows of an eighteenth of the target, each about its own means.
+    0 where few points are visible. Under the light that fits best, in windows of an eighteenth of
+    the target, each about its own means.
 
     Args:
         image: (H, W) uint8.
@@ -122,7 +131,7 @@ def shading(image, lens, frame, surface, rotation, centre):  # type: ignore[no-u
     u, v = np.empty(most), np.empty(most)
     facing = np.empty((most, 3))  # normals on the side of the camera, camera frame
     levels = np.empty(most)
-    found = _seen_points(image, lens, surface, rotation, centre, which, u, v, facing, levels)
+    found = visible_points(image, lens, surface, rotation, centre, which, u, v, facing, levels)
     if found < _LEAST_POINTS:
         return 0.0
     black = frame[1] if frame[2] > 0.0 else 0.0
@@ -134,7 +143,7 @@ def shading(image, lens, frame, surface, rotation, centre):  # type: ignore[no-u
     albedo, lit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
-    tolerance = _TOLERANCE * np.percentile(some, 80) + frame[0]
+    tolerance = _TOLERANCE * np.percentile(some, _BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
     sun, best = np.zeros(3), np.inf
@@ -146,7 +155,7 @@ def shading(image, lens, frame, surface, rotation, centre):  # type: ignore[no-u
             d = surface.nodes[s]
             tried = rotation @ d
             if known:
-                if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < 0.99:
+                if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < _NEAR_SUN:
                     continue
             elif _dot(tried, away) > -_BEHIND or (near > -1.0 and _dot(tried, middle) < near):
                 continue
@@ -161,35 +170,41 @@ def shading(image, lens, frame, surface, rotation, centre):  # type: ignore[no-u
         return 0.0
     side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
     # Before a bright sky, evenness may be the sky's own.
-    even = (_EVEN * np.percentile(some, 80)) ** 2 if frame[2] > 0.0 else 0.0
+    even = (_EVEN * np.percentile(some, _BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
     return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def _dot(a, b):  # type: ignore[no-untyped-def]
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _dot(a: Array, b: Array) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _brightness(surface, node, point, normal, sun):  # type: ignore[no-untyped-def]
+def _brightness(surface: SurfaceTables, node: int, point: int, normal: Array, sun: Array) -> float:
     """Albedo times the cosine to the Sun of a point, 0 in shadow."""
     cosine = _dot(normal, sun)
     if cosine <= 0.0 or not (surface.seen[node, point >> 3] >> (point & 7)) & 1:
         return 0.0
-    return surface.albedo[point] * cosine
+    return surface.albedo[point] * cosine  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _seen_points(  # type: ignore[no-untyped-def]
-    image, lens, surface, rotation, centre, which, u, v, facing, levels
-):
-    """The points that a pose shows in the picture, and its levels there; how many."""
+def visible_points(
+    image: Picture, lens: Lens, surface: SurfaceTables, rotation: Array, centre: Array,
+    which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array, levels: Array,
+) -> int:  # fmt: skip
+    """The surface points that a pose shows in the image; how many.
+
+    Args:
+        which, u, v, facing, levels: get the index of each, its pixel, its normal on the side of the
+            camera (3,), camera frame, and its grey level, a mean of 3 × 3.
+    """
     height, width = image.shape
     camera = lens[0]
     eye = -(rotation.T @ centre)
     distance = np.sqrt(_dot(eye, eye))
-    # Each point is seen along its own line: one of the nodes near the camera's.
-    reach = np.arcsin(min(1.0, surface.radius_m / distance)) + 0.15
+    # The node nearest to the line of sight of a point is one of those near the camera.
+    reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
     cosine = np.cos(min(reach, 3.1)) * distance
     near = np.empty(surface.nodes.shape[0], dtype=np.int64)
     nodes = 0
@@ -241,9 +256,10 @@ def _seen_points(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _correlation(  # type: ignore[no-untyped-def]
-    surface, which, u, v, facing, levels, found, node, sun, strengths, side, even
-):
+def _correlation(
+    surface: SurfaceTables, which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array,
+    levels: Array, found: int, node: int, sun: Array, strengths: Array, side: float, even: float,
+) -> float:  # fmt: skip
     """Of the levels with the expected ones, within windows of ``side`` pixels.
 
     ``even``: a variance, grey levels squared, that both have in common: where neither shows any
@@ -274,4 +290,4 @@ def _correlation(  # type: ignore[no-untyped-def]
             b += s[4] - s[2] * s[2] / s[0]
             ab += s[5] - s[1] * s[2] / s[0]
     same = count * even
-    return (ab + same) / np.sqrt((a + same) * (b + same))
+    return (ab + same) / np.sqrt((a + same) * (b + same))  # type: ignore[no-any-return]

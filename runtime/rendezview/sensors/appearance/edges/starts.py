@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 from scipy.spatial.transform import Rotation
 
@@ -51,7 +52,7 @@ def half_turns(model: ViewModel) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def second_moments(points, kinds):  # type: ignore[no-untyped-def]
+def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) -> Array:
     """(3, 3) Σ p pᵀ of the points (N, 3) int16 that are any; whole numbers, so it is exact."""
     moments = np.zeros((3, 3))
     for k in range(points.shape[0]):

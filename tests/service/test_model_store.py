@@ -1,0 +1,34 @@
+"""The models of a service."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+from rendezview.errors import RendezviewError
+from rendezview.service.model_store import ModelStore, StoredModel
+
+
+def test_of_uploads_with_one_name_at_once_one_is_kept(model_path, tmp_path):
+    store = ModelStore(tmp_path)
+    content, refusals = model_path.read_bytes(), []
+
+    def add(_: int) -> StoredModel | None:
+        try:
+            return store.add("same", content)
+        except RendezviewError as error:
+            refusals.append(str(error))
+            return None
+
+    with ThreadPoolExecutor(8) as threads:
+        kept = [stored for stored in threads.map(add, range(8)) if stored is not None]
+    assert [store.get("same")] == kept
+    assert len(refusals) == 7
+    assert all("there is one already" in refusal for refusal in refusals)
+    assert [path.name for path in tmp_path.iterdir()] == ["same.rvm"]
+
+
+def test_threads_share_one_model(model_path):
+    stored = StoredModel("bumpy", model_path, own=False)
+    with ThreadPoolExecutor(8) as threads:
+        models = list(threads.map(lambda _: stored.model, range(8)))
+    assert all(model is models[0] for model in models)
