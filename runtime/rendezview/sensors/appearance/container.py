@@ -1,5 +1,7 @@
 """The bytes of a model file: named arrays and a JSON header, nothing that can execute.
 
+Why no other format: files in this one must stay readable, so a second one would only add code.
+
 Layout, little-endian: ``RVM\\n``, u32 format version, u64 header length, header (JSON,
 UTF-8, keys sorted), the arrays at multiples of 64 bytes, SHA-256 of everything before
 it. The same content always gives the same bytes.
@@ -24,11 +26,11 @@ from rendezview.errors import RendezviewError
 from rendezview.io.files import atomic_write
 
 MAGIC = b"RVM\n"
-VERSION = 1
+VERSION = 1  # of the format. Source: by construction
 _PREFIX = struct.Struct("<4sIQ")
-_ALIGN = 64
+_ALIGN = 64  # bytes; each array starts at a multiple. Source: by construction
 _DIGEST_BYTES = hashlib.sha256().digest_size
-_READ_AT_ONCE = 1 << 20
+_READ_AT_ONCE = 1 << 20  # bytes
 _DTYPES = ("|u1", "|i1", "<u2", "<i2", "<i4", "<i8", "<f4", "<f8")
 
 
@@ -119,9 +121,9 @@ def read_container(path: Path) -> tuple[dict[str, Any], dict[str, npt.NDArray[An
 
 
 def _read(path: Path) -> tuple[memoryview, bytes]:
-    """The file, read-only, and the checksum of all of it but the last, its own.
+    """The file, read-only, and the SHA-256 of all its bytes but the stored checksum.
 
-    What is read is summed up while the next is being read.
+    A second thread computes the checksum of one block while the next is read.
     """
     with path.open("rb", buffering=0) as file, ThreadPoolExecutor(1) as pool:
         size = os.fstat(file.fileno()).st_size

@@ -1,4 +1,4 @@
-"""The view model: what training leaves behind and the craft carries."""
+"""The view model: the result of training, which the craft carries."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from rendezview.sensors.appearance.outline.trees import Forest
 
 _Part = TypeVar("_Part")
 
-FAR_RADII = 4.0  # of the far readings, in sphere radii: perspective has nearly gone
-FAR_UNIT = 5.0  # thousandths, of the change from near to far
+FAR_RADII = 4.0  # sphere radii, range of the far readings: perspective is weak there
+FAR_UNIT = 5.0  # thousandths, unit of the stored change from near to far readings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,11 +36,11 @@ class Views:
     area_m2: Array  # (V,) area_sr × range² at the sphere radius: A_ref of eq. 4
     area_slope: Array  # (V,) relative change of area_sr × range² with sphere radius / range
     offset_m: Array  # (V, 2) view centre off the centroid's line of sight, x right, y down
-    far_change: npt.NDArray[np.int8] | None = None  # see ``far_readings``; None: untold
+    far_change: npt.NDArray[np.int8] | None = None  # see ``far_readings``; None: not stored
 
     @property
     def far_readings(self) -> Array | None:
-        """(V, N) readings from ``FAR_RADII`` sphere radii, to a few thousandths; None if untold."""
+        """(V, N) readings from ``FAR_RADII`` sphere radii, to a few thousandths; or None."""
         if self.far_change is None:
             return None
         bins = self.readings.shape[1]
@@ -58,9 +58,9 @@ class Views:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
-    """What recognition reached on perturbed views that training never saw, root mean square.
+    """Errors of recognition on perturbed views that training never saw, root mean square.
 
-    Wrong answers count in none of them; see ``rendezview.training.calibrate``.
+    Wrong answers are left out; see ``rendezview.training.calibrate``.
     """
 
     direction_rad: float  # view direction, each of two axes
@@ -162,7 +162,7 @@ class ViewModel:
         path = Path(path)
         header, arrays = read_container(path)
         try:
-            # Of an earlier making: strips of cells.
+            # Files of earlier versions have strips of cells.
             if "contours.strip" in arrays and "contours.start" not in arrays:
                 cells, kind = arrays["contours.strip"], arrays["contours.kind"]
                 arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
@@ -223,7 +223,7 @@ class ViewModel:
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
         if self.forest.component.max(initial=-1) >= self.bins:
-            raise ValueError("a tree looks at a bin that the signature has not")
+            raise ValueError("a tree looks at a bin beyond the signature")
 
 
 def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
@@ -241,7 +241,7 @@ def _error_model(header: dict[str, Any]) -> ErrorModel | None:
 def _part(
     arrays: dict[str, npt.NDArray[Any]], name: str, kind: Callable[..., _Part]
 ) -> _Part | None:
-    """A part that a model may be without."""
+    """A part that is optional in a model."""
     found = {key.partition(".")[2]: a for key, a in arrays.items() if key.startswith(f"{name}.")}
     return kind(**found) if found else None
 

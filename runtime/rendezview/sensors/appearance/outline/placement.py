@@ -1,4 +1,4 @@
-"""From a match to space: a point for each on node, and one pose with its covariance."""
+"""From a match to space: a point for each active node, and one pose with its covariance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rendezview.sensors.appearance.outline.votes import Match
 
 
 def node_points(model: ViewModel, match: Match, signature: Signature) -> Array:
-    """(K, 3) where each on node puts the camera, target frame, metres (eq. 4a)."""
+    """(K, 3) m, target frame: where each active node puts the camera (eq. 4a)."""
     nodes = match.active_nodes
     range_m = range_from_area(
         model, model.views.area_m2[nodes], model.views.area_slope[nodes], signature.area_sr
@@ -27,7 +27,7 @@ def range_from_area(model: ViewModel, area_m2: Array, slope: Array, area_sr: flo
     The paper's ``d_ref sqrt(A_ref/A_obs) f_image/f_reference`` with both areas in
     steradians, where the focal lengths cancel. ``area_sr × range²`` of a view at range r
     is ``area_m2 (1 + slope (R/r − 1))``: the near side of a target looms at close range,
-    which the paper's weak perspective leaves out; ``slope = 0`` gives eq. 4a as printed.
+    which the paper's weak perspective leaves out. ``slope = 0`` gives eq. 4a as printed.
 
     Args:
         model: for its sphere radius R.
@@ -37,7 +37,7 @@ def range_from_area(model: ViewModel, area_m2: Array, slope: Array, area_sr: flo
     """
     range_m = np.sqrt(area_m2 / area_sr)
     for _ in range(4):
-        # Far inside the sphere the linear model ends; a range is given all the same.
+        # The linear model does not hold far inside the sphere; bound it there.
         loom = np.maximum(1.0 + slope * (model.sphere_radius_m / range_m - 1.0), 0.1)
         range_m = np.sqrt(area_m2 * loom / area_sr)
     return np.asarray(range_m)
@@ -56,14 +56,14 @@ def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, A
             signature.area_sr,
         )[0]
     )
-    # The view centre stands off the centroid's line of sight: each view's offset, rolled.
+    # The view centre is off the centroid's line of sight by each view's offset, rolled.
     roll = twist(attitude, views.centred_from_target[near])
     c, s = np.cos(roll), np.sin(roll)
     x, y = views.offset_m[near].T
     offset_x, offset_y = share @ (c * x - s * y), share @ (s * x + c * y)
     line = np.array([offset_x / range_m, offset_y / range_m, 1.0])
     line /= np.sqrt(line @ line)
-    # The trees name the direction from the view centre; the attitude must show it there.
+    # The trees vote for the direction from the view centre; turn the attitude to show it there.
     attitude = attitude @ minimal_rotation(match.direction, -attitude.T @ line)
     camera_from_centred = signature.centred_from_camera.T
     rotation = camera_from_centred @ attitude
