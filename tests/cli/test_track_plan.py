@@ -15,7 +15,7 @@ from rendezview.io.results import JsonLinesWriter
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.observation import Status
 from rendezview.simulation.trajectories import looking_at
-from rendezview.trajectory import Follower, Shape, load_plan
+from rendezview.trajectory import PathFollower, Shape, load_plan
 
 PLAN = """
 [circular]
@@ -40,7 +40,7 @@ def observation(time_s: float) -> AppearanceObservation:
 
 def test_plan_to_words_messages_and_pictures(tmp_path: Path):
     (tmp_path / "plan.toml").write_text(PLAN)
-    guide = Guide(Follower(np.zeros(3), plan=load_plan(tmp_path / "plan.toml")))
+    guide = Guide(PathFollower(np.zeros(3), plan=load_plan(tmp_path / "plan.toml")))
     spoken = []
     with JsonLinesWriter(tmp_path / "log.jsonl") as log:
         for k in range(45):
@@ -70,7 +70,7 @@ def test_wrong_options_are_said_in_words(tmp_path: Path):
         track(model, tmp_path, tmp_path / "p.csv", epoch="noon")
     with pytest.raises(RendezviewError, match="different files"):
         track(model, tmp_path, tmp_path / "p.csv", oem=tmp_path / "p.csv")
-    guide = Guide(Follower(np.zeros(3), Shape.CIRCULAR))
+    guide = Guide(PathFollower(np.zeros(3), Shape.CIRCULAR))
     for oem, aem in ((tmp_path / "a", None), (None, tmp_path / "a")):
         with pytest.raises(RendezviewError, match="was fitted"):
             guide.write(oem, aem, parse_epoch("2020-01-01"), "sat")
@@ -96,7 +96,7 @@ def test_attitudes_of_the_chaser_are_checked(tmp_path: Path, text: str, words: s
 def test_attitudes_of_the_chaser_must_reach(tmp_path: Path):
     path = tmp_path / "chaser.csv"
     path.write_text("time_s,qw,qx,qy,qz\n0,1,0,0,0\n10,0,1,0,0\n")
-    guide = Guide(Follower(np.zeros(3), Shape.CIRCULAR), chaser_attitudes(path))
+    guide = Guide(PathFollower(np.zeros(3), Shape.CIRCULAR), chaser_attitudes(path))
     guide.update(5.0, observation(5.0))
     with pytest.raises(RendezviewError, match="0 to 10 s"):
         guide.update(11.0, observation(11.0))

@@ -1,5 +1,7 @@
 """Frame by frame: the follower, and CCSDS messages through another reader."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 
 import numpy as np
@@ -14,10 +16,10 @@ from rendezview.simulation.closed_loop import FlightErrors, fly
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import (
     Correction,
-    Follower,
     FollowerOptions,
     Nothing,
     Orbit,
+    PathFollower,
     Plan,
     Segment,
     Shape,
@@ -47,7 +49,7 @@ def plan_of(turn, **more):
 def test_segments_of_a_radian_end_and_each_is_compared_with_the_plan():
     rng = np.random.default_rng(1)
     turn, places, poses = flown(rng)
-    follower = Follower(CENTRE, plan=plan_of(turn))
+    follower = PathFollower(CENTRE, plan=plan_of(turn))
     reports = [follower.update(t, pose, COVARIANCE) for t, pose in zip(TIMES, poses, strict=True)]
     assert not reports[3].segment
     assert sum(report.ended for report in reports) == 2 or reports[-1].number == 1
@@ -68,7 +70,7 @@ def test_both_moving_the_chasers_attitude_tells_spin_and_path():
     _, places, _ = flown(rng)
     rate = np.array([0.001, 0.004, -0.002])
     body = Rotation.from_rotvec(TIMES[:, None] * rate).as_matrix()  # path from target
-    follower = Follower(CENTRE, Shape.CIRCULAR)
+    follower = PathFollower(CENTRE, Shape.CIRCULAR)
     for k, t in enumerate(TIMES):
         # The path is about the centre and keeps to its own axes while the target turns in them.
         about = places[k] - CENTRE
@@ -86,7 +88,7 @@ def test_both_moving_the_chasers_attitude_tells_spin_and_path():
 def test_on_nodes_alone_are_followed():
     rng = np.random.default_rng(3)
     _, places, _ = flown(rng)
-    follower = Follower(CENTRE, Shape.CIRCULAR, options=FollowerOptions(poses=False))
+    follower = PathFollower(CENTRE, Shape.CIRCULAR, options=FollowerOptions(poses=False))
     for t, place in zip(TIMES, places, strict=True):
         cloud = place + 2.0 * rng.standard_normal((5, 3))
         report = follower.update(t, points_m=cloud, weights=np.ones(5))
@@ -97,7 +99,7 @@ def test_on_nodes_alone_are_followed():
 def test_nonsense_is_answered_with_a_reason_and_forgotten():
     rng = np.random.default_rng(4)
     turn, _, poses = flown(rng)
-    follower = Follower(CENTRE, plan=plan_of(turn))
+    follower = PathFollower(CENTRE, plan=plan_of(turn))
     for t, pose in zip(TIMES[:40], poses[:40], strict=True):
         follower.update(t, pose, COVARIANCE)
     for time_s, points, words in (
@@ -114,7 +116,7 @@ def test_nonsense_is_answered_with_a_reason_and_forgotten():
 
 def test_a_follower_wants_a_shape_or_a_plan():
     with pytest.raises(ValueError, match="shape or a plan"):
-        Follower(CENTRE)
+        PathFollower(CENTRE)
     with pytest.raises(ValueError, match="turn_rad"):
         FollowerOptions(turn_rad=4.0)
 
@@ -128,7 +130,7 @@ def test_corrections_hold_a_flight_to_its_plan():
         segment_s=200.0, deviation=True,
     )  # fmt: skip
     options = FollowerOptions(turn_rad=None, segment_s=200.0, reach=0.5, spin=False)
-    follower = Follower(CENTRE, plan=plan, options=options)
+    follower = PathFollower(CENTRE, plan=plan, options=options)
     noise = np.random.default_rng(6)
 
     def look(_: float, pose: Pose):
@@ -189,3 +191,44 @@ def test_an_ephemeris_of_nothing_is_refused(times):
             datetime(2021, 5, 4, tzinfo=UTC), times, np.zeros((len(times), 3)),
             np.zeros((len(times), 3)), frame="RSW_ROTATING",
         )  # fmt: skip
+
+
+def test_threads_get_what_one_thread_gets():
+    turn, _, poses = flown(np.random.default_rng(9))
+
+    def run() -> list[bytes]:
+        follower = PathFollower(CENTRE, plan=plan_of(turn))
+        reports = [
+            follower.update(t, pose, COVARIANCE)
+            for t, pose in zip(TIMES[:40], poses[:40], strict=True)
+        ]
+        return [
+            report.segment.parameters.tobytes() + report.segment.covariance.tobytes()
+            for report in reports
+            if isinstance(report.segment, Segment)
+        ]
+
+    alone = run()
+    assert len(alone) > 20
+    with ThreadPoolExecutor(3) as pool:
+        assert all(future.result() == alone for future in [pool.submit(run) for _ in range(3)])
+
+
+def test_one_follower_in_two_threads_answers_one_call_after_the_other():
+    turn, _, poses = flown(np.random.default_rng(10))
+    follower, order = PathFollower(CENTRE, plan=plan_of(turn)), iter(range(30))
+    turns = threading.Lock()
+
+    def work() -> int:
+        done = 0
+        while True:
+            with turns:  # times must rise
+                k = next(order, None)
+                if k is None:
+                    return done
+                follower.update(TIMES[k], poses[k], COVARIANCE)
+            done += 1
+
+    with ThreadPoolExecutor(2) as pool:
+        assert sum(future.result() for future in [pool.submit(work) for _ in range(2)]) == 30
+    assert len(follower.cloud) == 30

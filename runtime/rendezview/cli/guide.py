@@ -18,9 +18,9 @@ from rendezview.io.files import atomic_write_text, read_text
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.trajectory import (
     Correction,
-    Follower,
     FollowerOptions,
     Nothing,
+    PathFollower,
     Report,
     Segment,
     Shape,
@@ -56,7 +56,7 @@ def chaser_attitudes(path: Path) -> Slerp:
 class Guide:
     """Feeds observations to a follower, and reports to the screen, the log and CCSDS messages."""
 
-    follower: Follower
+    follower: PathFollower
     chaser: Slerp | None = None
     times_s: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
@@ -90,7 +90,7 @@ class Guide:
             options = FollowerOptions(
                 turn_rad=plan.turn_rad, segment_s=plan.segment_s, poses=refine
             )
-        follower = Follower(model.centre_m, chosen, plan, options)
+        follower = PathFollower(model.centre_m, chosen, plan, options)
         return cls(follower, chaser_attitudes(chaser) if chaser else None)
 
     def update(

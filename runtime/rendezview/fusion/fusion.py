@@ -16,7 +16,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Status
 
-_ROUNDING_S = 1e-9
+_ROUNDING_S = 1e-9  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)

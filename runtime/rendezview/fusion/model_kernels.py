@@ -156,6 +156,38 @@ def other_edge(place: Array) -> tuple[Array, Array]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def mixture(
+    logs: Array, best: int, residuals: Array, whites: Array, roots: Array
+) -> tuple[Array, Array, Array]:
+    """Mean residual (5,), white covariance (5, 5) and bias root (5, 10) of K candidates.
+
+    Weighted by likelihood, ``logs`` (K,); the spread of the residuals is added. Candidates that are
+    much less likely than the ``best`` are left out.
+    """
+    count = len(logs)
+    total = 0.0
+    residual = np.zeros(5)
+    white, root = np.zeros((5, 5)), np.zeros((5, 10))
+    for k in range(count):
+        if k == best or logs[k] > logs[best] - _DECIDED:
+            total += np.exp(logs[k] - logs[best]) if k != best else 1.0
+    for k in range(count):
+        if k != best and not logs[k] > logs[best] - _DECIDED:
+            continue
+        share = (np.exp(logs[k] - logs[best]) if k != best else 1.0) / total
+        for i in range(5):
+            residual[i] += share * residuals[k, i]
+            for j in range(5):
+                white[i, j] += share * (whites[k, i, j] + residuals[k, i] * residuals[k, j])
+            for j in range(10):
+                root[i, j] += share * roots[k, i, j]
+    for i in range(5):
+        for j in range(5):
+            white[i, j] -= residual[i] * residual[j]
+    return residual, white, root
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def ring_expected(
     centres: Array,
     axes: Array,
@@ -211,23 +243,5 @@ def ring_expected(
             )
             logs[k] -= 0.5 * (nis + log_volume)  # −∞ where it cannot be used
         best = int(np.argmax(logs))
-    total = 0.0
-    residual = np.zeros(5)
-    white, root = np.zeros((5, 5)), np.zeros((5, 10))
-    for k in range(count):
-        if k == best or logs[k] > logs[best] - _DECIDED:
-            total += np.exp(logs[k] - logs[best]) if k != best else 1.0
-    for k in range(count):
-        if k != best and not logs[k] > logs[best] - _DECIDED:
-            continue
-        share = (np.exp(logs[k] - logs[best]) if k != best else 1.0) / total
-        for i in range(5):
-            residual[i] += share * residuals[k, i]
-            for j in range(5):
-                white[i, j] += share * (whites[k, i, j] + residuals[k, i] * residuals[k, j])
-            for j in range(10):
-                root[i, j] += share * roots[k, i, j]
-    for i in range(5):
-        for j in range(5):
-            white[i, j] -= residual[i] * residual[j]
+    residual, white, root = mixture(logs, best, residuals, whites, roots)
     return centre[2] > 0.0, best == known, residual, slope, white, root

@@ -22,7 +22,7 @@ from rendezview.sensors.measurement import (
     RingMeasurement,
 )
 
-_COLUMNS = 14  # twelve of motion, ring radius and depth
+_COLUMNS = 14  # twelve of motion, ring radius and depth. Source: by construction
 _SURELY = 2.0  # σ of the place by which a spot must lie within its surface
 _GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
 

@@ -22,9 +22,9 @@ from rendezview.fusion.options import FusionOptions, SensorOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
-MOTION = 12  # attitude, place, angular rate, velocity
+MOTION = 12  # attitude, place, angular rate, velocity. Source: by construction
 RADIUS, DEPTH = 12, 13  # of the ring
-FIRST_BIAS = 14
+FIRST_BIAS = 14  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from rendezview.geometry.pose import Array
 
 _SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
 _SILENT_S = 5.0  # s without a measurement, after which a sensor returns
-_WHOLE = 6  # degrees of freedom of a pose
+_WHOLE = 6  # degrees of freedom of a pose. Source: by construction
 _BESIDE = 3.0  # squared distance of a place, in σ of another edge
 _FOLLOW = 0.5  # weight of the latest residual in the place of a lie
 

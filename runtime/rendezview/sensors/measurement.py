@@ -17,6 +17,7 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
 
+# Source: by construction
 _ROUNDING = 1e-9  # of the largest variance: the rounding of a covariance written to a file
 
 

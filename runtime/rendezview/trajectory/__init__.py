@@ -1,7 +1,7 @@
 """Where it is going: segments of a path fitted to observations, corrections, attitude and spin."""
 
 from rendezview.trajectory.cloud import NodeErrors, PointCloud, camera_place, centre_place
-from rendezview.trajectory.follower import Follower, FollowerOptions, Report
+from rendezview.trajectory.follower import FollowerOptions, PathFollower, Report
 from rendezview.trajectory.guidance import Correction, correct
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.plan import Orbit, Plan, load_plan
@@ -12,11 +12,11 @@ from rendezview.trajectory.spin import Spin, fit_spin, fit_spin_of_directions, i
 __all__ = [
     "Correction",
     "FitOptions",
-    "Follower",
     "FollowerOptions",
     "NodeErrors",
     "Nothing",
     "Orbit",
+    "PathFollower",
     "Plan",
     "PointCloud",
     "Report",

@@ -1,4 +1,4 @@
-"""The point cloud: where on nodes and refined poses put the camera, with times and weights.
+"""The point cloud: where active nodes and refined poses put the camera, with times and weights.
 
 Points are in the path frame, its origin at the centre of the path. Those of one frame of the
 camera have one time and stand together.
@@ -19,7 +19,7 @@ _LEAST_SIGMA = 1e-5  # of a pose's place over its range: no covariance is as sma
 
 @dataclass(frozen=True, kw_only=True)
 class NodeErrors:
-    """One σ of the point of an on node. Its scatter is the spacing of the nodes."""
+    """One σ of the point of an active node. Its scatter is the spacing of the nodes."""
 
     direction_rad: float = 0.12  # each axis, of one node; those of a frame err together
     range_fraction: float = 0.03
@@ -59,7 +59,7 @@ class PointCloud:
         weights: npt.ArrayLike | None = None,
         errors: NodeErrors | None = None,
     ) -> PointCloud:
-        """Points (N, 3) of on nodes, path frame, with times (N,) and the trust in each (N,)."""
+        """Points (N, 3) of active nodes, path frame, with times (N,) and the trust in each (N,)."""
         errors = errors or NodeErrors()
         points = np.asarray(points_m, np.float64).reshape(-1, 3)
         far = np.linalg.norm(points, axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,7 +29,7 @@ class FollowerOptions:
     turn_rad: float | None = 1.0  # of a segment: the paper's one radian …
     segment_s: float | None = None  # … or its time, where that is given
     reach: float = 1.0  # of a segment: how far ahead a correction meets the plan
-    poses: bool = True  # refined poses where there are; False: on nodes alone
+    poses: bool = True  # refined poses where there are; False: active nodes only
     spin: bool = True
     tumbling: bool | None = None  # see ``fit_spin``
     spins: int = 10  # spin is fitted so many times a segment
@@ -55,8 +56,11 @@ class Report:
     spin: Spin | Nothing | None  # None where it is not asked for
 
 
-class Follower:
-    """Fits the segment that the camera flies at every frame, and compares it with a plan."""
+class PathFollower:
+    """At every frame, fits the segment that the camera flies and compares it with a plan.
+
+    Threads may share an instance: calls run one after the other.
+    """
 
     def __init__(
         self,
@@ -91,6 +95,7 @@ class Follower:
         self._spin: Spin | Nothing | None = None
         self._spun_s = -np.inf
         self._last_s = -np.inf
+        self._lock = threading.Lock()  # of all of the above
 
     @property
     def cloud(self) -> PointCloud:
@@ -100,13 +105,14 @@ class Follower:
     def burn(self, time_s: float, delta_v_m_s: npt.ArrayLike) -> None:
         """A correction was flown: a change of velocity (3,), plan's axes.
 
-        A deviation from the plan takes it into account; any other shape starts anew.
+        A deviation from the plan takes it into account; any other shape restarts.
         """
-        self._burns.append((float(time_s), np.asarray(delta_v_m_s, np.float64)))
-        if not self._deviates:
-            self._since_s = float(time_s)
-            self._cloud = self._cloud.since(self._since_s)
-            self._segment = Nothing("a correction was flown: no points yet")
+        with self._lock:
+            self._burns.append((float(time_s), np.asarray(delta_v_m_s, np.float64)))
+            if not self._deviates:
+                self._since_s = float(time_s)
+                self._cloud = self._cloud.since(self._since_s)
+                self._segment = Nothing("a correction was flown: no points yet")
 
     def update(
         self,
@@ -117,17 +123,29 @@ class Follower:
         weights: npt.ArrayLike | None = None,
         path_from_camera: npt.ArrayLike | None = None,
     ) -> Report:
-        """Take the next frame in.
+        """Process the next frame.
 
         Args:
             pose: refined camera_from_target, if there is one.
             covariance: (6, 6) of it.
-            points_m: (K, 3) where on nodes put the camera, target frame.
+            points_m: (K, 3) where active nodes put the camera, target frame.
             weights: (K,) trust in each.
             path_from_camera: (3, 3) the chaser's own attitude in the plan's axes, where it is
                 known. Without it the target is taken to keep its attitude in them, and the spin
                 is that about the line of sight's frame.
         """
+        with self._lock:
+            return self._update(time_s, pose, covariance, points_m, weights, path_from_camera)
+
+    def _update(
+        self,
+        time_s: float,
+        pose: Pose | None,
+        covariance: npt.ArrayLike | None,
+        points_m: npt.ArrayLike | None,
+        weights: npt.ArrayLike | None,
+        path_from_camera: npt.ArrayLike | None,
+    ) -> Report:
         trouble = self._trouble(time_s, covariance, points_m)
         if trouble is not None:
             return Report(time_s, self._number, False, trouble, None, None)

@@ -23,7 +23,9 @@ _LEAST_GAIN = 1e-3  # of a thrust on the place, over that of free motion: less r
 
 
 @njit(cache=True, nogil=True)
-def response(mean_motion_rad_s, dt_s, position, velocity, pushed):  # type: ignore[no-untyped-def]
+def response(
+    mean_motion_rad_s: float, dt_s: float, position: Array, velocity: Array, pushed: Array
+) -> None:
     """Fill (3, 3) matrices of the place after ``dt_s``: of first place, velocity, constant push.
 
     Divisions by n are worked out beforehand, so that n = 0 needs no case of its own.

@@ -14,12 +14,15 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry import so3
+from rendezview.geometry.pose import Array
 
 _STEP_RAD = 0.1  # of turn, at most, between two evaluations: an error below 1e-7 rad a turn
 
 
 @njit(cache=True, nogil=True)
-def _advance(moments, rotation, rate, span, vector, turned):  # type: ignore[no-untyped-def]
+def _advance(
+    moments: Array, rotation: Array, rate: Array, span: float, vector: Array, turned: Array
+) -> None:
     """Turn ``rotation`` (3, 3) and ``rate`` (3,), body axes, on by ``span`` seconds, in place.
 
     The rate by Runge and Kutta's fourth order; the attitude by Magnus' expansion of the same
@@ -58,7 +61,9 @@ def _advance(moments, rotation, rate, span, vector, turned):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True)
-def rotations(moments, first, first_rate, times, out, rates):  # type: ignore[no-untyped-def]
+def rotations(
+    moments: Array, first: Array, first_rate: Array, times: Array, out: Array, rates: Array
+) -> None:
     """Fill attitudes (N, 3, 3) and rates (N, 3), body axes, at times (N,) that never fall.
 
     Args:

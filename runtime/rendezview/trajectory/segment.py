@@ -36,13 +36,14 @@ Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
 
 _LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
-_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom
+_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom. Source: by construction
 _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ
 _HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
 _MOST_CORRELATED = 0.9
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
-# again as goes with time and its square: views alike err alike. On nodes, poses; fitted to
-# seeds 1000–1003 of experiment trajectory-accuracy; poses: r.m.s. over 1000–1002.
+# again as goes with time and its square: views alike err alike. On active nodes, poses; nodes:
+# fitted to seeds 1000–1003; poses: r.m.s. over 1000–1002. Source: experiment
+# trajectory-accuracy.
 _COMMON = (0.35, 1.1)
 
 
@@ -68,7 +69,7 @@ class Segment:
     covariance: Array  # (P, P)
     frames: int
     points: int
-    scatter: tuple[float, float]  # of on nodes, of poses: over what they claim
+    scatter: tuple[float, float]  # of active nodes, of poses: over what they claim
     gap_sigma: float  # largest step from the simplex's answer to Gauss–Newton's, in σ
     evaluations: int  # of the simplex
     cost: float  # robust χ², of unscaled points
@@ -195,7 +196,7 @@ def fit_segment(
     base, start = guess
     scales = typical_sizes(code, length_m, 0.5 * (end_s - start_s))
     data = (times, base, constants, ridden, cloud.points, cloud.whitening, cloud.by_node)
-    fit = _settled(_Fit(code, start, scales, data, cloud.weights), data)
+    fit = _settled(_SegmentFit(code, start, scales, data, cloud.weights), data)
     if shape is Shape.VBAR and options.hops:
         fit = _with_hops(fit, places_m, length_m)
     return _finished(fit, cloud, shape, middle_s, carrier, options)
@@ -205,7 +206,7 @@ _Data = tuple[Any, ...]  # see ``simplex``: times, base, constants, carrier, poi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
+class _SegmentFit:
     """Gauss–Newton's answer, and the data with standard deviations that fit their scatter."""
 
     code: int
@@ -223,7 +224,7 @@ class _Fit:
         return parameters, float(cost)
 
 
-def _settled(fit: _Fit, data: _Data) -> _Fit:
+def _settled(fit: _SegmentFit, data: _Data) -> _SegmentFit:
     """From least squares to the robust cost.
 
     Nodes and poses are scaled by their own scatter each, whatever their covariances claim.
@@ -255,7 +256,7 @@ def _settled(fit: _Fit, data: _Data) -> _Fit:
     return fit
 
 
-def _with_hops(fit: _Fit, places_m: Array, length_m: float) -> _Fit:
+def _with_hops(fit: _SegmentFit, places_m: Array, length_m: float) -> _SegmentFit:
     """A straight line with hops, if the points show them."""
     _, straight = fit.down()
     line = fit.parameters
@@ -285,7 +286,7 @@ def _sound_hops(parameters: Array, half_s: float) -> bool:
 
 
 def _finished(
-    fit: _Fit,
+    fit: _SegmentFit,
     cloud: PointCloud,
     shape: Shape,
     middle_s: float,
@@ -335,7 +336,7 @@ def _finished(
     )
 
 
-def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
+def _covariance(fit: _SegmentFit, parameters: Array, matrix: Array) -> Array:
     """(P, P) from the points' own misfits, summed over each frame before they are squared."""
     times = fit.data[0]
     place, out = np.empty((len(times), 3)), np.empty((len(times), RESIDUALS))
@@ -363,7 +364,9 @@ def _covariance(fit: _Fit, parameters: Array, matrix: Array) -> Array:
     return np.asarray(0.5 * (covariance + covariance.T))
 
 
-def _turned_over(fit: _Fit, parameters: Array, covariance: Array) -> tuple[_Fit, Array, Array]:
+def _turned_over(
+    fit: _SegmentFit, parameters: Array, covariance: Array
+) -> tuple[_SegmentFit, Array, Array]:
     """The same circle with its normal on the other side, so that the rate is positive."""
     turned = so3.exp(parameters[:3])
     over = np.diag([1.0, -1.0, -1.0])  # half a turn about the place of the middle

@@ -39,7 +39,7 @@ class Shape(StrEnum):
 
 
 CIRCULAR, SPIRAL, LINE, HOPS, ORBIT, DRIFT = range(6)
-SIZE = (5, 6, 6, 11, 6, 9)  # parameters of each
+SIZE = (5, 6, 6, 11, 6, 9)  # parameters of each. Source: by construction
 
 _CODES = {
     Shape.CIRCULAR: CIRCULAR,
@@ -56,7 +56,9 @@ def code_of(shape: Shape) -> int:
 
 
 @njit(cache=True, nogil=True)
-def places(code, parameters, times, base, constants, out):  # type: ignore[no-untyped-def]
+def places(
+    code: int, parameters: Array, times: Array, base: Array, constants: Array, out: Array
+) -> None:
     """Fill (N, 3) with the places at times (N,) from the middle of the segment.
 
     Equal neighbours in ``times`` (the points of one frame) are worked out once. ``constants`` is

@@ -4,7 +4,7 @@ The cost of parameters p is Σ w_i q_i / (1 + q_i / c²) (Geman and McClure), wi
 misfit of point i in its own standard deviations: near ones count as in least squares, one far off
 costs c² at most, however far it is.
 
-A refined pose's misfit is its distance in the metric of its covariance. An on node's is that of
+A refined pose's misfit is its distance in the metric of its covariance. An active node's is that of
 its *direction* and that of its *range*, apart: nodes lie scattered on a sphere about the target,
 and the mean of points on a sphere lies below its surface, 1 % at 8°.
 
@@ -14,16 +14,22 @@ and the mean of points on a sphere lies below its surface, 1 % at 8°.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
+from rendezview.geometry.pose import Array
 from rendezview.trajectory.shapes import places
 
+Data = tuple[Any, ...]  # times, base, constants, carrier, points, whitening, by_node
+
+# Source: by construction
 RESIDUALS = 4  # of a point: three of its place or direction, one of its range
 
 
 @njit(cache=True, nogil=True)
-def residuals(code, p, data, place, out):  # type: ignore[no-untyped-def]
+def residuals(code: int, p: Array, data: Data, place: Array, out: Array) -> None:
     """Fill (N, 4): misfits of all points in standard deviations.
 
     Of ``data``: ``carrier`` (N, 3) are places that those of the shape are added to: a plan, or
@@ -52,7 +58,9 @@ def residuals(code, p, data, place, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def cost(code, p, data, weights, cut, place, out):  # type: ignore[no-untyped-def]
+def cost(
+    code: int, p: Array, data: Data, weights: Array, cut: float, place: Array, out: Array
+) -> float:
     """The robust cost; ``cut`` is c², infinite for plain least squares."""
     residuals(code, p, data, place, out)
     total = 0.0
@@ -63,7 +71,16 @@ def cost(code, p, data, weights, cut, place, out):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def downhill_simplex(code, start, steps, data, weights, cut, most, near):  # type: ignore[no-untyped-def]
+def downhill_simplex(
+    code: int,
+    start: Array,
+    steps: Array,
+    data: Data,
+    weights: Array,
+    cut: float,
+    most: int,
+    near: float,
+) -> tuple[Array, float, int]:
     """Nelder and Mead's simplex, with Gao and Han's (2012) coefficients for P dimensions.
 
     Args:
@@ -126,7 +143,7 @@ def downhill_simplex(code, start, steps, data, weights, cut, most, near):  # typ
 
 
 @njit(cache=True, nogil=True)
-def jacobian(code, p, scales, data, place, out):  # type: ignore[no-untyped-def]
+def jacobian(code: int, p: Array, scales: Array, data: Data, place: Array, out: Array) -> Array:
     """(N, 4, P) of the residuals, by central differences of 1e-4 of ``scales`` (P,)."""
     slopes = np.empty((len(out), RESIDUALS, len(p)))
     moved = p.copy()
@@ -145,7 +162,9 @@ def jacobian(code, p, scales, data, place, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def normal_equations(code, p, scales, data, weights, cut):  # type: ignore[no-untyped-def]
+def normal_equations(
+    code: int, p: Array, scales: Array, data: Data, weights: Array, cut: float
+) -> tuple[Array, Array]:
     """Matrix (P, P) and right side (P,) of one Gauss–Newton step of the robust cost."""
     size = len(p)
     place = np.empty((len(weights), 3))
@@ -169,7 +188,9 @@ def normal_equations(code, p, scales, data, weights, cut):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def gauss_newton(code, start, scales, data, weights, cut, most):  # type: ignore[no-untyped-def]
+def gauss_newton(
+    code: int, start: Array, scales: Array, data: Data, weights: Array, cut: float, most: int
+) -> tuple[Array, float]:
     """Gauss–Newton with Levenberg's damping down the same cost: the simplex's start and check.
 
     Returns:
@@ -185,12 +206,12 @@ def gauss_newton(code, start, scales, data, weights, cut, most):  # type: ignore
         matrix, right = normal_equations(code, p, scales, data, weights, cut)
         better = False
         there = here
-        step = np.zeros(size)
+        step: Array = np.zeros(size)
         for _ in range(6):
             damped = matrix.copy()
             for a in range(size):
                 damped[a, a] += damping * matrix[a, a] + 1e-12 / scales[a] ** 2
-            step = np.linalg.solve(damped, right)
+            step[:] = np.linalg.solve(damped, right)
             there = cost(code, p + step, data, weights, cut, place, out)
             if there <= here:
                 better = True

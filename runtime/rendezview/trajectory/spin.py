@@ -21,10 +21,10 @@ from rendezview.trajectory.rotation import rotations
 
 _LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust weight over the variance of a frame
-_MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom
+_MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom. Source: by construction
 _LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
 _STEPS = 25
-_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_State``
+_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_SpinState``
 _MOST_RATIO = 30.0
 _COMMON = 1.1  # of a frame's σ, what all have in common and what goes with time, as for segments
 _WORTH = 25.0  # χ² that a tumble must save over constant spin to be told
@@ -136,7 +136,7 @@ def fit_spin_of_directions(
     tumbling: bool | None = None,
     sigma_rad: float = 0.12,
 ) -> Spin | Nothing:
-    """Spin from directions to the camera, target frame: the on nodes alone, range held.
+    """Spin from directions to the camera, target frame: the active nodes alone, range held.
 
     The reference is the line of sight, its −z towards the camera. Roll about it is not seen: at
     the middle the attitude is given as the least turn from the target's axes. A turn about the
@@ -196,7 +196,7 @@ class _Data:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _State:
+class _SpinState:
     rotation: Array
     rate: Array
     ratios: Array  # (2,) logarithms of Σ m y² and Σ m z² over Σ m x²: any belong to a body
@@ -207,11 +207,11 @@ class _State:
         x, y, z = 1.0, *np.exp(self.ratios)
         return np.array([1.0, (x + z) / (y + z), (x + y) / (y + z)])
 
-    def moved(self, step: Array) -> _State:
+    def moved(self, step: Array) -> _SpinState:
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         limit = np.log(_MOST_RATIO)
         ratios = np.clip(self.ratios + step[6:], -limit, limit) if len(step) > 6 else self.ratios
-        return _State(turn @ self.rotation, self.rate + step[3:6], ratios)
+        return _SpinState(turn @ self.rotation, self.rate + step[3:6], ratios)
 
 
 def _trouble(times: Array, turned: Array) -> Nothing | None:
@@ -227,38 +227,38 @@ def _trouble(times: Array, turned: Array) -> Nothing | None:
 def _best(
     data: _Data, rotation: Array, rate: Array, tumbling: bool | None, middle_s: float
 ) -> Spin | Nothing:
-    still = _down(data, _State(rotation, rate, np.zeros(2)), 6, np.inf)
+    still = _down(data, _SpinState(rotation, rate, np.zeros(2)), 6, np.inf)
     dof = 3 if data.sight is None else 2
     variance = _variance(data, still, dof)
     still = _down(data, still, 6, _CUT * variance)
     if tumbling is False:
-        return _told(data, still, 6, dof, middle_s)
+        return _answer(data, still, 6, dof, middle_s)
     best, least = still, np.inf
     cut = _CUT * _variance(data, still, dof)
     for ratios in _STARTS:
-        state = _down(data, _State(still.rotation, still.rate, np.array(ratios)), 8, cut)
+        state = _down(data, _SpinState(still.rotation, still.rate, np.array(ratios)), 8, cut)
         cost = _cost(data, state, cut)
         if cost < least:
             best, least = state, cost
     variance = _variance(data, best, dof)
     if tumbling is None and _cost(data, still, _CUT * variance) - least < _WORTH * variance:
-        return _told(data, still, 6, dof, middle_s)
+        return _answer(data, still, 6, dof, middle_s)
     best = _down(data, best, 8, _CUT * variance)
-    return _told(data, best, 8, dof, middle_s)
+    return _answer(data, best, 8, dof, middle_s)
 
 
-def _variance(data: _Data, state: _State, dof: int) -> float:
+def _variance(data: _Data, state: _SpinState, dof: int) -> float:
     misfits = data.misfits(state.rotation, state.rate, state.moments)
     return max(float(np.median(np.sum(misfits**2, axis=1))) / _MEDIAN[dof], 1e-12)
 
 
-def _cost(data: _Data, state: _State, cut: float) -> float:
+def _cost(data: _Data, state: _SpinState, cut: float) -> float:
     misfits = data.misfits(state.rotation, state.rate, state.moments)
     squares = np.sum(misfits**2, axis=1)
     return float(np.sum(squares / (1.0 + squares / cut)))
 
 
-def _slopes(data: _Data, state: _State, size: int) -> Array:
+def _slopes(data: _Data, state: _SpinState, size: int) -> Array:
     """(N, 3, size) by central differences."""
     span = max(float(np.abs(data.times).max()), 1e-9)
     steps = np.concatenate([np.full(3, 1e-5), np.full(3, 1e-5 / span), np.full(2, 1e-4)])
@@ -272,7 +272,9 @@ def _slopes(data: _Data, state: _State, size: int) -> Array:
     return np.stack(columns, axis=-1)
 
 
-def _normal(data: _Data, state: _State, size: int, cut: float) -> tuple[Array, Array, Array, Array]:
+def _normal(
+    data: _Data, state: _SpinState, size: int, cut: float
+) -> tuple[Array, Array, Array, Array]:
     """Matrix, right side, slopes and weighted misfits of one robust Gauss–Newton step."""
     misfits = data.misfits(state.rotation, state.rate, state.moments)
     slopes = _slopes(data, state, size)
@@ -292,7 +294,7 @@ def _loose(data: _Data, size: int) -> Array:
     return np.diag(sigmas[:size] ** -2.0)
 
 
-def _down(data: _Data, state: _State, size: int, cut: float) -> _State:
+def _down(data: _Data, state: _SpinState, size: int, cut: float) -> _SpinState:
     """Levenberg–Marquardt down the robust cost."""
     here = _cost(data, state, cut)
     damping = 1e-4
@@ -316,7 +318,7 @@ def _down(data: _Data, state: _State, size: int, cut: float) -> _State:
     return state
 
 
-def _told(data: _Data, state: _State, size: int, dof: int, middle_s: float) -> Spin | Nothing:
+def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float) -> Spin | Nothing:
     """The answer with its covariance: scatter of the frames, and what they have in common."""
     variance = _variance(data, state, dof)
     matrix, _, slopes, weighted = _normal(data, state, size, _CUT * variance)
@@ -350,7 +352,7 @@ def _told(data: _Data, state: _State, size: int, dof: int, middle_s: float) -> S
     )
 
 
-def _moments_sigma(state: _State, covariance: Array) -> Array:
+def _moments_sigma(state: _SpinState, covariance: Array) -> Array:
     """(2,) one σ of the second and third moment over the first."""
     slopes = np.empty((2, 2))
     for j in range(2):

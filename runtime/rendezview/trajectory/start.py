@@ -70,7 +70,9 @@ def hops_of(times_s: Array, places_m: Array, weights: Array, closing: float) -> 
 
 
 @njit(cache=True, nogil=True)
-def _scan_hops(times, places, weights, closing, periods, phases):  # type: ignore[no-untyped-def]
+def _scan_hops(
+    times: Array, places: Array, weights: Array, closing: float, periods: Array, phases: int
+) -> Array:
     best = np.full(11, np.nan)
     least = np.inf
     matrix, right = np.empty((3, 3)), np.empty((3, 3))

@@ -23,7 +23,7 @@ from rendezview.sensors.stereo import (
     TrackerOptions,
     yaw_pitch_roll,
 )
-from rendezview.sensors.stereo.agreement import Disagreement, Fit, distance, iterate
+from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.spots import find_spots
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
@@ -260,19 +260,21 @@ def recovery(job: Job, target: Target) -> None:
         spent.append(time.perf_counter() - start)
         told = judge(tracker, sights, found, pose)
         outcome[told] += 1
-        if isinstance(found, Fit):
+        if isinstance(found, LightsFit):
             yaws.append(abs(Rotation.from_matrix(found.rotation @ pose.rotation.T).as_rotvec()[2]))
     print(f"{cases} readings, any yaw, tilt to 60°, nothing known: {outcome}, "
           f"median {1e3 * np.median(spent):.1f} ms")  # fmt: skip
     print(f"turn about the boresight against the truth: worst {np.rad2deg(max(yaws)):.2f}°")
 
 
-def judge(tracker: StereoTracker, sights: Sights, found: Fit | Disagreement, pose: Pose) -> str:
+def judge(
+    tracker: StereoTracker, sights: Sights, found: LightsFit | Disagreement, pose: Pose
+) -> str:
     """right: the minimum next to the truth, and the truth within its covariance."""
     if isinstance(found, Disagreement):
         return "refused"
     near = iterate(tracker.rig, tracker.leds, found.sights, pose.rotation, pose.translation_m)
-    truth = Fit(pose.rotation, pose.translation_m, found.information, 0.0, 0, 0, sights)
+    truth = LightsFit(pose.rotation, pose.translation_m, found.information, 0.0, 0, 0, sights)
     same = near is not None and distance(found, near) < 0.5
     if same and distance(found, truth) < 60.0:
         return "right"
@@ -316,7 +318,7 @@ def faults(job: Job, target: Target) -> None:
                 light = laboratory.currents([pose], rng)[0]
                 fault(light)
                 sights = tracker.rig.sights(spots_of(tracker.rig, light), count)
-                found: Fit | Disagreement
+                found: LightsFit | Disagreement
                 if known:
                     last = pose.perturbed(np.append(rng.normal(0.0, np.deg2rad(2.0), 3), [0, 0, 0]))
                     other = StereoTracker.of_target(tracker.rig, target)

@@ -18,7 +18,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
-from rendezview.sensors.stereo.agreement import Fit
+from rendezview.sensors.stereo.agreement import LightsFit
 from rendezview.sensors.stereo.board import (
     BoardViews,
     Chessboard,
@@ -206,7 +206,7 @@ def minerva() -> None:
         seen = np.array(frame["joints"])
         spots = Spots(seen, np.full(seen.shape, 0.02), np.arange(len(seen)))
         found = tracker.locate(rig.sights([spots], len(points)))
-        if not isinstance(found, Fit) or found.left_out:
+        if not isinstance(found, LightsFit) or found.left_out:
             refused += 1
             continue
         pose = Pose(found.rotation, found.translation)

@@ -16,7 +16,7 @@ from rendezview.simulation.closed_loop import Flight, FlightErrors, Look, Seen, 
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.trajectory import Follower, FollowerOptions, Orbit, Plan, Shape
+from rendezview.trajectory import FollowerOptions, Orbit, PathFollower, Plan, Shape
 
 KINDS = ("circular", "spiral", "vbar")
 SPAN_S, STEP_S = 1200.0, 10.0
@@ -84,7 +84,7 @@ def flights(
     errors = FlightErrors()
     key = [seed, KINDS.index(kind)]
     options = FollowerOptions(turn_rad=None, segment_s=plan.segment_s, reach=0.5, spin=False)
-    follower = Follower(model.centre_m, plan=plan, options=options)
+    follower = PathFollower(model.centre_m, plan=plan, options=options)
     look = eye(model, mesh, refine, np.random.default_rng([*key, 1]))
     corrected = fly(
         plan, model.centre_m, errors, np.random.default_rng(key), look=look, follower=follower,

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory import (
     FitOptions,
-    Follower,
     FollowerOptions,
+    PathFollower,
     PointCloud,
     Segment,
     Shape,
@@ -145,7 +145,7 @@ def followed(seed: int, spin: bool) -> list[float]:
     """Processor milliseconds of each frame in a follower whose window of 100 poses is full."""
     rng = np.random.default_rng(seed)
     options = FollowerOptions(turn_rad=None, segment_s=SPAN_S, spin=spin)
-    follower = Follower(np.zeros(3), Shape.CIRCULAR, options=options)
+    follower = PathFollower(np.zeros(3), Shape.CIRCULAR, options=options)
     covariance = np.diag([1e-6] * 3 + [(NOISE * RANGE_M) ** 2] * 3)
     spent = []
     for time_s in np.arange(0.0, 2.0 * SPAN_S, SPAN_S / POINTS):

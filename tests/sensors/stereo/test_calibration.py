@@ -15,7 +15,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.stereo import Lens, Rig, RigCamera, Spots, StereoTracker, rotation_of
-from rendezview.sensors.stereo.agreement import Fit
+from rendezview.sensors.stereo.agreement import LightsFit
 from rendezview.sensors.stereo.board import BoardViews, Chessboard, calibrate_board, picture_pairs
 from rendezview.sensors.stereo.board import read_board_views as read_views
 from rendezview.sensors.stereo.bundle import INTRINSICS, POSE, intrinsics_of
@@ -230,7 +230,7 @@ def test_minervas_poses_come_from_one_picture():
         seen = np.array(frame["joints"])
         spots = Spots(seen, np.full(seen.shape, 0.02), np.arange(16))
         found = tracker.locate(rig.sights([spots], 16))
-        assert isinstance(found, Fit)
+        assert isinstance(found, LightsFit)
         pose = Pose(found.rotation, found.translation)
         left = camera.project(pose.apply(points)) - seen
         assert np.sqrt((left**2).sum(axis=1).mean()) < 0.02

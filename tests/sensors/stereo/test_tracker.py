@@ -21,7 +21,7 @@ from rendezview.sensors.stereo import (
     reprocess,
     rotation_of,
 )
-from rendezview.sensors.stereo.agreement import Fit, distance
+from rendezview.sensors.stereo.agreement import LightsFit, distance
 from rendezview.simulation.led_laboratory import Laboratory
 
 POSE = Pose(rotation_of(0.7, 0.2, -0.1), [0.05, -0.08, 0.3])
@@ -35,7 +35,9 @@ def tracker(laboratory: Laboratory, scole) -> StereoTracker:
 def away(pose: Pose, observation) -> float:
     """Squared distance from the truth in standard deviations."""
     fit = observation.fit
-    return distance(fit, Fit(pose.rotation, pose.translation_m, fit.information, 0, 0, 0, None))
+    return distance(
+        fit, LightsFit(pose.rotation, pose.translation_m, fit.information, 0, 0, 0, None)
+    )
 
 
 def test_without_noise_the_pose_is_exact_in_the_first_cameras_frame(tracker, laboratory, read):
@@ -85,8 +87,8 @@ def test_from_nothing_the_pose_is_found_at_any_yaw(tracker, laboratory, read):
         pose = Pose(rotation_of(yaw, *tilt), rng.uniform(-0.1, 0.1, 3))
         sights = laboratory.rig.sights(read(laboratory.rig, laboratory.currents([pose], rng)[0]), 6)
         found = tracker.locate(sights)
-        assert isinstance(found, Fit), found
-        truth = Fit(pose.rotation, pose.translation_m, found.information, 0, 0, 0, sights)
+        assert isinstance(found, LightsFit), found
+        truth = LightsFit(pose.rotation, pose.translation_m, found.information, 0, 0, 0, sights)
         assert distance(found, truth) < 50.0
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.simulation.trajectories import looking_at
-from rendezview.trajectory import Correction, Follower, Plan, Report
+from rendezview.trajectory import Correction, PathFollower, Plan, Report
 from rendezview.trajectory.relative_orbit import push, transition, velocity_to_reach
 
 # Time and true camera_from_target → measurement of the follower: pose, covariance, points, weights.
@@ -68,7 +68,7 @@ def fly(
     step_s: float,
     end_s: float,
     look: Look | None = None,
-    follower: Follower | None = None,
+    follower: PathFollower | None = None,
     own_attitude: bool = True,
     first: int = 6,
     every: int = 4,

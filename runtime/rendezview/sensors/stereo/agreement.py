@@ -30,13 +30,13 @@ _APART = 30.0  # squared distance of two poses, in standard deviations, that mat
 _FEWEST_SPARE = 2  # equations left over: with none, anything agrees
 _ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
 _MOST_TRIED = 1500
-UNKNOWNS = 6
-FEWEST_LIGHTS = 3  # two leave a turn about the line between them
+UNKNOWNS = 6  # Source: by construction
+FEWEST_LIGHTS = 3  # two leave a turn about the line between them. Source: by construction
 _NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
 
 
 @dataclass(slots=True, eq=False)
-class Fit:
+class LightsFit:
     """A pose with what the equations say of it; arrays are the fit's own."""
 
     rotation: Array  # (3, 3) rig from target
@@ -62,12 +62,12 @@ def iterate(
     rotation: Array,
     translation: Array,
     iterations: int = ITERATIONS,
-) -> Fit | None:
+) -> LightsFit | None:
     """Least squares from a start; ``None`` where the lights do not determine a pose near it."""
     lights, equations = count_lights(sights.weight)
     if lights < FEWEST_LIGHTS or equations < UNKNOWNS:
         return None
-    fit = Fit(
+    fit = LightsFit(
         np.array(rotation, order="C"), np.array(translation), np.empty((6, 6)), 0.0,
         equations - UNKNOWNS, 0, sights,
     )  # fmt: skip
@@ -90,7 +90,7 @@ class Disagreement:
 
 def agree(
     rig: Rig, leds: Array, sights: Sights, rotation: Array, translation: Array
-) -> Fit | Disagreement:
+) -> LightsFit | Disagreement:
     """The fit of all lights, or of what is left when the likeliest fault is mended.
 
     A fault is likelier the fewer equations it takes away: each light left out in a camera
@@ -101,7 +101,7 @@ def agree(
         return whole
     if whole is not None:
         rotation, translation = whole.rotation, whole.translation
-    passing: list[tuple[float, Fit]] = []
+    passing: list[tuple[float, LightsFit]] = []
     for mended, left_out, exchanged in itertools.islice(_mended(sights), _MOST_TRIED):
         if np.count_nonzero(mended.weight) - UNKNOWNS < _FEWEST_SPARE:
             continue
@@ -128,14 +128,14 @@ def agree(
     return best
 
 
-def distance(one: Fit, other: Fit) -> float:
+def distance(one: LightsFit, other: LightsFit) -> float:
     """Squared distance of two poses in standard deviations of the first."""
     turn = so3.between(other.rotation, one.rotation)
     away = np.concatenate([turn, other.translation - one.translation])
     return float(away @ one.information @ away)
 
 
-def _told(fit: Fit) -> str:
+def _told(fit: LightsFit) -> str:
     left = [f"light {light + 1} in camera {camera + 1}" for camera, light in fit.left_out]
     swapped = [f"lights {a + 1} and {b + 1} exchanged" for a, b in fit.exchanged]
     return ", ".join(left + swapped)

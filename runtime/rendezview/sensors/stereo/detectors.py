@@ -14,7 +14,7 @@ from rendezview.sensors.stereo.response import Normalisation, Response, place_li
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-UNKNOWN = -1  # the number of a light whose identity is not known
+UNKNOWN = -1  # the number of a light whose identity is not known. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class Spots:
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64))
 
 
-_NO_BRIGHTNESS = np.empty(0)
+_NO_BRIGHTNESS = np.empty(0)  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from numba import njit
 from scipy.optimize import linear_sum_assignment
 
 from rendezview.geometry.pose import Array, Pose, rotation_angle
-from rendezview.sensors.stereo.agreement import Disagreement, Fit, agree
+from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, agree
 from rendezview.sensors.stereo.collinearity import squares
 from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 from rendezview.sensors.stereo.rig import Rig, Sights
@@ -65,7 +65,7 @@ def _numbered(
 
 def identify(
     rig: Rig, leds: Array, normals: Array, spots: Sequence[Spots]
-) -> tuple[tuple[Spots, ...], Fit] | Disagreement:
+) -> tuple[tuple[Spots, ...], LightsFit] | Disagreement:
     """Numbers of all spots and the pose that they give, without knowing either.
 
     Lights may be missing and spots may be none of the target's. Two poses that explain as
@@ -81,7 +81,7 @@ def identify(
         )
     xy, weight = _padded(rig, spots)
     # Spread-out triples of the camera that sees the most; then the others.
-    answers: list[tuple[int, float, tuple[Spots, ...], Fit]] = []
+    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]] = []
     tried = 0
     for k in np.argsort([-count for count in counts], kind="stable"):
         if counts[k] < 3:
@@ -123,7 +123,7 @@ def _explain(
     xy: Array,
     weight: Array,
     poses: Retrieval,
-    answers: list[tuple[int, float, tuple[Spots, ...], Fit]],
+    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
 ) -> None:
     """Judge poses by the spots they explain; the best are refined and added to the answers."""
     rotations, translations = poses
@@ -135,7 +135,7 @@ def _explain(
     coarse = 2.0 * np.sqrt(CAP) * _ROUGH_TIMES / np.median(weight[weight > 0.0])
     for i in np.argsort(misfit, kind="stable")[:_KEPT]:
         pose, gate = Pose(rotations[i], translations[i]), coarse
-        fit: Fit | Disagreement | None = None
+        fit: LightsFit | Disagreement | None = None
         numbered: tuple[Spots, ...] = ()
         for _ in range(3):
             numbered = nearest_lights(rig, leds, normals, spots, pose, gate)
@@ -147,12 +147,12 @@ def _explain(
             if isinstance(fit, Disagreement):
                 break
             pose, gate = Pose(fit.rotation, fit.translation), 0.25 * coarse
-        if isinstance(fit, Fit) and not _shines_away(rig, leds, normals, sights, fit):
+        if isinstance(fit, LightsFit) and not _shines_away(rig, leds, normals, sights, fit):
             explained = int(sights.seen.sum()) - len(fit.left_out)
             answers.append((explained, fit.cost, numbered, fit))
 
 
-def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: Fit) -> bool:
+def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: LightsFit) -> bool:
     each = np.empty(sights.seen.shape)
     squares(
         fit.rotation, fit.translation, leds, normals, rig.rotations, rig.translations,
@@ -162,8 +162,8 @@ def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: Fit
 
 
 def _verdict(
-    answers: list[tuple[int, float, tuple[Spots, ...], Fit]],
-) -> tuple[tuple[Spots, ...], Fit] | Disagreement:
+    answers: list[tuple[int, float, tuple[Spots, ...], LightsFit]],
+) -> tuple[tuple[Spots, ...], LightsFit] | Disagreement:
     if not answers:
         return Disagreement("no assignment of spots to lights fits the target")
     answers.sort(key=lambda answer: (-answer[0], answer[1]))

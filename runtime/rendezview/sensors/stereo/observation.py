@@ -11,7 +11,7 @@ from numba import njit
 from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Observation, Status
-from rendezview.sensors.stereo.agreement import Fit
+from rendezview.sensors.stereo.agreement import LightsFit
 from rendezview.sensors.stereo.detectors import Spots
 from rendezview.sensors.stereo.euler import YawPitchRoll, yaw_pitch_roll
 from rendezview.sensors.stereo.motion import Motion
@@ -29,7 +29,7 @@ class Names:
 class StereoObservation(Observation):
     """One reading's answer; `pose` and `covariance` are in the frame of the first camera."""
 
-    fit: Fit | None = None  # this reading alone, rig frame
+    fit: LightsFit | None = None  # this reading alone, rig frame
     estimate: Motion | None = None  # the filter after it, where there is one
     restarted: bool = False  # the pose was found without the estimate before
     spots: tuple[Spots, ...] = ()  # with the lights' numbers
@@ -42,7 +42,7 @@ class StereoObservation(Observation):
         reason: str | None,
         time_s: float,
         camera_from_rig: Pose,
-        fit: Fit | None,
+        fit: LightsFit | None,
         estimate: Motion | None,
         restarted: bool,
         spots: tuple[Spots, ...],

@@ -11,6 +11,7 @@ from numba import njit
 
 Array = npt.NDArray[np.float64]
 
+# Source: by construction
 TERMS = {3: 10, 5: 21}  # of a polynomial's order: the paper's cubic, and a quintic
 # Powers of x and y after the cubic's, in order.
 _QUINTIC = tuple((n - j, j) for n in (4, 5) for j in range(n + 1))

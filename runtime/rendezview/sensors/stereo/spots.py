@@ -25,7 +25,7 @@ GreyImage = npt.NDArray[np.uint8]
 _SATURATED = 254
 _ITERATIONS = 30
 _SETTLED_PX = 1e-4
-_LEAST_NOISE = 0.29  # grey, of rounding
+_LEAST_NOISE = 0.29  # grey, of rounding. Source: by construction
 _NARROW_PX = 0.015  # what sampling does to a spot of σ below a pixel
 _MOST_BLOBS = 2000  # a frame with more shows no lights
 

@@ -28,10 +28,10 @@ _REFINED = 12  # hypotheses that are worth an iteration
 _DISTINCT_RAD = np.deg2rad(3.0)
 _NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times worse than σ
 CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
-_CAMERA_MATRIX = np.eye(3)
+_CAMERA_MATRIX = np.eye(3)  # Source: by construction
 
 Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
-_NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))
+_NO: Retrieval = (np.empty((0, 3, 3)), np.empty((0, 3)))  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)

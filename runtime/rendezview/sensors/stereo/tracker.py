@@ -17,7 +17,7 @@ from rendezview.sensors.stereo import motion
 from rendezview.sensors.stereo.agreement import (
     FEWEST_LIGHTS,
     Disagreement,
-    Fit,
+    LightsFit,
     agree,
     distance,
     iterate,
@@ -122,7 +122,7 @@ class StereoTracker:
         self._last_time_s = time_s
         forecast = self._forecast(time_s)
         restarted, named = forecast is None, tuple(spots)
-        fit: Fit | Disagreement | None = None
+        fit: LightsFit | Disagreement | None = None
         if not all(found.identified for found in spots):
             fit, named, restarted = self._identify(spots, forecast)
         sights = self.rig.sights(named, len(self.leds))
@@ -141,7 +141,7 @@ class StereoTracker:
             return self._none(time_s, status, fit.reason, named)
         return self._accept(time_s, fit, forecast, restarted, named)
 
-    def locate(self, sights: Sights, forecast: Motion | None = None) -> Fit | Disagreement:
+    def locate(self, sights: Sights, forecast: Motion | None = None) -> LightsFit | Disagreement:
         """The pose from identified lights without knowing where the target is.
 
         A forecast only chooses between poses that fit equally well.
@@ -149,14 +149,14 @@ class StereoTracker:
         found = candidates(self.rig, self.leds, self.normals, sights)
         if not found:
             return Disagreement("no camera sees three lights, nor two cameras the same three")
-        fits: list[tuple[float, Fit]] = []
+        fits: list[tuple[float, LightsFit]] = []
         reason = Disagreement("the lights do not determine a pose")
         for candidate in found:
             if candidate.cost > found[0].cost + _ALIKE:
                 break
             pose = candidate.rig_from_target
             fit = agree(self.rig, self.leds, sights, pose.rotation, pose.translation_m)
-            if isinstance(fit, Fit):
+            if isinstance(fit, LightsFit):
                 fits.append((candidate.cost, fit))
             elif not fits:
                 reason = fit
@@ -186,7 +186,7 @@ class StereoTracker:
 
     def _identify(
         self, spots: Sequence[Spots], forecast: Motion | None
-    ) -> tuple[Fit | Disagreement | None, tuple[Spots, ...], bool]:
+    ) -> tuple[LightsFit | Disagreement | None, tuple[Spots, ...], bool]:
         if forecast is not None:
             pose = Pose(forecast.rotation, forecast.translation)
             gate = self.options.window
@@ -195,7 +195,7 @@ class StereoTracker:
             fit = agree(self.rig, self.leds, sights, forecast.rotation, forecast.translation)
             # A spot that is left over may be a light whose name another took.
             left = sum(int((found.led < 0).sum()) for found in named)
-            if isinstance(fit, Fit) and not (fit.left_out and left):
+            if isinstance(fit, LightsFit) and not (fit.left_out and left):
                 return fit, named, False
         told = identify(self.rig, self.leds, self.normals, spots)
         if isinstance(told, Disagreement):
@@ -221,7 +221,7 @@ class StereoTracker:
     def _accept(
         self,
         time_s: float,
-        fit: Fit,
+        fit: LightsFit,
         forecast: Motion | None,
         restarted: bool,
         named: tuple[Spots, ...],
@@ -256,5 +256,5 @@ class StereoTracker:
             self._last = None
 
 
-_NO_RATES = np.zeros(6)
-_NO_COVARIANCE = np.zeros((12, 12))
+_NO_RATES = np.zeros(6)  # Source: by construction
+_NO_COVARIANCE = np.zeros((12, 12))  # Source: by construction

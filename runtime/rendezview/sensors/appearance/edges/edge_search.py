@@ -15,13 +15,24 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import (
+    DEPTH_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
     RUN_UNIT,
     SURFACES,
+    start_radii,
 )
-from rendezview.sensors.appearance.edges.profile import place_by_profile
+from rendezview.sensors.appearance.edges.profile import (
+    FAR_PX,
+    LEAST_CONTRAST,
+    SLACK_PX,
+    edge_axes,
+    in_shadow,
+    profile_steps,
+    project_start,
+)
+from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.view_tables import (
     Lens,
     Two,
@@ -100,7 +111,6 @@ def measure_edges(
     sunward = rotation.T @ sun
     places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
     axes, away, fitted = np.empty(6), np.empty(3), np.empty(2)
-    scratch = places, depths, levels, axes, away, fitted
     total = 0
     for j in range(point.shape[0]):
         if kind[j] == NO_POINT:
@@ -156,15 +166,40 @@ def measure_edges(
         row[STATE] = FOUND
         placed = False
         if fit:
-            placed = place_by_profile(
-                profile, count, back, margin, at, outline, tangent[j], strip[j], start[j], views,
-                eye, px, py, pz, x, y, gx, gy, radius_m * fx * inverse, rotation, centre, shade,
-                sunward, frame, grainy, scratch,
-            )  # fmt: skip
+            body = radius_m * fx * inverse
+            edge_axes(eye, px, py, pz, tangent[j], axes)
+            places[0] = 0.0 if outline else -FAR_PX
+            for k in range(1, SURFACES):
+                inside = start_radii(start[j, k - 1, 0])
+                deeper = start[j, k - 1, 1] * DEPTH_UNIT
+                ex, ey = project_start(
+                    px, py, pz, inside * radius_m, deeper * radius_m, eye, axes, rotation, centre
+                )
+                seen = -(gx * (ex - x) + gy * (ey - y))
+                inside *= body
+                far = 3.0 * abs(inside) + SLACK_PX
+                places[k] = min(max(seen, inside - far), inside + far)
+            shaded = False
+            if outline:
+                away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
+                away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
+                shaded = in_shadow(
+                    start_radii(start[j, 0, 0]), -start[j, 0, 1] * DEPTH_UNIT, sunward, axes, away
+                )
+            steps = profile_steps(outline, strip[j], shade, places, shaded, depths, levels)
+            contrast = 0.0
+            for step in range(steps):
+                contrast = max(contrast, abs(levels[step]))
+            if contrast > LEAST_CONTRAST:
+                background = sky if held else profile[count - 1 - margin]
+                placed = fit_profile(
+                    profile, count, back, at, depths, levels, steps, background, held,
+                    views.blur_px, grainy, fitted,
+                )  # fmt: skip
         if placed:
             at = fitted[0]
             # Where the craft may differ from its mesh, all edges are uncertain by as much.
-            strain_px = _STRAINED * views.shape_error * (radius_m * fx * inverse)
+            strain_px = _STRAINED * views.shape_error * body
             sure = _SURE_PX2 + strain_px**2
             row[WEIGHT] = sure / (sure + fitted[1])
         else:

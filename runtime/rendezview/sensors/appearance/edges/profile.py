@@ -12,79 +12,17 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.contours import (
-    DEPTH_UNIT,
     SURFACES,
-    start_radii,
 )
-from rendezview.sensors.appearance.edges.profile_fit import fit_profile
-from rendezview.sensors.appearance.edges.view_tables import Two, ViewTables
+from rendezview.sensors.appearance.edges.view_tables import Two
 
-Scratch = tuple[Array, Array, Array, Array, Array, Array]
-Tangent = npt.NDArray[np.int8]
-Starts = npt.NDArray[np.int8]
 Kinds = npt.NDArray[np.uint8]
 
 
 _STEP_GREY = 5.0  # grey levels; smaller steps are left out. Source: commit 59eb67e
-_LEAST_CONTRAST = 4.0  # grey levels; a profile with less has no edge
-_FAR_PX = 99.0  # px; where the first surface of an inner edge begins. Source: by construction
-_SLACK_PX = 3.0  # px; a surface moves no more than this and three times its place
-
-
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def place_by_profile(
-    profile: Array, count: int, back: int, margin: int, at: float, outline: bool, tangent: Tangent,
-    strip: Kinds, start: Starts, views: ViewTables, eye: Array, px: float, py: float, pz: float,
-    x: float, y: float, gx: float, gy: float, body_px: float, rotation: Array, centre: Array,
-    shade: Array, sunward: Array, frame: Array, noise: float, scratch: Scratch,
-) -> bool:  # fmt: skip
-    """Fit the model's edge profile of a contour point, as seen from the pose.
-
-    Args:
-        at: place of the steepest slope.
-        outline, tangent, strip, start: of the contour point, as in ``Contours``.
-        px, py, pz: the point, target axes, m; x, y: the same, normalised.
-        eye: (3,) camera of the model's view, and ``sunward``: (3,) to the Sun or 0, target axes.
-        noise: of a grey level of the profile.
-        gx, gy: derivatives of a place along the normal with x and y, px.
-        body_px: radius of the target at the depth of the point.
-        scratch: places, depths and levels (SURFACES,) each; axes (6,) of the edge in the model's
-            view; direction (3,) from its camera; place and variance (2,) of the edge, the result.
-
-    Returns:
-        Whether the profile has an edge and fits.
-    """
-    places, depths, levels, axes, away, fitted = scratch
-    radius_m = views.radius_m
-    edge_axes(eye, px, py, pz, tangent, axes)
-    places[0] = 0.0 if outline else -_FAR_PX
-    for k in range(1, SURFACES):
-        inside = start_radii(start[k - 1, 0])
-        deeper = start[k - 1, 1] * DEPTH_UNIT
-        ex, ey = project_start(
-            px, py, pz, inside * radius_m, deeper * radius_m, eye, axes, rotation, centre
-        )
-        seen = -(gx * (ex - x) + gy * (ey - y))
-        inside *= body_px
-        far = 3.0 * abs(inside) + _SLACK_PX
-        places[k] = min(max(seen, inside - far), inside + far)
-    shaded = False
-    if outline:
-        away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
-        away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
-        shaded = in_shadow(start_radii(start[0, 0]), -start[0, 1] * DEPTH_UNIT, sunward, axes, away)
-    steps = profile_steps(outline, strip, shade, places, shaded, depths, levels)
-    contrast = 0.0
-    for step in range(steps):
-        contrast = max(contrast, abs(levels[step]))
-    if contrast <= _LEAST_CONTRAST:
-        return False
-    held = frame[2] > 0.0 and outline
-    background = frame[1] if held else profile[count - 1 - margin]
-    return fit_profile(
-        profile, count, back, at, depths, levels, steps, background, held, views.blur_px, noise,
-        fitted,
-    )  # fmt: skip
+LEAST_CONTRAST = 4.0  # grey levels; a profile with less has no edge
+FAR_PX = 99.0  # px; where the first surface of an inner edge begins. Source: by construction
+SLACK_PX = 3.0  # px; a surface moves no more than this and three times its place
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
