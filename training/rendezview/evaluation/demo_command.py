@@ -65,7 +65,7 @@ def demo(
                 perturbed_views=_VIEWS,
                 held_out_views=_HELD_OUT_VIEWS,
                 contour_radii=_SHELLS,
-                shadowed_silhouettes=False,  # the Sun stands behind the camera
+                shadowed_silhouettes=False,  # the Sun is behind the camera
                 seed=seed,
             ),
             camera=camera,
