@@ -38,7 +38,7 @@ _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
 # Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
 # of a level lie 32°, 16° and 8° apart.
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
-_NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that stand for it
+_NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that represent it
 _EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out
 _NODE_SPACING_RAD = 0.15  # rad; of the 642 directions
 
@@ -140,7 +140,7 @@ def shading(
     every = 1 + found // _FITTED
     count = (found + every - 1) // every
     some = levels[:found:every].copy()
-    albedo, lit = np.empty(count), np.empty(count)
+    albedo, sunlit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
     tolerance = _TOLERANCE * np.percentile(some, _BRIGHT_PERCENTILE) + frame[0]
@@ -160,8 +160,8 @@ def shading(
             elif _dot(tried, away) > -_BEHIND or (near > -1.0 and _dot(tried, middle) < near):
                 continue
             for k in range(count):
-                lit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
-            cost = light_strengths(some, lit, albedo, tolerance, strengths)
+                sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
+            cost = light_strengths(some, sunlit, albedo, tolerance, strengths)
             if cost < best:
                 best, node = cost, s
                 sun[:] = tried
