@@ -1,4 +1,4 @@
-"""The front door: everything a user needs, under one name.
+"""The public interface: everything a user needs, under one name.
 
     from rendezview.api import Recognizer, Tracker, ViewModel, load_camera
 

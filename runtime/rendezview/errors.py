@@ -2,4 +2,4 @@
 
 
 class RendezviewError(Exception):
-    """Something a user can put right: its message says what is wrong, where, and what to do."""
+    """An error that a user can fix; its message names the fault, its place and the remedy."""

@@ -74,7 +74,7 @@ def test_what_cannot_work_is_told_in_a_line(run, ring_run, tmp_path):
     run("ring", folder, "--range-m", "nan").says("--range-m")
     run("ring", folder, "--prior-axis", "0,0,0").says("--prior-axis")
     run("ring", folder, "--prior-axis", "scene").says("--target")
-    run("ring", folder, "--target", CLIENT, "--prior-axis", "scene").says("does not say its pose")
+    run("ring", folder, "--target", CLIENT, "--prior-axis", "scene").says("does not give its pose")
     run("ring", folder, "--target", CLIENT.parent / "hubble").says("no docking_ring")
     run("ring", folder, "-o", tmp_path).says("file name")
     small = tmp_path / "small.yaml"

@@ -70,7 +70,7 @@ def test_a_log_of_currents_gives_poses(laboratory, rig: Path, tmp_path: Path, op
     assert numbers == expected
     assert f"{len(expected)} poses in 10 readings" in done.stderr
     assert records[4]["status"] == ("partial" if options else "few-lights")
-    assert "0 lights seen" in records[4]["reason"]
+    assert "0 lights visible" in records[4]["reason"]
     first = load_rig(rig).cameras[0].camera_from_rig
     for row in read_results(out):
         truth = first @ poses[row.im_id]

@@ -72,7 +72,7 @@ def test_what_is_too_late_is_rejected_and_changes_nothing(world):
     assert not verdict.accepted
     assert "no longer remembered" in verdict.reason
     assert np.array_equal(before.covariance, fusion.state_at(30.0).covariance)
-    with pytest.raises(ValueError, match="before what is remembered"):
+    with pytest.raises(ValueError, match="before the earliest remembered time"):
         fusion.state_at(3.0)
 
 

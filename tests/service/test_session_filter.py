@@ -55,7 +55,7 @@ def test_a_frame_older_than_what_is_remembered_is_late(tour):
         one.take("m", line)
     state = one.track(_observed(2.0, truth))
     assert (state["status"], state["pose"]) == ("late", None)
-    assert "before what is remembered" in state["reason"]
+    assert "before the earliest remembered time" in state["reason"]
 
 
 def test_a_sensor_mounted_elsewhere_is_taken_into_the_camera_frame(tour):

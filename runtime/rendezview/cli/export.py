@@ -45,7 +45,7 @@ def export(
     """
     if sum((listing, rules, c is not None, onnx is not None)) != 1:
         raise RendezviewError(
-            "say how to export the trees: one of --listing, --rules, --c DIR and --onnx FILE"
+            "choose how to export the trees: one of --listing, --rules, --c DIR and --onnx FILE"
         )
     if not (listing or rules) and (node or output):
         raise RendezviewError("--node and --output go with --listing or --rules")

@@ -49,7 +49,7 @@ def fuse(
     surfaces: Annotated[
         Path | None,
         typer.Option(
-            help="JSON list of what a ranger's beam may meet; not given: about the ring's plane."
+            help="JSON list of surfaces a ranger's beam can hit; default: near the ring's plane."
         ),
     ] = None,
     options: Annotated[

@@ -73,7 +73,7 @@ class Guide:
         chaser: Path | None,
         refine: bool,
     ) -> Guide:
-        """As the options of ``track`` say.
+        """The follower that the options of ``track`` ask for.
 
         Raises:
             RendezviewError: the plan, shape or attitudes are none.

@@ -84,7 +84,7 @@ def _load(point: metadata.EntryPoint) -> Callable[..., Any] | typer.Typer:
 
 
 def _nothing() -> None:
-    """Stands for a command that is not called."""
+    """Placeholder for a command that is not called."""
 
 
 def _root(version: bool = typer.Option(False, "--version", help="Print the version.")) -> None:

@@ -62,7 +62,7 @@ def replay(
     used = model_of(opened, model)
     cv2.setNumThreads(1)
     if warm_up(used) and _AGAIN not in os.environ:
-        # What was compiled just now may round otherwise than what is read from the cache.
+        # Freshly compiled code may round differently from code read from the cache.
         os.environ[_AGAIN] = "1"
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     result = None

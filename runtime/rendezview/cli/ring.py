@@ -113,13 +113,13 @@ def _prior(
         return lambda frame: RingPrior(range_m=range_m)
     if text == "scene":
         if known is None:
-            raise RendezviewError("--prior-axis scene needs --target, which says the ring's axis")
+            raise RendezviewError("--prior-axis scene needs --target, which gives the ring's axis")
 
         def from_scene(frame: Frame) -> RingPrior:
             truth = frame.camera_from_target
             if truth is None:
                 raise RendezviewError(
-                    f"{frame.name}: the scene does not say its pose: give --prior-axis 'x,y,z'"
+                    f"{frame.name}: the scene does not give its pose: give --prior-axis 'x,y,z'"
                 )
             return RingPrior(axis=truth.rotation @ known.axis, range_m=range_m)
 

@@ -25,7 +25,7 @@ def serve(
     source: Annotated[
         list[str] | None,
         typer.Option(
-            help="What the service reads itself: scene, folder, video, log (*.mcap), /dev/video0, "
+            help="Source for the service: scene, folder, video, log (*.mcap), /dev/video0, "
             "rtsp://…; repeat it for more sessions."
         ),
     ] = None,

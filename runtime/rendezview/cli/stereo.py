@@ -167,7 +167,7 @@ def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:
     made = calibrate_board(views, free=free, corrects=lens == "welch")
     Console(stderr=True).print(
         "r.m.s. "
-        + ", ".join(f"{n} {a.rms:.3f} px" for n, a in zip(views.names, made.alone, strict=True))
+        + ", ".join(f"{n} {a.rms:.3f} px" for n, a in zip(views.names, made.separate, strict=True))
         + f", together {made.together.rms:.3f} px",
         highlight=False,
     )

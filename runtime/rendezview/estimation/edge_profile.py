@@ -1,4 +1,4 @@
-"""Where a blurred edge lies on a short profile of grey levels across it.
+"""Position of a blurred edge on a short profile of grey levels across it.
 
 The model of one edge is ``b + c Φ((d − δ)/σ)``: level b, contrast c, place δ (px), blur σ (px).
 Linear in b, c and c δ at δ = 0, so that least squares is one multiplication by a filter. Other

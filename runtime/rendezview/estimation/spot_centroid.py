@@ -2,7 +2,7 @@
 
 The centroid of a spot is the point about which a Gaussian window of the spot's own size finds no
 first moment. For a Gaussian spot in white noise this is the least-squares place: its error
-σ_noise √(2/π) / peak an axis is the Cramér–Rao bound, whatever the spot's size.
+σ_noise √(2/π) / peak an axis is the Cramér–Rao bound for any spot size.
 """
 
 from __future__ import annotations

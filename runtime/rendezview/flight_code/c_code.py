@@ -180,7 +180,7 @@ def _describe(
         "in rdv_signature_of, 16 kB in rdv_silhouette.",
         "",
         "Worst case, floating-point operations (integer work is of the same order); M points of "
-        "an outline, P pixels of a frame, K on nodes:",
+        "an outline, P pixels of a frame, K active nodes:",
         f"  one tree          {int(packed.depths.max())} branches of {_PER_BRANCH}",
         f"  rdv_all_trees     {trees}: {branches} branches of {_PER_BRANCH}, "
         f"{nodes} starts of {_PER_TREE}",

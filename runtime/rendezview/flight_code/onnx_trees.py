@@ -26,7 +26,7 @@ def write_onnx(model: ViewModel, path: Path) -> None:
     """Write the trees as an ONNX graph, atomically.
 
     Inputs: ``readings`` float (N,), a signature; ``rolls_rad`` double (T,), of the view against
-    each node, see `twist` of the signature. Outputs: ``trust`` float (T,), how surely each
+    each node, see `twist` of the signature. Outputs: ``trust`` float (T,), how reliably each
     node means on; ``on`` bool (T,).
 
     Raises:

@@ -1,6 +1,6 @@
 """A forest packed for flight: six bytes per branch, leaves inside the references to them.
 
-The branches of a tree stand in depth-first order, left before right, so a child is a few
+The branches of a tree are stored in depth-first order, left before right, so a child is a few
 entries ahead of its parent. A child is one small number: 0 a leaf that means off; up to
 ``longest_step`` a branch so many entries ahead; above, one of the tree's leaves that mean on,
 counted from its left.

@@ -1,4 +1,4 @@
-"""Several sensors, one state: an error-state filter on relative pose and rates."""
+"""Sensor fusion: an error-state filter on relative pose and rates."""
 
 from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions, MotionOptions, SensorOptions

@@ -1,4 +1,4 @@
-"""Several sensors, one state: measurements as they come, the estimate at any time."""
+"""Sensor fusion: takes measurements as they arrive and gives the estimate at any time."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Estimate:
     pose: Pose | None  # camera_from_target; None: waiting or lost
     rates: Array | None  # (6,) angular rate (rad/s), velocity of the target's origin (m/s)
     covariance: Array | None  # (12, 12) rotation vector, translation, angular rate, velocity
-    ring_radius: float | None = None  # true radius over the one told, where it is estimated
-    ring_depth_m: float | None = None  # further along its axis than told, where it is estimated
+    ring_radius: float | None = None  # estimated true radius divided by the given one
+    ring_depth_m: float | None = None  # estimated offset along its axis from the given place
 
 
 class Fusion:
@@ -69,8 +69,8 @@ class Fusion:
     def _add(self, measurement: Measurement) -> Verdict:
         time_s = measurement.time_s
         if time_s < self._floor_s:
-            told = f"later than {self.options.history_s:g} s: no longer remembered"
-            return Verdict(measurement.sensor, time_s, False, told)
+            reason = f"later than {self.options.history_s:g} s: no longer remembered"
+            return Verdict(measurement.sensor, time_s, False, reason)
         place = bisect.bisect_right(self._measurements, time_s, key=_time_of)
         before = self._after[place - 1] if place else self._base
         after, verdict = step(before, measurement, self.options)
@@ -88,7 +88,7 @@ class Fusion:
         Of a time in the past, it is the estimate by the measurements up to then.
 
         Raises:
-            ValueError: the time is not finite, or earlier than what is remembered.
+            ValueError: the time is not finite, or earlier than the memory reaches.
         """
         if not math.isfinite(time_s):
             raise ValueError(f"the time must be finite, not {time_s}")
@@ -97,16 +97,18 @@ class Fusion:
             snapshot = self._after[place - 1] if place else self._base
         state = snapshot.state
         if state is None:
-            told = "no sensor has given a whole pose yet"
-            return Estimate(time_s, Status.WAITING, told, None, None, None)
+            reason = "no sensor has given a whole pose yet"
+            return Estimate(time_s, Status.WAITING, reason, None, None, None)
         ahead_s = time_s - state.time_s
         if ahead_s < -_ROUNDING_S:
-            raise ValueError(f"{time_s} s is before what is remembered ({state.time_s} s)")
+            raise ValueError(
+                f"{time_s} s is before the earliest remembered time ({state.time_s} s)"
+            )
         return self._estimate(snapshot, predict(state, max(ahead_s, 0.0), self.options))
 
     @property
     def trusts(self) -> dict[str, Trust]:
-        """What is thought of each sensor now."""
+        """The current trust in each sensor."""
         return dict(self._newest.trusts)
 
     @property
@@ -153,7 +155,7 @@ class Fusion:
         )
 
     def _forget(self) -> None:
-        """Drop what is older than the memory, but its last snapshot."""
+        """Drop snapshots older than the memory, except the last of them."""
         newest_s = self._measurements[-1].time_s
         count = max(len(self._measurements) - self.options.history_most, 0)
         while newest_s - self._measurements[count].time_s > self.options.history_s:

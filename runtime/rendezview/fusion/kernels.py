@@ -206,7 +206,7 @@ def corrected(
     white: Array,
     measured: Array,
 ) -> tuple[bool, float, float, Array, Array, Array, Array, Array, Array]:
-    """The state after a measurement: arguments of `with_bias`, ``white`` (m, m) is what is new.
+    """The state after a measurement: arguments of `with_bias`, ``white`` (m, m) the white noise.
 
     Returns:
         Whether it can be used; NIS; ln|S|; (m,) residual less the bias; rotation,

@@ -1,8 +1,8 @@
 """Sensors' logs (JSON lines) as measurements, in order of time.
 
-What a log is, is told by its keys: ``range_m`` (a laser ranger), ``ellipses`` (`rendezview ring`),
+The keys of a log give its kind: ``range_m`` (a laser ranger), ``ellipses`` (`rendezview ring`),
 ``pose`` (`rendezview track`, `reflectors`, `stereo track`). A line without a measurement (no pose,
-no echo) is no error: the sensor said that it saw nothing.
+no echo) is no error: the sensor reported that it saw nothing.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from rendezview.sensors.measurement import (
     ring_candidates,
 )
 
-_RELIEF_M = 0.2  # σ of what stands about a ring, before and behind its plane
+_RELIEF_M = 0.2  # σ of the structure around a ring, before and behind its plane
 _SERVED = "a session of the service: its `fusion`"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LogContext:
-    """What the lines of a log leave open."""
+    """Data that the lines of a log lack."""
 
     ring: DockingRing | None = None  # for rings, and for ranges unless a surface is given
     surfaces: tuple[BeamSurface, ...] = ()  # that a ranger's beam may meet
@@ -76,7 +76,7 @@ def read_log(path: StrPath, sensor: str, context: LogContext) -> SensorLog:
 
 
 def kind_of(record: Mapping[str, Any], where: str) -> str:
-    """What a line is of, by its keys: ``range``, ``ring`` or ``pose``.
+    """The kind of measurement in a line, by its keys: ``range``, ``ring`` or ``pose``.
 
     Raises:
         RendezviewError: of no known kind.
@@ -97,10 +97,10 @@ def read_record(
 
     Args:
         kind: of the log, by `kind_of`.
-        where: it stands, for what is said of faults.
+        where: place of the line, for error messages.
 
     Raises:
-        RendezviewError: the line is wrong, or what the kind needs is not known.
+        RendezviewError: the line is wrong, or data that the kind needs are missing.
     """
     _check_known(kind, where, context)
     reader = next(r for k, r in _KINDS.values() if k == kind)
@@ -130,7 +130,7 @@ def read_options(path: StrPath) -> FusionOptions:
 
 
 def read_surfaces(path: StrPath) -> tuple[BeamSurface, ...]:
-    """What a beam may meet, from a JSON list; keys are those of `BeamSurface`.
+    """Surfaces that a beam can hit, from a JSON list; keys are those of `BeamSurface`.
 
     Raises:
         RendezviewError: missing, no list of such, or a wrong value.
@@ -161,7 +161,7 @@ def read_mount(path: StrPath) -> Pose:
 def _check_known(kind: str, where: str, context: LogContext) -> None:
     if kind == "range" and not context.surfaces and context.ring is None:
         raise RendezviewError(
-            f"{where}: a range needs to know what the beam meets: give --surfaces, or --target "
+            f"{where}: a range needs the surfaces it can hit: give --surfaces, or --target "
             f"with a docking ring ({_SERVED})"
         )
     if kind == "ring" and context.ring is None:
@@ -216,7 +216,7 @@ def _range_of(record: Mapping[str, Any], sensor: str, context: LogContext) -> Me
 
 Reader = Callable[[Mapping[str, Any], str, LogContext], Measurement | None]
 
-# By the key that tells it; the first one counts.
+# Kind and reader by the key that identifies a log; the first match counts.
 _KINDS: dict[str, tuple[str, Reader]] = {
     "range_m": ("range", _range_of),
     "ellipses": ("ring", _ring_of),

@@ -1,4 +1,4 @@
-"""What measurements are expected to say, compiled: residuals, slopes, covariances."""
+"""Measurement models, compiled: residuals, Jacobians, covariances."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rendezview.geometry.pose import Array
 
 _DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
 # Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same
-# edge is taken again and again, so that most of it lasts.
-_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_LASTING = 0.005, 0.1, 0.5, 0.9
+# edge is taken again and again, so most of its error is bias.
+_OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_BIAS_SHARE = 0.005, 0.1, 0.5, 0.9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -41,7 +41,7 @@ def pose_model(
 def pose_covariance(
     translation: Array, covariance: Array, inflation: float, floor_rad: float, floor_range: float
 ) -> Array:
-    """(6, 6) what a pose's covariance is taken for."""
+    """(6, 6) covariance that the filter uses for a pose."""
     whole = inflation * covariance
     square = translation[0] ** 2 + translation[1] ** 2 + translation[2] ** 2
     for i in range(3):
@@ -151,8 +151,8 @@ def other_edge(place: Array) -> tuple[Array, Array]:
             whole[i, j] += _OTHER_RANGE**2 * place[i] * place[j]
     whole[3, 3] = whole[4, 4] = _OTHER_RAD**2
     both = np.zeros((5, 10))
-    both[:, 5:] = square_root(_OTHER_LASTING * whole)
-    return (1.0 - _OTHER_LASTING) * whole, both
+    both[:, 5:] = square_root(_OTHER_BIAS_SHARE * whole)
+    return (1.0 - _OTHER_BIAS_SHARE) * whole, both
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -208,8 +208,8 @@ def ring_expected(
     """Candidates (K, 3), (K, 3), (K, 6, 6) of a ring, and another edge, as one measurement.
 
     It is their mean and spread by how likely each is. Where they are far apart one has all the
-    weight. Where they are not (a ring seen face-on), the spread says what the picture cannot: on
-    which side of the line of sight the axis lies.
+    weight. Where they are not (a ring seen face-on), the spread covers
+    both sides of the line of sight, because the picture does not show on which one the axis is.
 
     Returns:
         Whether the ring is before the camera; whether the likeliest is another edge; (5,)

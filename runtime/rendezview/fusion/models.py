@@ -1,4 +1,4 @@
-"""What each kind of measurement is expected to say, and its slope by the state.
+"""Measurement models: the predicted value of each kind, and its Jacobian by the state.
 
 Slopes are of the error state: R_true = exp([w]×) R, t_true = t + v (docs/conventions.md).
 """
@@ -23,8 +23,8 @@ from rendezview.sensors.measurement import (
 )
 
 _COLUMNS = 14  # twelve of motion, ring radius and depth. Source: by construction
-_SURELY = 2.0  # σ of the place by which a spot must lie within its surface
-_GRAZING = 0.05  # cosine of beam and surface normal below which a range says nothing
+_INSIDE = 2.0  # σ of the place by which a spot must lie within its surface
+_GRAZING = 0.05  # cosine of beam and surface normal below which a range is not used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +33,9 @@ class Expected:
 
     residual: Array  # (m,) measured − expected, the bias left out
     slope: Array  # (m, 14) slope by motion, ring radius and depth
-    white: Array  # (m, m) covariance of what is new each time
+    white: Array  # (m, m) covariance of the white noise
     bias_root: Array  # (m, b) slope by the bias, which has unit variance
-    loose: bool = False  # it says little: another edge than the ring's was taken
+    loose: bool = False  # little information: another edge than the ring's was taken
 
 
 @cache
@@ -53,8 +53,8 @@ def expected(
 ) -> Expected | str:
     """The measurement beside the state; words where the two cannot be compared.
 
-    ``start`` is where the sensor's bias stands in the state: of several candidates it
-    says which is likely.
+    ``start`` is the index of the sensor's bias in the state. The bias gives the likelihood
+    of each candidate.
     """
     if isinstance(measurement, PoseMeasurement):
         return _pose(state, measurement, sensor)
@@ -96,25 +96,25 @@ def _ring(
 def _range(state: FilterState, measurement: RangeMeasurement) -> Expected | str:
     beam = measurement.direction
     from_origin = state.translation_m - measurement.origin_m
-    told = "no surface"
+    reason = "no surface"
     for surface in measurement.surfaces:
         normal = state.rotation @ surface.normal
         arm = state.rotation @ surface.point_m
         slant = float(normal @ beam)
         if abs(slant) < _GRAZING:
-            told = "the beam grazes the surface"
+            reason = "the beam grazes the surface"
             continue
         distance = float(normal @ (arm + from_origin)) / slant
         if not distance > 0.0:
-            told = "the surface would be behind the ranger"
+            reason = "the surface would be behind the ranger"
             continue
         if surface.inner_m > 0.0 or surface.outer_m < np.inf:
             spot = distance * beam - from_origin - arm
             from_point = float(np.sqrt(spot @ spot))
-            # Only where the spot is surely on it.
-            margin_m = _SURELY * float(np.sqrt(max(state.covariance[3, 3], state.covariance[4, 4])))
+            # Only where the spot is on it with confidence.
+            margin_m = _INSIDE * float(np.sqrt(max(state.covariance[3, 3], state.covariance[4, 4])))
             if not surface.inner_m + margin_m <= from_point <= surface.outer_m - margin_m:
-                told = f"the beam may miss the surface: {from_point:.2g} m from its middle"
+                reason = f"the beam may miss the surface: {from_point:.2g} m from its middle"
                 continue
         slope = np.zeros((1, _COLUMNS))
         # d(n·(p − o)/(n·d)), with n and p − t turned by w: n × (t − o − distance d) over n·d.
@@ -129,7 +129,7 @@ def _range(state: FilterState, measurement: RangeMeasurement) -> Expected | str:
             np.array([[measurement.sigma_m**2]]),
             np.array([[surface.relief_m]]),
         )
-    return told
+    return reason
 
 
 _POSE_SLOPE = np.hstack([np.eye(6), np.zeros((6, _COLUMNS - 6))])

@@ -29,7 +29,7 @@ def _key(field_name: str) -> Any:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionOptions:
-    """White accelerations, as spectral densities, and what is unknown at the start."""
+    """White accelerations, as spectral densities, and the uncertainty at the start."""
 
     __pydantic_config__ = _FORBID
 
@@ -48,7 +48,7 @@ class MotionOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorOptions:
-    """What a sensor's covariance means over time, and when the sensor is believed.
+    """How a sensor's error splits into noise and bias, and when the sensor is trusted.
 
     The errors of a camera on neighbouring frames are nearly the same. A share of the variance is
     therefore a bias: a first-order Gauss–Markov process in the sensor's own σ, and part of the

@@ -29,7 +29,7 @@ FIRST_BIAS = 14  # Source: by construction
 
 @dataclass(frozen=True, slots=True)
 class Slot:
-    """Where a sensor's bias stands in the state."""
+    """The place of a sensor's bias in the state."""
 
     sensor: str
     start: int
@@ -40,7 +40,7 @@ class Slot:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FilterState:
-    """Relative pose and rates at a time, with what is known of the sensors' biases."""
+    """Relative pose and rates at a time, with the estimates of the sensors' biases."""
 
     time_s: float
     rotation: Array  # (3, 3) camera from target
@@ -62,7 +62,7 @@ class FilterState:
         return self.covariance[:MOTION, :MOTION]
 
     def slot(self, sensor: str) -> Slot | None:
-        """Where a sensor's bias stands; ``None`` before its first measurement."""
+        """The place of a sensor's bias; ``None`` before its first measurement."""
         for slot in self.slots:
             if slot.sensor == sensor:
                 return slot
@@ -100,7 +100,7 @@ def begin(
         covariance[9 + i, 9 + i] = motion.first_velocity**2
     covariance[RADIUS, RADIUS] = options.ring_radius_sigma**2
     covariance[DEPTH, DEPTH] = options.ring_depth_sigma_m**2
-    # The estimate is wrong by −(A b + white): what is in it of the bias b.
+    # The error of the estimate is −(A b + white), where b is the bias.
     root = square_root(sensor.bias_share * first)
     bias = slice(FIRST_BIAS, FIRST_BIAS + 6)
     covariance[bias, bias] = np.eye(6)

@@ -46,7 +46,7 @@ class Snapshot:
 
 
 def useless(state: FilterState, options: FusionOptions) -> str | None:
-    """Why a forecast says nothing any more; ``None`` while it does."""
+    """Why a forecast is no longer usable; ``None`` while it is."""
     place = state.covariance[3:6, 3:6]
     limit_m = options.lost_range_fraction * math.sqrt(state.translation_m @ state.translation_m)
     if not _within(place, limit_m):
@@ -66,7 +66,7 @@ def _within(block: Array, sigma: float) -> bool:
 
 
 def _blind(state: FilterState) -> bool:
-    """Whether not even a contradiction would say something: begin where the first pose is."""
+    """Whether the forecast is so wide that nothing can contradict it: start at the next pose."""
     covariance = state.covariance
     place = covariance[3, 3] + covariance[4, 4] + covariance[5, 5]
     attitude = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
@@ -103,11 +103,11 @@ def step(
         after = Snapshot(
             found.updated, trusts, recent, agreed, before.started_by, time_s, before.starts
         )
-        told = _LOOSE if found.loose else None
-        return after, Verdict(name, time_s, True, told, found.nis, found.size)
+        reason = _LOOSE if found.loose else None
+        return after, Verdict(name, time_s, True, reason, found.nis, found.size)
     after = replace(before, state=state, trusts=trusts, recent=recent)
-    # A start that its own sensor takes back, or that another one contradicts for good before
-    # anything confirms it, is none.
+    # Restart if, before any confirmation, the sensor that started the filter contradicts its own
+    # start or another sensor is locked out.
     if (
         before.agreed < options.start_with
         and isinstance(measurement, PoseMeasurement)
@@ -124,12 +124,12 @@ def step(
         and trust.returned
         and not is_sharp(found)
     ):
-        told = f"restarted: the sensor was silent and the forecast is not sharp, {reason}"
-        return _start(after, measurement, options, told)
+        reason = f"restarted: the sensor was silent and the forecast is not sharp, {reason}"
+        return _start(after, measurement, options, reason)
     overruled = _overruled(after, state, options)
     if overruled is not None:
-        pose, told = overruled
-        return _start(after, pose, options, told, state)
+        pose, reason = overruled
+        return _start(after, pose, options, reason, state)
     return after, Verdict(name, time_s, False, reason, found.nis, found.size)
 
 
@@ -138,15 +138,15 @@ def _first(
 ) -> tuple[Snapshot, Verdict]:
     if isinstance(measurement, PoseMeasurement):
         return _start(before, measurement, options, "begun")
-    told = "no sensor has given a whole pose yet"
-    return before, Verdict(measurement.sensor, measurement.time_s, False, told)
+    reason = "no sensor has given a whole pose yet"
+    return before, Verdict(measurement.sensor, measurement.time_s, False, reason)
 
 
 def _start(
     before: Snapshot,
     pose: PoseMeasurement,
     options: FusionOptions,
-    told: str,
+    reason: str,
     old: FilterState | None = None,
 ) -> tuple[Snapshot, Verdict]:
     """Begin at a pose; from a state that was overruled the rates are taken over."""
@@ -175,7 +175,7 @@ def _start(
         predict(state, max(now_s - state.time_s, 0.0), options), trusts, before.recent, 1,
         pose.sensor, now_s, before.starts + 1,
     )  # fmt: skip
-    return after, Verdict(pose.sensor, now_s, True, told, None, 6, began=True)
+    return after, Verdict(pose.sensor, now_s, True, reason, None, 6, began=True)
 
 
 def _trial(pose: PoseMeasurement, old: FilterState, options: FusionOptions) -> FilterState:

@@ -1,9 +1,9 @@
-"""Whether a sensor is believed: gate, lock-out, and the way back in.
+"""Trust in a sensor: gate, lock-out, and readmission.
 
-A sensor that is turned away several times in a row, or whose NIS stays too high although each
-measurement passes, is locked out. It is let in again when it agrees, and when its agreement says
-something: the forecast must be sharp, or the sensor must have left the place where it lied. A
-forecast that has coasted for long agrees with every lie.
+A sensor is locked out when several measurements in a row fail the gate, or when its NIS stays too
+high although each measurement passes. It is readmitted when it agrees with the forecast. The
+agreement counts only if the forecast is sharp or the residual has left its earlier outlier: a
+forecast that has coasted for long agrees with every outlier.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the
 _SILENT_S = 5.0  # s without a measurement, after which a sensor returns
 _WHOLE = 6  # degrees of freedom of a pose. Source: by construction
 _BESIDE = 3.0  # squared distance of a place, in σ of another edge
-_FOLLOW = 0.5  # weight of the latest residual in the place of a lie
+_FOLLOW = 0.5  # weight of the latest residual in the running mean of an outlier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class Trust:
     last_accepted_s: float = -math.inf
     fault: Array | None = None  # (m,) its residual when it was rejected
     lockouts: int = 0
-    returned: bool = False  # it was silent before, so that the forecast may be what is wrong
+    returned: bool = False  # it was silent before, so the forecast may be wrong
     loose: int = 0  # in a row: neither the ring's edge nor about it
 
 
@@ -80,8 +80,8 @@ def judge(
     if after.locked:
         return _locked(after, found, passes and not found.loose, time_s, options)
     if passes and loose >= options.loose_after:
-        told = f"an edge beside the ring, {loose} times in a row: locked out"
-        return _lock(replace(after, fault=found.raw, loose=0)), told
+        reason = f"an edge beside the ring, {loose} times in a row: locked out"
+        return _lock(replace(after, fault=found.raw, loose=0)), reason
     if passes:
         return (
             _lock(replace(after, mean_nis=level, fault=found.raw)),
@@ -118,8 +118,8 @@ def _locked(
         return replace(trust, agreed=0, rejected=trust.rejected + 1, fault=fault), reason
     agreed = trust.agreed + 1
     if agreed < options.unlock_after:
-        told = f"locked out, agrees {agreed} of {options.unlock_after} times"
-        return replace(trust, agreed=agreed, rejected=0), told
+        reason = f"locked out, agrees {agreed} of {options.unlock_after} times"
+        return replace(trust, agreed=agreed, rejected=0), reason
     return (
         replace(
             trust, locked=False, agreed=0, rejected=0, fault=None, mean_nis=1.0, returned=False,
@@ -134,13 +134,13 @@ def _followed(fault: Array | None, residual: Array) -> Array:
 
 
 def is_sharp(found: Innovation) -> bool:
-    """Whether the forecast knows nearly as much as the sensor says."""
+    """Whether the forecast is nearly as precise as the sensor."""
     total = found.white + found.bias
     return bool(found.log_volume - _log_volume(total) < _SHARP * found.size)
 
 
 def _beside(found: Innovation) -> bool:
-    """Whether another edge than the ring's is not even about the ring: then it is no edge."""
+    """Whether an edge taken for another edge of the ring is too far from the ring to be one."""
     total = found.white + found.bias
     place = found.raw[:3]
     return bool(place @ np.linalg.solve(total[:3, :3], place) > _BESIDE)
@@ -149,9 +149,9 @@ def _beside(found: Innovation) -> bool:
 def _still(fault: Array, found: Innovation, total: Array, options: SensorOptions) -> bool:
     """Whether the sensor still has the fault that it was rejected for.
 
-    A constant offset of a whole pose stays within its noise. The fault of a ring or a range changes
-    with what is mistaken for them: it has ended when the residual halves at once. A forecast that
-    drifts towards a fault takes many measurements for that; the fault is updated meanwhile.
+    A constant offset of a whole pose stays within its noise. The fault of a ring or a range
+    changes with the mistaken feature: it has ended when the residual halves at once. A forecast
+    that drifts towards a fault takes many measurements for that; the fault is updated meanwhile.
     """
     if found.size == _WHOLE:
         away = found.raw - fault

@@ -36,7 +36,7 @@ class Innovation:
     white: Array  # (m, m) the part of its covariance that is new each time
     bias_root: Array  # (m, b) root of the part that lasts
     updated: FilterState  # the state if it is believed
-    loose: bool = False  # a ring, of which another edge was taken: only its bearing counts
+    loose: bool = False  # a ring with another of its edges taken: only its bearing counts
 
     @property
     def size(self) -> int:

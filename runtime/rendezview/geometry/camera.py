@@ -89,7 +89,7 @@ class Camera:
         """Undistorted rays of pixels: (N, 2) px → (N, 3) with z = 1, camera frame.
 
         Distortion is inverted by fixed-point iteration. A point that no ray
-        reaches (outside what the lens model can invert) gives NaN for x and y.
+        reaches (outside the range where the lens model is invertible) gives NaN for x and y.
         """
         points = np.asarray(points_px, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2:

@@ -84,7 +84,7 @@ class _Recorder:
         self._rr, self._stream, self._model = rr, stream, model
         self._camera: Camera | None = None
         self._status: str | None = None
-        self._drawn: set[str] = set()  # what is drawn over the picture
+        self._drawn: set[str] = set()  # entities drawn over the picture
 
     def write(self, run: Iterable[Moment]) -> int:
         rr, log = self._rr, self._stream.log
@@ -132,10 +132,10 @@ class _Recorder:
             log("plots/error/rotation_deg", rr.Scalars(math.degrees(pose.angle_to(moment.truth))))
             log("plots/error/translation_m", rr.Scalars(float(off_m)))
         self._ring(record)
-        told = f"{record.get('status')}: {record['reason']}" if record.get("reason") else "ok"
-        if told != self._status:
-            self._status = told
-            log("status", rr.TextLog(told, level="INFO" if told == "ok" else "WARN"))
+        line = f"{record.get('status')}: {record['reason']}" if record.get("reason") else "ok"
+        if line != self._status:
+            self._status = line
+            log("status", rr.TextLog(line, level="INFO" if line == "ok" else "WARN"))
 
     def _picture(self, moment: Moment, pose: Pose | None) -> None:
         rr, log, camera = self._rr, self._stream.log, moment.camera

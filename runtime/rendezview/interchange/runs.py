@@ -47,7 +47,7 @@ def pose_of(record: dict[str, Any], where: str) -> Pose | None:
     """The pose in a record, camera_from_target; None if it has none.
 
     Raises:
-        RendezviewError: what stands there is no pose.
+        RendezviewError: the value is no pose.
     """
     pose = record.get("pose")
     if pose is None:

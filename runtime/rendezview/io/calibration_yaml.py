@@ -52,7 +52,7 @@ def parse_yaml(text: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe: it constructs plain values only, whatever tags the text has."""
+    """Safe: it constructs plain values only, for any tags in the text."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 (PyYAML's own protocol)
     _depth = 0

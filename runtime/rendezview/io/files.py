@@ -184,7 +184,7 @@ def checked(adapter: TypeAdapter[Checked], data: Any, where: str) -> Checked:
     """``data`` as the type of a pydantic adapter; ``where`` starts the message.
 
     Raises:
-        RendezviewError: names the first wrong keys (at most three) and what is wrong with each.
+        RendezviewError: names the first wrong keys (at most three) and the fault of each.
     """
     try:
         return adapter.validate_python(data)

@@ -54,12 +54,12 @@ def grain(image: Picture, rows: int) -> float:
             total += 1
     if total == 0:
         return 1.0
-    seen, mean = 0, 0.0
+    valid, mean = 0, 0.0
     for value in range(512):
-        take = min(counts[value], total // 2 - seen)
-        seen += take
+        take = min(counts[value], total // 2 - valid)
+        valid += take
         mean += take * value
-        if seen >= total // 2:
+        if valid >= total // 2:
             break
     # The mean of the smaller half of |N(0, 1)| is 0.3247; second differences have σ √6.
-    return float(mean / max(seen, 1) / (0.3247 * np.sqrt(6.0)))
+    return float(mean / max(valid, 1) / (0.3247 * np.sqrt(6.0)))

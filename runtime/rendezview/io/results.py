@@ -209,7 +209,7 @@ class JsonLinesWriter:
         if kind is None:
             self.close()
             return
-        with contextlib.suppress(OSError):  # the current exception says more
+        with contextlib.suppress(OSError):  # the current exception is more informative
             self._file.close()
 
 

@@ -1,6 +1,6 @@
 """The target vehicle: its mesh file and its other data, from ``target.toml``.
 
-Everything but the mesh is in the target frame, in metres, whatever the unit of the mesh.
+Everything but the mesh is in the target frame, in metres, for any unit of the mesh.
 """
 
 from __future__ import annotations

@@ -62,7 +62,7 @@ class Observation:
     def measurement(
         self, sensor: str, *, ring: DockingRing | None = None, mount: Pose | None = None
     ) -> Measurement | None:
-        """What the filter takes of this observation; ``None`` where there is nothing to take.
+        """The filter's measurement from this observation; ``None`` where there is none.
 
         Args:
             sensor: name of the sensor; the filter keeps biases and trust by it.

@@ -1,4 +1,4 @@
-"""A sequence through a sensor into results and a log: one loop for all commands."""
+"""Runs a sensor over a sequence and writes results and a log: one loop for all commands."""
 
 from __future__ import annotations
 

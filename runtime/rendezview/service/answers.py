@@ -1,4 +1,4 @@
-"""What all routes share: errors as messages, rights, bodies of limited length."""
+"""Shared code of all routes: errors as messages, rights, bodies of limited length."""
 
 from __future__ import annotations
 

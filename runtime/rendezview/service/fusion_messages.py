@@ -144,7 +144,7 @@ class Fused(Message):
 
 
 class Verdict(Message):
-    """What the filter did with a measurement."""
+    """The filter's decision on a measurement."""
 
     time_s: float
     accepted: bool

@@ -1,4 +1,4 @@
-"""What waits for a session's worker: frames, and lines of other sensors."""
+"""Queues of a session's worker: frames, and lines of other sensors."""
 
 from __future__ import annotations
 

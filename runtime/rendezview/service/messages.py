@@ -169,9 +169,9 @@ class Fit(Message):
 
 
 class ObservationMessage(Message):
-    """What every sensor says of a frame: the keys of `Observation.record`."""
+    """The record of a frame that every sensor gives: the keys of `Observation.record`."""
 
-    time_s: float = Field(description="of the frame, as its sender says")
+    time_s: float = Field(description="of the frame, as given by its sender")
     status: str = Field(description="ok, empty, full, border, small, rivals, … as in `track`")
     reason: str | None
     pose: PoseMessage | None = Field(description="camera_from_target")

@@ -40,7 +40,7 @@ class Metrics:
         )
         self.track = Histogram(
             "rendezview_track_seconds",
-            "Time of the tracker alone.",
+            "Time of the tracker without waiting and transport.",
             one,
             buckets=_BUCKETS_S,
             registry=self.registry,

@@ -44,7 +44,7 @@ _RETRY_S = 5.0  # s, before a new file is tried after a fault. Source: chosen
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingOptions:
-    """What is recorded and when it is forced to the disk."""
+    """The parts to record, and when they are forced to the disk."""
 
     images: bool = True
     sync: Literal["always", "interval", "never"] = "interval"

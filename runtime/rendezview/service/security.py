@@ -44,7 +44,7 @@ HEADERS = (
 
 
 class Right(IntEnum):
-    """What a token allows; each right includes those before it."""
+    """The rights of a token; each includes those before it."""
 
     NONE = 0
     READ = 1  # read states, pictures and logs

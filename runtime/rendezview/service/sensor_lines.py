@@ -1,6 +1,6 @@
 """Lines of other sensors: read and checked, so that the filter of a session can use them.
 
-The lines are those of `rendezview.fusion.logs`; this module adds limits, and what the page draws.
+The lines are those of `rendezview.fusion.logs`; this module adds limits, and data for the page.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ def _ring_of(path: Path) -> RingMessage:
 
 
 class Service:
-    """What the routes act on."""
+    """Models, sessions, sources and jobs: the state that the routes act on."""
 
     def __init__(
         self,

@@ -48,7 +48,7 @@ class Session:
 
         Args:
             model: name of the model.
-            source: what the service itself reads; None: clients send the frames.
+            source: a source that the service itself reads; None: clients send the frames.
         """
         self.id = name
         self.model = model

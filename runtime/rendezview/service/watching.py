@@ -41,7 +41,7 @@ class Watchers(set[Watcher]):
         self._due: set[Watcher] = set()  # they will see the frame that is being tracked
 
     def extras(self, now_s: float, history_px: int) -> dict[str, Any] | None:
-        """What the worker has to add to the next state: for due watchers and the history.
+        """The parts that the worker adds to the next state, for due watchers and the history.
 
         Args:
             history_px: width of the history's picture; 0: the history needs none.

@@ -25,7 +25,7 @@ class WorkerGone(Exception):
 
 
 class WorkerClient(Protocol):
-    """What a worker needs of a session."""
+    """The data of a session that a worker needs."""
 
     @property
     def has_waiting(self) -> bool:
@@ -183,7 +183,9 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self._next()
 
     def _hung(self) -> None:
-        log.error("a worker hangs and is killed", extra={"timeout_s": self._frame_timeout_s})
+        log.error(
+            "a worker does not answer and is killed", extra={"timeout_s": self._frame_timeout_s}
+        )
         if self._process is not None:
             self._process.kill()
 

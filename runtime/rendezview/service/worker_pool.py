@@ -17,7 +17,7 @@ log = logging.getLogger("rendezview.service")
 
 Worker = WorkerHandle[Session]
 
-COMPILING = "loops are being compiled, which takes minutes, once: /readyz says when it is done"
+COMPILING = "loops are being compiled, which takes minutes, once: /readyz reports when it is done"
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
 _WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _STOP_S = 10.0  # s, to complete the logs. Source: chosen
@@ -62,7 +62,7 @@ class WorkerPool:
         self._warm_with = model
         self._workers = [self._new() for _ in range(count)]
         try:
-            # One first: the others then read what it has compiled.
+            # One first: the others then read its compiled code.
             await self._start_one(self._workers[0])
             await asyncio.gather(*map(self._start_one, self._workers[1:]))
         except (WorkerGone, TimeoutError, OSError) as error:

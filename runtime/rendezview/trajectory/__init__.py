@@ -1,4 +1,4 @@
-"""Where it is going: segments of a path fitted to observations, corrections, attitude and spin."""
+"""Trajectory: segments of a path fitted to observations, corrections, attitude and spin."""
 
 from rendezview.trajectory.cloud import NodeErrors, PointCloud, camera_place, centre_place
 from rendezview.trajectory.follower import FollowerOptions, PathFollower, Report

@@ -1,7 +1,7 @@
 """The point cloud: where active nodes and refined poses put the camera, with times and weights.
 
 Points are in the path frame, its origin at the centre of the path. Those of one frame of the
-camera have one time and stand together.
+camera have one time and are stored together.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ _DEFAULT_SEGMENT_S = 100.0  # where neither a turn nor a time is given
 
 @dataclass(frozen=True, kw_only=True)
 class FollowerOptions:
-    """What is followed, and how far back."""
+    """The plan or shape to follow, and how far back observations count."""
 
     turn_rad: float | None = 1.0  # of a segment: the paper's one radian …
     segment_s: float | None = None  # … or its time, where that is given
@@ -46,7 +46,7 @@ class FollowerOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Report:
-    """What is known after a frame; false values hold their reason."""
+    """The results after a frame; false values hold their reason."""
 
     time_s: float
     number: int  # of the segment, from 0
@@ -73,7 +73,7 @@ class PathFollower:
 
         Args:
             centre_m: (3,) of the path, target frame, where the plan does not give one.
-            shape: what to fit; None: what the plan says.
+            shape: the shape to fit; None: that of the plan.
 
         Raises:
             ValueError: neither shape nor plan.
@@ -223,7 +223,7 @@ class PathFollower:
         assert self.shape is not None
         shape, flown_s = self.shape, time_s - max(self._since_s, self._first_s())
         if shape is Shape.DRIFT and flown_s < 0.5 * self._span_s(time_s):
-            shape = Shape.ORBIT  # too short to tell a push from a velocity
+            shape = Shape.ORBIT  # too short to distinguish a push from a velocity
         previous = self._segment if isinstance(self._segment, Segment) else None
         n = 0.0 if self.plan is None else self.plan.mean_motion_rad_s
         self._segment = fit_segment(
@@ -239,7 +239,7 @@ class PathFollower:
         return float(self._cloud.times_s[0]) if len(self._cloud) else np.inf
 
     def _carrier(self) -> Carrier:
-        """The plan and what the corrections flown add to it."""
+        """The plan plus the effect of the corrections flown."""
         plan, burns = self.plan, list(self._burns)
         assert plan is not None
 
@@ -254,7 +254,7 @@ class PathFollower:
         return ridden
 
     def _span_s(self, time_s: float) -> float:
-        """How long a segment lasts, as far as the fit tells."""
+        """How long a segment lasts, estimated from the fit."""
         if self.options.segment_s is not None:
             return self.options.segment_s
         if self.options.turn_rad is None or not isinstance(self._segment, Segment):
@@ -266,7 +266,7 @@ class PathFollower:
         return self.options.turn_rad * (time_s - since_s) / swept
 
     def _advance(self, time_s: float) -> bool:
-        """Drop what is older than a segment; True when one has been flown since the last."""
+        """Drop data older than a segment; True when a segment has been flown since the last one."""
         if not isinstance(self._segment, Segment):
             return False
         span_s = self._span_s(time_s)
@@ -305,13 +305,13 @@ class PathFollower:
 
 
 def record(report: Report) -> dict[str, Any]:
-    """A report as it stands in a log of JSON lines, docs/files.md."""
-    told: dict[str, Any] = {"number": report.number, "ended": report.ended}
+    """A report as a log of JSON lines stores it, docs/files.md."""
+    line: dict[str, Any] = {"number": report.number, "ended": report.ended}
     segment = report.segment
     if isinstance(segment, Segment):
         times = np.linspace(segment.start_s, report.time_s, 13)
         ahead = np.linspace(report.time_s, 2.0 * report.time_s - segment.start_s, 13)
-        told["segment"] = {
+        line["segment"] = {
             "shape": str(segment.shape),
             "start_s": segment.start_s,
             "place_m": segment.places(report.time_s)[0],
@@ -325,10 +325,10 @@ def record(report: Report) -> dict[str, Any]:
             **segment.described(),
         }
     else:
-        told["segment"], told["segment_reason"] = None, segment.reason
+        line["segment"], line["segment_reason"] = None, segment.reason
     correction = report.correction
     if isinstance(correction, Correction):
-        told["correction"] = {
+        line["correction"] = {
             "reach_s": correction.reach_s,
             "error_m": correction.error_m,
             "predicted_error_m": correction.predicted_error_m,
@@ -338,11 +338,11 @@ def record(report: Report) -> dict[str, Any]:
             "arrival_delta_v_m_s": correction.arrival_delta_v_m_s,
         }
     elif correction is not None:
-        told["correction"], told["correction_reason"] = None, correction.reason
+        line["correction"], line["correction_reason"] = None, correction.reason
     spin = report.spin
     if isinstance(spin, Spin):
         quat = Pose(spin.rotation, np.zeros(3)).quat_wxyz
-        told["spin"] = {
+        line["spin"] = {
             "time_s": spin.time_s,
             "quat_wxyz": quat,
             "rate_rad_s": spin.rate_rad_s,
@@ -358,8 +358,8 @@ def record(report: Report) -> dict[str, Any]:
             "roll_known": spin.roll_known,
         }
     elif spin is not None:
-        told["spin"], told["spin_reason"] = None, spin.reason
-    return told
+        line["spin"], line["spin_reason"] = None, spin.reason
+    return line
 
 
 def _angle(a: Array, b: Array) -> float:

@@ -41,7 +41,7 @@ class Correction:
 def correct(segment: Segment, plan: Plan, time_s: float, reach_s: float) -> Correction | Nothing:
     """The impulse at ``time_s`` that leads back to the plan at ``reach_s``.
 
-    Thrusts superpose on what the craft does now, whatever keeps it there: the shift of the place
+    Thrusts superpose on the craft's present motion, forced or not: the shift of the place
     at ``reach_s`` needs Δv = Φ_rv⁻¹ (planned − predicted), Φ of Clohessy and Wiltshire, or of
     motion without gravity where the plan has no orbit.
     """

@@ -1,4 +1,4 @@
-"""What is returned where data give no answer."""
+"""The falsy value returned where data give no answer."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Plan:
         ValueError: parameters of no path; see ``load_plan`` for files.
     """
 
-    shape: Shape  # what is fitted to the cloud
+    shape: Shape  # fitted to the cloud
     kind: str  # circular, spiral, vbar, orbit, way_points
     numbers: dict[str, Any]
     start_s: float = 0.0
@@ -64,7 +64,7 @@ class Plan:
             return np.eye(3)
         if not self.orbit.inertial:
             return self.orbit.hill_from_target
-        # Hill's frame turns about +z of its own; what stands still turns back in it.
+        # Hill's frame turns about its own +z; an inertially fixed vector turns back in it.
         angle = -self.orbit.mean_motion_rad_s * (time_s - self.start_s)
         c, s = math.cos(angle), math.sin(angle)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -99,7 +99,7 @@ class Plan:
         return np.asarray((after - before) / (2.0 * _SLOPE_S))
 
     def out_of(self, time_s: float) -> str | None:
-        """Why the plan says nothing of a time; None where it does."""
+        """Why the plan does not cover a time; None where it does."""
         if time_s < self.start_s - 1e-9:
             return f"the plan begins at {self.start_s:g} s"
         if time_s > self.end_s + 1e-9:

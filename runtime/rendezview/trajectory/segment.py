@@ -52,9 +52,9 @@ class FitOptions:
     """How a segment is fitted."""
 
     most_evaluations: int = 600
-    simplex: bool = True  # False: Gauss–Newton's answer alone
+    simplex: bool = True  # False: Gauss–Newton's answer only
     hops: bool = True  # look for hops of a V-bar approach
-    least_turn_sigma: float = 3.0  # of circular and spiral: a rate less sure is none
+    least_turn_sigma: float = 3.0  # of circular and spiral: a less certain rate is rejected
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ class Segment:
         """The parameters by name, with units, each with its one σ where it has one of its own."""
         p, sigma = self.parameters, np.sqrt(np.diag(self.covariance))
         if self.code <= SPIRAL:
-            told: dict[str, object] = {
+            record: dict[str, object] = {
                 "normal": self.frame[:, 2],
                 "normal_sigma_rad": sigma[:2],
                 "radius_m": p[3],
@@ -131,20 +131,20 @@ class Segment:
                 "rate_sigma_rad_s": sigma[4],
             }
             if self.code == SPIRAL:
-                told |= {"climb_m_s": p[5], "climb_sigma_m_s": sigma[5]}
-            return told
-        told = {
+                record |= {"climb_m_s": p[5], "climb_sigma_m_s": sigma[5]}
+            return record
+        record = {
             "place_m": p[:3],
             "place_sigma_m": sigma[:3],
             "velocity_m_s": p[3:6],
             "velocity_sigma_m_s": sigma[3:6],
         }
         if self.code == HOPS:
-            told |= {"hop_m": p[6:9], "hop_sigma_m": sigma[6:9], "hop_period_s": p[9]}
-            told |= {"hop_period_sigma_s": sigma[9], "hop_start_s": self.middle_s + p[10]}
+            record |= {"hop_m": p[6:9], "hop_sigma_m": sigma[6:9], "hop_period_s": p[9]}
+            record |= {"hop_period_sigma_s": sigma[9], "hop_start_s": self.middle_s + p[10]}
         elif self.shape is Shape.DRIFT:
-            told |= {"acceleration_m_s2": p[6:9], "acceleration_sigma_m_s2": sigma[6:9]}
-        return told
+            record |= {"acceleration_m_s2": p[6:9], "acceleration_sigma_m_s2": sigma[6:9]}
+        return record
 
 
 def fit_segment(
@@ -227,7 +227,7 @@ class _SegmentFit:
 def _settled(fit: _SegmentFit, data: _Data) -> _SegmentFit:
     """From least squares to the robust cost.
 
-    Nodes and poses are scaled by their own scatter each, whatever their covariances claim.
+    Nodes and poses are scaled by their own scatter each, not by their given covariances.
 
     Args:
         data: with the standard deviations claimed.
@@ -314,7 +314,7 @@ def _finished(
         rate, rate_sigma = parameters[4], np.sqrt(covariance[4, 4])
         if not rate > options.least_turn_sigma * rate_sigma or parameters[3] <= 0.0:
             return Nothing(
-                f"no turn about the target can be told: {rate:.2g} ± {rate_sigma:.2g} rad/s"
+                f"no turn about the target is significant: {rate:.2g} ± {rate_sigma:.2g} rad/s"
             )
     return Segment(
         shape=shape,

@@ -29,7 +29,7 @@ from rendezview.trajectory.relative_orbit import response
 
 
 class Shape(StrEnum):
-    """What a segment is taken to be."""
+    """The model of a segment's path."""
 
     CIRCULAR = "circular"
     SPIRAL = "spiral"

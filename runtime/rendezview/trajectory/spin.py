@@ -3,7 +3,7 @@
 About a fixed axis, or tumbling free of torque with unknown ratios of its moments of inertia.
 "With the two vehicles at constant distance the attitude and rate calculation is entirely
 equivalent to the trajectory determination" (Cleghorn & Sternberg 1991): there the reference is
-the line of sight, which stands still. Where the chaser's own attitude is given, the reference is
+the line of sight, which is fixed. Where the chaser's own attitude is given, the reference is
 that in which it is given.
 """
 
@@ -27,7 +27,7 @@ _STEPS = 25
 _STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_SpinState``
 _MOST_RATIO = 30.0
 _COMMON = 1.1  # of a frame's σ, what all have in common and what goes with time, as for segments
-_WORTH = 25.0  # χ² that a tumble must save over constant spin to be told
+_WORTH = 25.0  # χ² that a tumble must save over constant spin to be reported
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +45,7 @@ class Spin:
     end_s: float
     frames: int
     scatter: float  # of the attitudes, over what they claim
-    roll_known: bool = True  # False where only directions were seen: roll is then a convention
+    roll_known: bool = True  # False where only directions were observed: roll is then a convention
 
     @property
     def speed_rad_s(self) -> float:
@@ -136,9 +136,9 @@ def fit_spin_of_directions(
     tumbling: bool | None = None,
     sigma_rad: float = 0.12,
 ) -> Spin | Nothing:
-    """Spin from directions to the camera, target frame: the active nodes alone, range held.
+    """Spin from directions to the camera, target frame: from active nodes only, range held.
 
-    The reference is the line of sight, its −z towards the camera. Roll about it is not seen: at
+    The reference is the line of sight, its −z towards the camera. Roll about it is unobservable: at
     the middle the attitude is given as the least turn from the target's axes. A turn about the
     line of sight shows only as far as the arc of the directions is curved.
 
@@ -148,14 +148,14 @@ def fit_spin_of_directions(
         weights: (N,) trust in each.
         sigma_rad: one σ of a direction, each axis.
     """
-    times, seen = np.asarray(times_s, np.float64), np.asarray(directions, np.float64)
+    times, observed = np.asarray(times_s, np.float64), np.asarray(directions, np.float64)
     trust = np.ones(len(times)) if weights is None else np.asarray(weights, np.float64)
-    if not (np.isfinite(times).all() and np.isfinite(seen).all() and np.isfinite(trust).all()):
+    if not (np.isfinite(times).all() and np.isfinite(observed).all() and np.isfinite(trust).all()):
         return Nothing("a time, direction or weight is not finite")
     if len(times) == 0 or np.any(np.diff(times) < 0.0):
         return Nothing("the times do not rise")
     first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))
-    unit = seen / np.maximum(np.linalg.norm(seen, axis=1), 1e-300)[:, None]
+    unit = observed / np.maximum(np.linalg.norm(observed, axis=1), 1e-300)[:, None]
     mean = np.add.reduceat(trust[:, None] * unit, first)
     length = np.linalg.norm(mean, axis=1)
     if np.any(length < 1e-9):
@@ -179,7 +179,7 @@ def fit_spin_of_directions(
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
     times: Array  # (N,) from the middle
-    seen: Array  # (N, 3, 3) attitudes, or (N, 3) unit directions in the target frame
+    observed: Array  # (N, 3, 3) attitudes, or (N, 3) unit directions in the target frame
     roots: Array  # (N, 3, 3) root of the information
     sight: Array | None  # (3,) of the directions, reference frame; None for attitudes
 
@@ -189,9 +189,9 @@ class _Data:
         turned, rates = np.empty((count, 3, 3)), np.empty((count, 3))
         rotations(moments, rotation, rate, self.times, turned, rates)
         if self.sight is None:
-            off = Rotation.from_matrix(turned @ np.swapaxes(self.seen, 1, 2)).as_rotvec()
+            off = Rotation.from_matrix(turned @ np.swapaxes(self.observed, 1, 2)).as_rotvec()
         else:
-            off = np.einsum("nji,j->ni", turned, self.sight) - self.seen
+            off = np.einsum("nji,j->ni", turned, self.sight) - self.observed
         return np.asarray(np.einsum("nij,nj->ni", self.roots, off))
 
 
@@ -285,9 +285,9 @@ def _normal(
 
 
 def _loose(data: _Data, size: int) -> Array:
-    """What is known beforehand: a radian, ten radians over the span, ratios to a factor of e.
+    """Prior: one radian, ten radians over the span, ratios to a factor of e.
 
-    It keeps what the data do not show (roll of directions, ratios of a slow tumble) finite.
+    It keeps the unobservable (roll of directions, ratios of a slow tumble) finite.
     """
     span = max(float(np.abs(data.times).max()), 1e-9)
     sigmas = np.concatenate([np.full(3, 1.0), np.full(3, 10.0 / span), np.full(2, 1.0)])

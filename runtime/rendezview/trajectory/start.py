@@ -1,4 +1,4 @@
-"""Where a fit starts: closed-form answers of least squares."""
+"""Starting values of a fit: closed-form least squares."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def pictures() -> None:
             boards, corners[k], views.sizes[k], None, None
         )
         lone.append((matrix, lens))
-        ours = made.alone[k].rms
+        ours = made.separate[k].rms
         table.add_row(name, f"{rms:.6f}", f"{ours:.6f}", f"{ours - rms:+.1e}")
     stereo = {}
     for name, flags in (("OpenCV, intrinsics fixed (its default)", cv2.CALIB_FIX_INTRINSIC),

@@ -151,7 +151,7 @@ def test_lost_reflectors_are_named_waited_for_and_found_again(picture, three, pa
         seen.append(reading.status)
         assert (reading.pose is None) == (k == 0 or k in hidden)
         if k == 5:
-            assert "not seen: left" in reading.reason
+            assert "not visible: left" in reading.reason
         if reading.pose is not None:
             assert close(reading.pose, pose_of(approach(0.1 * k), three), 4.0)
     assert seen[5:9] == [Status.PARTIAL, Status.PARTIAL, Status.OK, Status.PARTIAL]

@@ -207,7 +207,7 @@ def test_real_pairs_are_calibrated_at_least_as_well_as_by_opencv():
     views = read_views(picture_pairs(Path(DATA) / "opencv_stereo"), BOARD)
     made = calibrate_board(views)
     boards = [BOARD.points_m.astype(np.float32)] * 13
-    for k, (one, published) in enumerate(zip(made.alone, (0.1955, 0.2075), strict=True)):
+    for k, (one, published) in enumerate(zip(made.separate, (0.1955, 0.2075), strict=True)):
         corners = [found.astype(np.float32) for found in views.corners[k]]
         rms = cv2.calibrateCamera(boards, corners, views.sizes[k], None, None)[0]
         assert one.rms <= rms + 1e-6

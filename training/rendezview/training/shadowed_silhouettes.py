@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.shadowed_silhouettes import LIT_BINS, READING_UNIT
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
 from rendezview.training.directions import axes_towards
@@ -103,7 +103,7 @@ def shadowed_silhouettes(
             for points in outlines_of_mask(mask)
             if len(points) >= _LEAST_OUTLINE
         ]
-        signature = Signature.of_outlines(outlines, LIT_BINS, _SMOOTH_BINS)
+        signature = Signature.of_outlines(outlines, SHADOWED_BINS, _SMOOTH_BINS)
         if signature is None:
             continue
         centre = signature.centred_from_camera @ np.array([0.0, 0.0, range_m])
@@ -116,7 +116,7 @@ def shadowed_silhouettes(
     quaternions = np.zeros((0, 4))
     if len(rows):
         quaternions = Rotation.from_matrix(attitudes).as_quat()[:, [3, 0, 1, 2]]
-    readings = np.array([r[2] for r in rows]).reshape(-1, LIT_BINS)
+    readings = np.array([r[2] for r in rows]).reshape(-1, SHADOWED_BINS)
     return {
         "sun": np.array([r[0] for r in rows], dtype=np.uint8),
         "view": np.full(len(rows), view, dtype=np.uint16),

@@ -25,7 +25,7 @@ Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
 
 @contextlib.contextmanager
 def quiet_opencv() -> Iterator[None]:
-    """Silence OpenCV's own messages: our error says what is wrong. Threads may overlap."""
+    """Silence OpenCV's own messages: our error describes the fault. Threads may overlap."""
     _silence.enter()
     try:
         yield

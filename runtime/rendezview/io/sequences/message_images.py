@@ -113,7 +113,7 @@ def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
     content = np.frombuffer(picture.data, dtype=np.uint8)
     if picture.encoding not in _EIGHT_BIT:
         raise RendezviewError(
-            f"{where}: encoding {picture.encoding!r} is not supported (it does not say which bits "
+            f"{where}: encoding {picture.encoding!r} is not supported (it does not give which bits "
             f"count): record one of {', '.join(_EIGHT_BIT)}"
         )
     channels, to_grey = _EIGHT_BIT[picture.encoding]

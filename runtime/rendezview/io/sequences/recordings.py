@@ -1,6 +1,6 @@
 """Recordings of messages as sequences of images: ROS 1 and ROS 2 bags, MCAP files.
 
-The type of a message tells whether it is a picture. If several topics have pictures, the topic is
+The type of a message shows whether it is a picture. If several topics have pictures, the topic is
 named after the path: ``flight.bag#/camera/image_raw``. The camera comes from the calibration
 messages whose topic is most like that of the pictures, unless one is given.
 """
@@ -151,7 +151,7 @@ def _decoded(path: Path, message: Message) -> tuple[float, Content]:
     except Exception as error:  # another package's decoder, over any bytes
         raise RendezviewError(
             f"{path}#{message.topic}: a message cannot be read ({type(error).__name__}: {error}): "
-            "the recording is damaged, or its types are not what their names say"
+            "the recording is damaged, or its types do not match their names"
         ) from error
 
 

@@ -96,7 +96,7 @@ class ViewModel:
     symmetries: tuple[Symmetry, ...]  # turns that change nothing
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
-    surface: Surface | None = None  # what is bright and what dark; None: trained without
+    surface: Surface | None = None  # points and albedo, for shading; None: trained without
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
 
     @property
@@ -162,7 +162,7 @@ class ViewModel:
         path = Path(path)
         header, arrays = read_container(path)
         try:
-            # Files of earlier versions have strips of cells.
+            # Files of earlier versions have edge profiles of cells.
             if "contours.strip" in arrays and "contours.start" not in arrays:
                 cells, kind = arrays["contours.strip"], arrays["contours.kind"]
                 arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)

@@ -1,4 +1,4 @@
-"""What the recognizer says of one frame, and the clock of its stages."""
+"""The observation of the recognizer, and the clock of its stages."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class AppearanceObservation(Observation):
         }
 
     def _refinement(self) -> dict[str, float] | None:
-        """How the best refined pose stands, given or not."""
+        """Scores of the best refined pose, whether it is accepted or not."""
         if self.found is None:
             return None
         best = self.found.best

@@ -1,4 +1,4 @@
-"""One frame in, one observation out: the outline's way and the edges' way to a pose."""
+"""The recognizer: takes a frame and gives an observation, by outline and by edges."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObse
         status = Status.LOST
         reason = (
             f"the best pose explains {100 * found.best.outline:.0f} % of its outline and "
-            f"{100 * found.best.inner:.0f} % of its inner edges: too little to be sure"
+            f"{100 * found.best.inner:.0f} % of its inner edges: too little to be confident"
         )
     return replace(
         seen,

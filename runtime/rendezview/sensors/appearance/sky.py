@@ -21,11 +21,11 @@ _HALF_SIGMA_ABOVE = 0.6915  # quantile of a normal distribution. Source: by cons
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sky:
-    """Level and noise of what lies behind the target, and the direction to the Sun."""
+    """Level and noise of the background, and the direction to the Sun."""
 
     level_grey: float
     noise_grey: float  # one σ, of neighbouring pixels
-    dark: bool  # black sky: whatever is brighter is the target
+    dark: bool  # black sky: everything brighter is the target
     sun_camera: Array | None = None  # (3,) unit, towards the Sun, camera frame, if it is known
     # (6,) for the compiled loops: noise, level, 1 where dark, and the Sun, 0 where unknown
     vector: Array = field(init=False)
@@ -119,8 +119,8 @@ def _window_mean(image: Picture, top: int, left: int, side: int) -> int:
 def _quantile(counts: npt.NDArray[np.int64], share: float) -> float:
     """Grey level below which a share of the counts (256,) lies, interpolated within its level."""
     wanted = share * counts.sum()
-    seen, grey = 0, 0
-    while seen + counts[grey] <= wanted:
-        seen += counts[grey]
+    passed, grey = 0, 0
+    while passed + counts[grey] <= wanted:
+        passed += counts[grey]
         grey += 1
-    return float(grey - 0.5 + (wanted - seen) / counts[grey])
+    return float(grey - 0.5 + (wanted - passed) / counts[grey])

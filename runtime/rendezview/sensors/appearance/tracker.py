@@ -25,7 +25,7 @@ class TrackerOptions:
     widening_rad: float = np.deg2rad(10.0)  # rad, of the search, for each frame without a pose
     widest_rad: float = np.deg2rad(60.0)  # rad; a view from the other side is farther off
     longest_outage_s: float = 60.0  # s; after that all attitudes are searched
-    longest_prediction_s: float = 10.0  # s; rates are held so long, then the pose stands still
+    longest_prediction_s: float = 10.0  # s; rates are held so long, then the pose is held
     restart_after: int = 2  # frames without a pose; then all attitudes are searched too
     restart_confidence: float = 0.9  # 0 … 1; a restart needs more than a pose near a prediction
     confirmed_frames: int = 15  # frames; a pose that a search confirmed is accepted so long …
@@ -61,7 +61,7 @@ class Tracker:
         prior: Pose | None = None,
         options: TrackerOptions | None = None,
     ) -> None:
-        """A tracker that has seen no frame yet.
+        """A tracker before its first frame.
 
         Args:
             recognizer: of the target, in the frames of the camera.

@@ -1,4 +1,4 @@
-"""Finding the target among the spots of one picture, without knowing where it is."""
+"""Acquisition: finds the target among the spots of one picture, without a prior."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class AcquisitionOptions:
     least_shape: float = 0.55  # small over large axis: a disc at 40° has 0.77, an edge far less
     score_limit: float = 18.0  # χ² of three sizes and brightnesses
     rival_margin: float = 2.5  # χ² by which the best must win over other spots
-    # Triplets as good as the best that chance alone may bring. Those of chance with five terms of
-    # χ² below s grow as s^5/2, and all that pass but the best tell how many there are.
+    # Triplets as good as the best that chance may bring. Those of chance with five terms of
+    # χ² below s grow as s^5/2, and all that pass but the best give their number.
     chance: float = 0.25
     match_px: float = 1.5  # a further reflector is its spot when this near
     reacquisition: float = 0.25  # of the last range: how far the new one may be
@@ -73,7 +73,7 @@ class AcquisitionOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Acquisition:
-    """What one picture says; no pose without ``Status.OK``."""
+    """The result of one picture; no pose without ``Status.OK``."""
 
     status: Status
     reason: str | None
@@ -82,7 +82,9 @@ class Acquisition:
     reflectors: npt.NDArray[np.int64] | None = None  # (K,) of the whole constellation
     spot_indices: npt.NDArray[np.int64] | None = None  # (K,) the spot of each
     score: float = math.inf
-    roll_ambiguous: bool = False  # turned by a symmetry of what was seen it would look the same
+    roll_ambiguous: bool = (
+        False  # a symmetry of the visible reflectors leaves the picture unchanged
+    )
     rival_score: float = math.inf
 
 
@@ -161,7 +163,7 @@ class Acquirer:
         if not len(rows):
             return Acquisition(
                 Status.NOT_FOUND,
-                f"{len(usable)} spots, but no three stand, shine and measure like the target",
+                f"{len(usable)} spots, but no three match the target in place, brightness and size",
             )
         return self._choose(spots, usable, rows, scores, poses, prior)
 
@@ -279,8 +281,8 @@ class Acquirer:
         """Of the candidates the one that explains most spots best, unless another comes close."""
         judged = []
         # Where there are no more than three reflectors no candidate can explain more spots.
-        alone = len(self.constellation) == 3
-        few = slice(0, 1 if alone else _MOST_CANDIDATES)
+        without_rivals = len(self.constellation) == 3
+        few = slice(0, 1 if without_rivals else _MOST_CANDIDATES)
         for row, score, numbers in zip(rows[few], scores[few], poses[few], strict=True):
             triangle = self._triangles[row[0]]
             for pose in self._turned(triangle, numbers, prior):
@@ -293,7 +295,7 @@ class Acquirer:
         rivals = [item for item in judged[1:] if item[0] == most and set(item[4].tolist()) != mine]
         rival = -max((item[1] for item in rivals), default=-math.inf)
         others = ~(rows[:, 1:, None] == where).any(axis=2).all(axis=1)
-        if alone and others.any():
+        if without_rivals and others.any():
             rival = float(scores[others].min())
         if rival + score < self.options.rival_margin:
             return Acquisition(
@@ -351,7 +353,7 @@ class Acquirer:
         pose: Pose,
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         """Reflectors (K,) and their spots (K,): the three, as numbered by this pose, and others
-        that stand where the pose shows them and are as large."""
+        that agree with this pose in place and size."""
         which = np.empty(len(self.constellation), np.int64)
         where = np.empty(len(self.constellation), np.int64)
         count = match_spots(

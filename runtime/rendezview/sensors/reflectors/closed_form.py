@@ -232,7 +232,7 @@ def _view(camera: Camera, spots_px: npt.ArrayLike) -> tuple[Array, Array]:
 def _raw(
     angles: Array, length: float, post: float, constants: ClosedFormCalibration
 ) -> _Raw | None:
-    """Roll, yaw, pitch, range by the appendix, calibrated as it says."""
+    """Roll, yaw, pitch, range by the appendix, with its calibration."""
     left, centre, right = angles
     base = right - left
     width = math.hypot(*base)  # "1.5338e-3 × Max_Length"

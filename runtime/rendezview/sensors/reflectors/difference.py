@@ -1,7 +1,7 @@
-"""What the sensor looks at: two pictures in two colours of laser light, or one (Book et al.).
+"""The sensor's input: two pictures in two colours of laser light, or one (Book et al.).
 
 The reflectors' filters pass 830 nm: the *lit* picture shows them, the *dark* one at 780 nm shows
-everything else as bright. Their difference is thresholded, and lone pixels and thin edges are
+everything else as bright. Their difference is thresholded, and single pixels and thin edges are
 eroded away.
 """
 
@@ -26,10 +26,10 @@ _NO_DARK = np.zeros((0, 0), np.uint8)  # Source: by construction
 
 
 class Opening(StrEnum):
-    """What is eroded from the thresholded picture and dilated back."""
+    """The erosion of the thresholded picture, which is then dilated back."""
 
     NONE = "none"
-    SMALL = "small"  # what holds no 2 × 2 pixels goes: lone pixels, lines of one
+    SMALL = "small"  # removes regions without 2 × 2 pixels: single pixels, lines of one
     CROSS = "cross"  # what holds no plus of five pixels goes
     SQUARE = "square"  # what holds no 3 × 3 pixels goes: the paper's zeroing of the edge
 
@@ -50,7 +50,7 @@ class ThresholdOptions:
     noise_factor: float = 7.0  # × noise: one pixel in 10¹¹ of pure noise
     least_grey: float = 12.0  # of an automatic threshold: flicker of bright background stays below
     upper_grey: float | None = None  # of the lit picture: brighter is a glint, not a reflector
-    dark_grey: float = 250.0  # of the dark picture: saturated there, the difference says nothing
+    dark_grey: float = 250.0  # of the dark picture: saturated there, the difference is not usable
     opening: Opening = Opening.SMALL  # a far reflector may hold no more than 2 × 2 pixels
 
     def __post_init__(self) -> None:
@@ -153,7 +153,7 @@ def noise_grey(frames: LitDark) -> float:
     # Whole grey levels: the median is interpolated within its bin, [level − ½, level + ½].
     low, width = (0.0, 0.5) if level == 0 else (level - 0.5, 1.0)
     median = low + width * (half - before) / max(int(counts[level]), 1)
-    return max(float(median) / (0.6745 * math.sqrt(2.0)), 0.3)  # 0.3: rounding alone
+    return max(float(median) / (0.6745 * math.sqrt(2.0)), 0.3)  # 0.3: rounding only
 
 
 @njit(cache=True, nogil=True)
@@ -174,7 +174,7 @@ def _count_steps(lit, dark, counts):  # type: ignore[no-untyped-def]
 def threshold_of(options: ThresholdOptions, noise: float, frames: LitDark) -> float:
     """The lower threshold in use, grey levels of the difference.
 
-    In a single picture the automatic one stands on the median of the background.
+    In a single picture the automatic one is added to the median of the background.
     """
     if options.lower_grey is not None:
         return options.lower_grey

@@ -1,6 +1,6 @@
-"""Where a reflector is seen, and how large: the projection of a disc, for the compiled loops.
+"""Projection of a reflector's disc, its place and size, for the compiled loops.
 
-A reflector is a disc. What a centroid measures is the middle of the ellipse it is seen as, not
+A reflector is a disc. A centroid measures the middle of its ellipse in the picture, not
 the picture of its centre: ``e = c c_z − a² (e_z − n n_z)`` over its third component, for a disc
 of radius a at c with normal n (the third column of the disc's dual conic ``c cᵀ − a²(I − n nᵀ)``).
 At 1 m and 30° of tilt a disc of 25 mm is off by 0.04 px. The laser's light falls with range²
@@ -32,7 +32,7 @@ def predict_spots(
     camera_from_target: Pose,
     blur_px: float = 0.75,
 ) -> Array:
-    """(N, 2) where the centroids of all reflectors are seen, px; NaN behind the camera."""
+    """(N, 2) centroids of all reflectors in the picture, px; NaN behind the camera."""
     out = np.empty((len(pattern), 2))
     arm = pattern.positions_m - pattern.centre_m
     shift = camera_from_target.apply(pattern.centre_m)

@@ -1,4 +1,4 @@
-"""How well three spots go with a triangle of reflectors: their sizes and brightnesses, as χ².
+"""The χ² of three spots against a triangle of reflectors, by sizes and brightnesses.
 
 A pose in weak perspective, corrected twice for the depths it finds (as in POSIT), rejects most
 triplets of a crowd at a tenth of the cost of P3P. The rest are judged at the poses of P3P.
@@ -16,7 +16,7 @@ from rendezview.sensors.reflectors.p3p import MAX_ROOTS, p3p_roots
 from rendezview.sensors.reflectors.triplets import expected_size
 
 _CORRECTIONS = 2
-# What the quick pose leaves of ln(size), at most: of everything, and of (base / range)².
+# Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
 _SLACK, _SLACK_NEAR = 0.01, 0.2
 _SLACK_FIRST = 0.3  # and without corrections, of base / range
 
@@ -109,7 +109,7 @@ def _score(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _model(points, normals, diameters, out):  # type: ignore[no-untyped-def]
-    """What the quick pose needs of a triangle; false where its discs differ too much for it.
+    """Constants of a triangle for the quick pose; false where its discs differ too much for it.
 
     With B from left to right and P from their middle to the centre: B², P², B·P, |B × P|², the
     disc's radius, and its normal as a multiple of B, P and B × P; |B|.
@@ -150,7 +150,7 @@ def _hopeless(  # type: ignore[no-untyped-def]
     On the plane across the middle m of the base's two rays, in units of the range Z to the base's
     middle, the spots are at (−t, 0), (X, Y) and (t, 0). With w the square of the base's length as
     seen, in metres, and (x, y) the centre over that length:
-    ``(B·P − x w)² = (B² − w)(P² − (x² + y²) w)``, of which the smaller root is the pose.
+    ``(B·P − x w)² = (B² − w)(P² − (x² + y²) w)``; its smaller root is the pose.
     """
     bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
     ux, uy, uz = _chord(directions, left, right)
@@ -166,7 +166,7 @@ def _hopeless(  # type: ignore[no-untyped-def]
         return True
     t, along, across, m, u, v = _base_frame(directions, left, centre, right, chord)
     size = (s0 + s1 + s2) / 3.0
-    # First without corrections: what is far off needs none.
+    # First without corrections: a distant candidate needs none.
     _, z, _, _ = _scaled(bb, pp, bp, area, 2.0 * t, along, across)
     if z < 0.7 * window[0] or z > 1.4 * window[1]:
         return True

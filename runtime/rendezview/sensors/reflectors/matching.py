@@ -1,4 +1,4 @@
-"""Which further spots are reflectors at a pose: those that stand where it shows them."""
+"""Matches further spots to the reflectors that a pose predicts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def match_spots(  # type: ignore[no-untyped-def]
     lens, points, normals, diameters, rotation, translation, focal_px, blur_px, order, table,
     usable, three, limits, which, where,
 ):  # fmt: skip
-    """Reflectors and the spots that stand where a pose shows them and are as large."""
+    """Reflectors and the spots that agree with a pose in place and size."""
     match_px, size_limit = limits
     expected = np.empty((points.shape[0], 3))
     expect_spots(

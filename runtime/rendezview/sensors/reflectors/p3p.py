@@ -1,4 +1,4 @@
-"""Every pose from which three known points are seen along three rays (P3P), one or a batch.
+"""P3P: every pose that puts three known points on three rays, for one set or a batch.
 
 Bales' three law-of-cosines equations, ``r1² + r2² − 2 r1 r2 cos θ12 = D12²`` and so on, written
 
@@ -11,7 +11,7 @@ two quadratics; Persson & Nordberg 2018, Ding et al. 2023). Of three real roots 
 most isolated is taken, which stays simple where two poses fall together. Newton steps on the
 three equations then remove the rounding.
 
-Camera and points in one plane, which is what a guidance target is head-on, is no special case
+A camera in the plane of the points, as for a guidance target seen head-on, is no special case
 here: only angles between rays enter.
 """
 
@@ -75,8 +75,8 @@ def solve_p3p_batch(
     """`solve_p3p` for N sets of rays (N, 3, 3) of the same three points (3, 3), or of N (N, 3, 3).
 
     Returns:
-        rotations (N, 4, 3, 3), translations (N, 4, 3) in metres, number of roots (N,). What is
-        past the number of roots is NaN; a set with NaN has no roots.
+        rotations (N, 4, 3, 3), translations (N, 4, 3) in metres, number of roots (N,). Rows
+        past the number of roots are NaN; a set with NaN has no roots.
 
     Raises:
         ValueError: wrong shapes.
@@ -148,14 +148,14 @@ def p3p_roots(rays, points, residual, rotations, translations):  # type: ignore[
         sx, sy = s * x, s * y
         e2x, e2y, e2z = r * (bx - ax + sx * bx), r * (by - ay + sx * by), r * (bz - az + sx * bz)
         e3x, e3y, e3z = r * (cx - ax + sy * cx), r * (cy - ay + sy * cy), r * (cz - az + sy * cz)
-        seen = _frame(e2x, e2y, e2z, e3x, e3y, e3z)
-        if seen[0] > 1.5:
+        axes = _frame(e2x, e2y, e2z, e3x, e3y, e3z)
+        if axes[0] > 1.5:
             continue
         rotation, translation = rotations[count], translations[count]
         for i in range(3):
             for j in range(3):
                 rotation[i, j] = (
-                    seen[i] * model[j] + seen[3 + i] * model[3 + j] + seen[6 + i] * model[6 + j]
+                    axes[i] * model[j] + axes[3 + i] * model[3 + j] + axes[6 + i] * model[6 + j]
                 )
         first = (r * ax, r * ay, r * az)
         for i in range(3):

@@ -1,4 +1,4 @@
-"""The reflectors of one group, and the face frame in which a guidance sensor speaks."""
+"""The reflectors of one group, and the face frame of a guidance sensor's numbers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ReflectorPattern:
         if not self.triangles():
             raise RendezviewError(
                 f"reflectors of group {self.name!r}: no three of them span a triangle: "
-                "one must stand on a post or off the line"
+                "one must be on a post or off the line"
             )
         facing = self.normals.sum(axis=0)
         if np.linalg.norm(facing) < 0.5 * len(self.names):
@@ -128,7 +128,7 @@ class ReflectorPattern:
         """The renumberings other than none that a rotation of the pattern makes.
 
         Two mirror-equal outer reflectors about a post give one: a roll by 180° that no picture
-        of this pattern alone can tell.
+        of this pattern can show.
         """
         centred = self.positions_m - self.centre_m
         found = []
@@ -173,7 +173,7 @@ def patterns_of(target: Target, groups: tuple[str, ...] | None = None) -> list[R
 
 @dataclass(frozen=True, slots=True)
 class SixNumbers:
-    """What a guidance sensor reports, of the face frame in the camera frame.
+    """The six numbers of a guidance sensor: the face frame in the camera frame.
 
     ``camera_from_face = Rz(roll) Ry(−yaw) Rx(pitch) diag(1, −1, −1)``: head-on with the base
     level all three are 0. Roll is clockwise on the screen; yaw moves the post's tip to the right

@@ -41,7 +41,7 @@ class Refined:
 
     camera_from_target: Pose
     covariance: Array  # (6, 6) camera frame, (rotation vector, translation), left perturbation
-    residuals_px: Array  # (K, 2) seen minus predicted
+    residuals_px: Array  # (K, 2) observed minus predicted
     iterations: int
     converged: bool
 
@@ -214,7 +214,7 @@ def solve_spots(  # type: ignore[no-untyped-def]
     """`adjust` on the rows ``seen`` of a spot table; pose and covariance at the target's origin.
 
     ``rotation`` is that of the start and becomes the result's. Returns the iterations, or −1
-    where the reflectors seen are on a line or the pose is not determined.
+    where the visible reflectors are on a line or the pose is not determined.
     """
     count = seen.shape[0]
     some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))

@@ -1,4 +1,4 @@
-"""A whole run of pictures through the sensor, and a run with truth into a calibration."""
+"""Runs the sensor over a sequence of pictures, and calibrates it from a run with truth."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def record(
     patterns: list[ReflectorPattern],
     calibration: ClosedFormCalibration | None = None,
 ) -> dict[str, Any]:
-    """One reading as it stands in a log of JSON lines."""
+    """One reading as a log of JSON lines stores it."""
     line = {"im_id": pair.lit.im_id, "image": pair.lit.name} | reading.record()
     line["time_s"] = pair.lit.time_s
     if calibration is not None:
@@ -184,7 +184,7 @@ def _closed(
 
 
 def _outer_and_centre(pattern: ReflectorPattern, reading: ReflectorObservation) -> Array | None:
-    """(3, 2) spots of left, centre and right reflector, where all are seen."""
+    """(3, 2) spots of left, centre and right reflector, where all are visible."""
     if len(pattern) != 3:
         return None
     left, right = pattern.base

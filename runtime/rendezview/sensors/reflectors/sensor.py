@@ -1,4 +1,4 @@
-"""The sensor: acquire, track, lose, find again; a reading for every pair of pictures."""
+"""The reflector sensor: acquires, tracks and reacquires; one observation a pair of pictures."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class ReflectorSensor:
     Args:
         camera: of the pictures.
         patterns: the groups of reflectors, as `patterns_of` gives them. All are one rigid target:
-            whichever reflectors are seen make the pose, which is the hand-over from the far
-            target to the near one; the six numbers are of the first group that is seen whole.
+            all visible reflectors make the pose, which is the hand-over from the far
+            target to the near one; the six numbers are of the first completely visible group.
         threshold, acquisition, tracking: options.
     """
 
@@ -217,7 +217,9 @@ class ReflectorSensor:
         self._outcome[:] = 0
         self._outcome[seen] = VISIBLE
         if refined is None and not np.isfinite(track.before).any():
-            return self._acquire(time_s, frames)  # the motion is not known: windows say little
+            return self._acquire(
+                time_s, frames
+            )  # the motion is not known: windows are of little use
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
         table = self._table
@@ -249,7 +251,7 @@ class ReflectorSensor:
         return expected, self._half, self._level
 
     def _show(self, pose: Pose, out: Array) -> None:
-        """(N, 3) place and size of every reflector at a pose; NaN where it cannot be seen."""
+        """(N, 3) place and size of every reflector at a pose; NaN where it is not visible."""
         pattern = self.constellation
         expect_spots(
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
@@ -305,7 +307,7 @@ class ReflectorSensor:
         track.misses += 1
         self._rates.clear()
         if len(seen) and track.misses <= self.tracking.coast:
-            # What is seen still moves the windows of what is not.
+            # Visible reflectors still move the windows of the others.
             places = np.full_like(track.places, np.nan)
             places[seen] = self._table[seen, :2]
             self._nudge(track, seen)
@@ -317,8 +319,8 @@ class ReflectorSensor:
             lost = [name for name, visible in expected if visible and name not in names]
             return ReflectorObservation(
                 Status.PARTIAL,
-                f"{len(seen)} of the reflectors seen ({', '.join(names)}), which fixes no pose; "
-                f"not seen: {', '.join(lost)}",
+                f"{len(seen)} of the reflectors visible ({', '.join(names)}), which fixes no pose; "
+                f"not visible: {', '.join(lost)}",
                 time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
             )  # fmt: skip
         return ReflectorObservation(
@@ -331,7 +333,7 @@ class ReflectorSensor:
         )
 
     def _nudge(self, track: Track, seen: npt.NDArray[np.int64]) -> None:
-        """Move the remembered pose by the least that brings it under the spots that are seen."""
+        """Move the remembered pose by the least that brings it under the visible spots."""
         if not track.covariance.any():
             return
         rotation, shift = np.array(track.pose.rotation), track.pose.apply(self._centre)
@@ -350,7 +352,7 @@ class ReflectorSensor:
     # --- both
 
     def _resolves(self, seen: npt.NDArray[np.int64]) -> bool:
-        """Whether reflectors of two groups are seen: their offset tells the roll."""
+        """Whether reflectors of two groups are visible: their offset fixes the roll."""
         return len({self._group_of[k] for k in seen}) > 1
 
     def _remember(

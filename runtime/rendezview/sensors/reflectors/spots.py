@@ -246,7 +246,7 @@ def window_centroid(lit, dark, row, noise, columns, rows):  # type: ignore[no-un
         )
         if not total > 0.0:
             break
-        row[AMPLITUDE] = total / (math.pi * sigma * sigma)  # a Gaussian's peak, whatever its phase
+        row[AMPLITUDE] = total / (math.pi * sigma * sigma)  # a Gaussian's peak, at any phase
         # Newton on "no first moment": d(mx)/dx = mxx / σ² − total, −total/2 for a Gaussian.
         sx = min(mxx / (sigma * sigma) - total, -0.25 * total)
         sy = min(myy / (sigma * sigma) - total, -0.25 * total)

@@ -1,4 +1,4 @@
-"""What the sensor remembers from one reading to the next, and for how long."""
+"""The sensor's memory from one reading to the next, and how long it lasts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class TrackingOptions:
     """Windows, and when to give up."""
 
     window_sizes: float = 4.0  # half width over a spot's σ …
-    window_px: float = 6.0  # … and what the motion may add to it
+    window_px: float = 6.0  # … and the margin for motion
     coasting_px: float = 4.0  # … and each reading without that spot
     window_share: float = 0.45  # of the distance to the next reflector, at most
     size_limit: float = 0.25  # ln of size over expected size
     least_shape: float = 0.45
     apart_sizes: float = 6.0  # reflectors nearer than so many σ run together: not looked for
     coast: int = 5  # readings without a pose before the whole picture is searched again
-    memory: int = 50  # … and before the last range says nothing
+    memory: int = 50  # … and before the last range is no longer used
     confirm: bool = True  # a first find counts when the next reading agrees
     gate_sigma: float = 6.0  # of a redundant fit: a spot further off is no reflector
     floor_px: float = 0.01  # error of a centroid beside the noise: pixels, lens, reflector edge
@@ -31,14 +31,14 @@ class TrackingOptions:
 
 @dataclass(slots=True, eq=False)
 class Track:
-    """What is remembered between readings."""
+    """The memory between readings."""
 
     time_s: float
     pose: Pose
-    places: Array  # (N, 2) of the last reading, NaN where not seen
+    places: Array  # (N, 2) of the last reading, NaN where not visible
     before: Array  # (N, 2) of the reading before that
     before_s: float
-    brightness: Array  # (N,) of each reflector when it was last seen, grey
+    brightness: Array  # (N,) of each reflector when it was last visible, grey
     noise: float
     roll_ambiguous: bool
     covariance: Array

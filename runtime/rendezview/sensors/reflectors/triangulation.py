@@ -2,7 +2,7 @@
 
 ``D`` is the distance from the post's tip to either outer reflector, ``L`` that between the outer
 two, ``H`` the height of the post; reflector 1 is the tip, 2 and 3 the outer ones. Both methods
-find one answer, that with the post towards the camera, and may fail to: they say so.
+find one answer, that with the post towards the camera. They report a failure.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def newton_raphson(
 ) -> Triangulation:
     """The three law-of-cosines equations by Newton–Raphson, from the mid-point assumption.
 
-    The base's middle is assumed to be seen midway between the outer spots: that gives the
+    The base's middle is assumed to appear midway between the outer spots: that gives the
     distance of the outer reflectors, and the post's tip is the nearer of two points on its ray
     at H from that middle.
 
@@ -89,10 +89,10 @@ def pose_from_distances(
     """
     directions = np.asarray(rays, dtype=np.float64)
     directions = directions / np.linalg.norm(directions, axis=1)[:, None]
-    seen = directions * np.asarray(distances_m, dtype=np.float64)[:, None]
+    on_rays = directions * np.asarray(distances_m, dtype=np.float64)[:, None]
     points = np.asarray(points_m, dtype=np.float64)
     frames = []
-    for corners in (seen, points):
+    for corners in (on_rays, points):
         x, v = corners[2] - corners[1], corners[0] - corners[1]
         z = np.cross(x, v)
         if np.linalg.norm(z) <= 1e-9 * (x @ x):
@@ -100,7 +100,7 @@ def pose_from_distances(
         x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
         frames.append(np.column_stack([x, np.cross(z, x), z]))
     rotation = frames[0] @ frames[1].T
-    return Pose(rotation, seen.mean(axis=0) - rotation @ points.mean(axis=0))
+    return Pose(rotation, on_rays.mean(axis=0) - rotation @ points.mean(axis=0))
 
 
 def _one(

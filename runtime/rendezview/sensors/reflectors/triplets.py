@@ -1,9 +1,9 @@
-"""Which three spots may be the target: Book et al.'s tests, for any triangle of reflectors.
+"""Candidate triplets of spots: Book et al.'s tests, for any triangle of reflectors.
 
 Base (one side is the single longest), hourglass (where the centre spot may stand over the base
 at ±40° of yaw and pitch, figure 2), sizes and brightness alike. Here the tests run on directions
-instead of pixels, so that they mean the same at the rim of the picture, and a spot's size says
-how long a base it may belong to, which is what keeps hundreds of false spots cheap.
+instead of pixels, so that they mean the same at the rim of the picture. A spot's size limits the
+length of its base, which keeps hundreds of false spots cheap.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def hourglass_of(
     steps = np.linspace(-tilt_rad, tilt_rad, 17)
     yaw, pitch = (angles.ravel() for angles in np.meshgrid(steps, steps))
 
-    def seen(v: Array, depth: Array | float) -> tuple[Array, Array, Array]:
+    def projected(v: Array, depth: Array | float) -> tuple[Array, Array, Array]:
         """Face vector (right, up, out) → right, down, towards the camera."""
         x, y, z = v
         out = z * np.cos(pitch) + y * np.sin(pitch)
@@ -91,9 +91,9 @@ def hourglass_of(
     xs, ys = [], []
     length = float(np.linalg.norm(base))
     for depth in (0.0, 1.0 / (nearest_base * length)):
-        lx, ly, _ = seen(-0.5 * base, depth)
-        rx, ry, _ = seen(0.5 * base, depth)
-        cx, cy, _ = seen(post, depth)
+        lx, ly, _ = projected(-0.5 * base, depth)
+        rx, ry, _ = projected(0.5 * base, depth)
+        cx, cy, _ = projected(post, depth)
         z = ((cx - 0.5 * (lx + rx)) + 1j * (cy - 0.5 * (ly + ry))) / ((rx - lx) + 1j * (ry - ly))
         xs.append(z.real)
         ys.append(z.imag)
@@ -159,7 +159,7 @@ def search(  # type: ignore[no-untyped-def]
         glass: (5,) `Hourglass`; base_m, diameter_m: of the triangle.
         limits: shortest and longest base (px), tolerance of sizes and of peaks (ln), largest
             foreshortening of the base, largest square of another side over the base's.
-        both_ways: whether left and right are told apart.
+        both_ways: whether left and right are distinguished.
         out: (M, 3). More than M pass: the number is −1.
 
     Returns:
@@ -167,7 +167,7 @@ def search(  # type: ignore[no-untyped-def]
     """
     count = directions.shape[0]
     shortest, longest, size_tolerance, peak_tolerance, foreshortened, longest_side = limits
-    # Of the hourglass, in base lengths; 1.1 for what the flat picture stretches.
+    # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture.
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
     over = 1.1 * min(abs(glass[1]) + glass[2] * glass[3] + glass[4], math.sqrt(longest_side))
     shortest, longest = shortest / focal_px, longest / focal_px

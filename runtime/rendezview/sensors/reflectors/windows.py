@@ -39,9 +39,9 @@ def read_windows(  # type: ignore[no-untyped-def]
         level: (N,) threshold of the difference, grey.
         noise: of one pixel of the difference, grey.
         limits: largest |ln| of size over expected size, least shape (small over large axis).
-        table: (N, 19) rows of the spot table, filled where a spot is seen.
+        table: (N, 19) rows of the spot table, filled where a spot is found.
         outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
-            reflector, 3 seen.
+            reflector, 3 visible.
     """
     height, width = lit.shape
     columns, rows = np.empty(width), np.empty(height)
@@ -113,7 +113,9 @@ def _threshold(part, part_dark, level, flat):  # type: ignore[no-untyped-def]
     """Mark the pixels of a window above its threshold in ``flat``; the threshold, grey."""
     h, w = part.shape
     floor = level
-    if part_dark.shape[0] == 0:  # a single picture: the threshold stands on the window's rim
+    if (
+        part_dark.shape[0] == 0
+    ):  # a single picture: the threshold is added to the level of the window's rim
         rim = 0.0
         for u in range(w):
             rim += float(part[0, u]) + float(part[h - 1, u])
@@ -161,15 +163,15 @@ def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
 def place_windows(  # type: ignore[no-untyped-def]
     expected, places, before, brightness, unseen, ratio, misses, options, half, level
 ):
-    """Move what a pose shows by the last motion; set half widths and thresholds.
+    """Move the places that a pose predicts by the last motion; set half widths and thresholds.
 
-    Book et al.: the centroid plus its last step. A reflector that was not seen twice takes the
+    Book et al.: the centroid plus its last step. A reflector that was not visible twice takes the
     mean step of the others. Threshold: a third of the brightness expected.
 
     Args:
         expected: (N, 3) x, y, size at the last pose; moved in place, NaN where not to be sought.
-        places, before: (N, 2) of the last reading and of the one before, NaN where not seen.
-        brightness: (N,) grey, when last seen; unseen: (N,) readings ago.
+        places, before: (N, 2) of the last reading and of the one before, NaN where not visible.
+        brightness: (N,) grey, when last visible; unseen: (N,) readings ago.
         ratio: time to the next reading over time between the last two.
         misses: readings in a row without a pose.
         options: window_sizes, window_px, coasting_px, window_share, apart_sizes, least_grey.
@@ -222,8 +224,8 @@ def place_windows(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def carry(table, brightness, since, bright, unseen):  # type: ignore[no-untyped-def]
-    """Brightness (N,) and readings without a spot (N,) after a reading; NaN rows were not seen."""
+    """Brightness (N,) and readings without a spot (N,) after a reading; NaN: not visible."""
     for i in range(table.shape[0]):
-        seen = math.isfinite(table[i, X])
-        bright[i] = table[i, AMPLITUDE] if seen else brightness[i]
-        unseen[i] = 0 if seen else since[i] + 1
+        visible = math.isfinite(table[i, X])
+        bright[i] = table[i, AMPLITUDE] if visible else brightness[i]
+        unseen[i] = 0 if visible else since[i] + 1

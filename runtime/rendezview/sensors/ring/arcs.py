@@ -1,8 +1,8 @@
 """Chains of edge points cut into arcs that turn one way, and arcs that lie on one ellipse.
 
-A chain becomes a polygon (Douglas & Peucker); its corners, straight stretches and changes of the
-sense of turning are where an arc ends. Which arcs belong together is told by a conic through both:
-its normal equations are the sum of theirs, so that a pair costs one 3 × 3 eigenproblem.
+A chain becomes a polygon (Douglas & Peucker); an arc ends at a corner, at a straight
+stretch or where the sense of turning changes. A conic through two arcs shows whether they belong
+together: its normal equations are the sum of theirs, so a pair costs one 3 × 3 eigenproblem.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def find_arcs(points, starts, closed):  # type: ignore[no-untyped-def]
                 a2, b2 = ax * ax + ay * ay, bx * bx + by * by
                 uneven = _UNEVEN * _UNEVEN
                 long = max(a2, b2) > 400.0 and (a2 > uneven * b2 or b2 > uneven * a2)
-                # A short segment at a chain's end says nothing of its direction.
+                # A short segment at a chain's end does not give its direction.
                 sharp = abs(turn) > _CORNER_RAD or (long and min(a2, b2) > 16.0)
             if not ends and not sharp and (sense == 0.0 or turn * sense > 0.0):
                 if sense == 0.0:

@@ -1,4 +1,4 @@
-"""Which of a circle's two poses is true: by prior attitude, by a point off the plane, by motion.
+"""Chooses between a circle's two poses: by prior attitude, by a point off the plane, by motion.
 
 The two axes lie on either side of the line of sight, equally far from it. Each rule gives a
 number with a reason in words, or None with the missing knowledge.
@@ -28,14 +28,14 @@ _MOTION_SHARE = 0.35  # and the true one by no more than this of it
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Number of the pose that is true, None where that is open, and why."""
+    """Index of the true pose, None where it is undecided, and the reason."""
 
     index: int | None
     reason: str
 
 
 def only_one(poses: Sequence[CirclePose]) -> Choice | None:
-    """The choice where there is none to make: one pose, or two that their errors do not part."""
+    """The choice of a single pose, or between two that agree within their errors; else None."""
     if len(poses) == 1:
         return Choice(0, "head-on: the two poses of the circle are one")
     apart = angle_between(poses[0].axis, poses[1].axis)
@@ -57,14 +57,14 @@ def by_attitude(
     known = np.asarray(axis, dtype=np.float64)
     angles = [angle_between(pose.axis, known) for pose in poses]
     best = int(np.argmin(angles))
-    alone = only_one(poses)
-    if alone is not None:
-        return Choice(best, alone.reason)
+    single = only_one(poses)
+    if single is not None:
+        return Choice(best, single.reason)
     near, far = math.degrees(angles[best]), math.degrees(max(angles))
-    told = f"{near:.1f}° from {source}, the other {far:.1f}°"
+    evidence = f"{near:.1f}° from {source}, the other {far:.1f}°"
     if max(angles) < _MARGIN * angles[best]:
-        return Choice(None, f"{source} does not tell the poses apart: {told}")
-    return Choice(best, told)
+        return Choice(None, f"{source} does not distinguish the poses: {evidence}")
+    return Choice(best, evidence)
 
 
 def by_plane(misfits: Sequence[float]) -> Choice:
@@ -72,13 +72,13 @@ def by_plane(misfits: Sequence[float]) -> Choice:
     if len(misfits) < 2:
         return Choice(None, "one pose only")
     best = int(np.argmin(misfits))
-    told = (
+    evidence = (
         f"the ring's edges fit it with χ² {misfits[best]:.0f}, "
         f"the other pose with {max(misfits):.0f}"
     )
     if max(misfits) < _PLANE_CHI2 + 4.0 * misfits[best]:
         return Choice(None, "the ring's edges fit both poses")
-    return Choice(best, told)
+    return Choice(best, evidence)
 
 
 def by_point(
@@ -88,36 +88,36 @@ def by_point(
     height_m: float,
     sigma_px: float = 1.0,
 ) -> Choice:
-    """The pose that shows a point of the ring's axis where it is seen.
+    """The pose that predicts a given picture point for a point of the ring's axis.
 
     Args:
         poses: of the circle.
         camera: lens distortion included.
-        point_px: (2,) where the point is seen.
+        point_px: (2,) the point in the picture.
         height_m: of the point above the ring's plane along the axis, towards the camera positive:
             the tip of a nozzle, a mark at the bottom of the adapter.
         sigma_px: error of that place.
     """
-    alone = only_one(poses)
-    if alone is not None:
-        return alone
-    seen = np.asarray(point_px, dtype=np.float64)
+    single = only_one(poses)
+    if single is not None:
+        return single
+    given_px = np.asarray(point_px, dtype=np.float64)
     places = np.array([pose.centre_m + height_m * pose.axis for pose in poses])
-    off = np.linalg.norm(camera.project(places) - seen, axis=1)
+    off = np.linalg.norm(camera.project(places) - given_px, axis=1)
     off = np.where(np.isfinite(off), off, np.inf)
     best = int(np.argmin(off))
-    told = (
-        f"a point off the plane lies {off[best]:.1f} px from where it is seen, "
+    evidence = (
+        f"a point off the plane lies {off[best]:.1f} px from its place in the picture, "
         f"by the other pose {off.max():.1f} px"
     )
     if not off.max() - off[best] > _POINT_SIGMAS * sigma_px:
-        return Choice(None, f"the point off the plane does not tell the poses apart: {told}")
-    return Choice(best, told)
+        return Choice(None, f"the point off the plane does not distinguish the poses: {evidence}")
+    return Choice(best, evidence)
 
 
 @dataclass(slots=True)
 class MotionChooser:
-    """Follows both axes over frames: of a target that does not turn, the false one does.
+    """Follows both axes over frames: on a target that does not turn, only the false axis turns.
 
     As the camera moves round the ring (or the ring across the picture) the true axis stays and the
     false one swings with the line of sight. Holds for a camera that keeps its own attitude, or
@@ -135,9 +135,9 @@ class MotionChooser:
             poses: both poses of the circle in this frame.
             turn: (3, 3) rotation from this camera frame to one that does not turn; None: none.
         """
-        alone = only_one(poses)
-        if alone is not None:
-            return alone
+        single = only_one(poses)
+        if single is not None:
+            return single
         fixed = np.eye(3) if turn is None else np.asarray(turn, dtype=np.float64)
         axes = [fixed @ pose.axis for pose in poses]
         order = (0, 1)
@@ -157,7 +157,7 @@ class MotionChooser:
         swings = [_swing(track) for track in self._axes]
         still = int(np.argmin(swings))
         noise = float(np.median(self._noise))
-        told = (
+        evidence = (
             f"by motion: over {len(self._noise)} frames its axis turned by "
             f"{math.degrees(swings[still]):.2f}°, the other's by {math.degrees(max(swings)):.2f}°"
         )
@@ -167,9 +167,11 @@ class MotionChooser:
         ):
             self.decided = still
         elif self.decided is None:
-            return Choice(None, "no prior attitude, and the motion does not tell yet: " + told)
+            return Choice(
+                None, "no prior attitude, and the motion does not decide yet: " + evidence
+            )
         assert self.decided is not None
-        return Choice(order.index(self.decided) if order != (0, 1) else self.decided, told)
+        return Choice(order.index(self.decided) if order != (0, 1) else self.decided, evidence)
 
 
 def _swing(axes: Sequence[Array]) -> float:

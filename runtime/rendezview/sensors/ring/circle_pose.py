@@ -1,8 +1,8 @@
 """The two poses of a circle of known radius, and their covariance.
 
 An ellipse is the picture of two circles of a given radius: the cone over it has two families of
-circular sections. Seen head-on the two are one, and the tilt is known to the square root only of
-how round the ellipse is known to be.
+circular sections. Head-on the two coincide, and the error of the tilt is the square root of the
+error of the ellipse's roundness.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def circles_of_picture(camera, shape, radius, centres, axes):  # type: ignore[no
 def circle_poses(
     camera: Camera, ellipse: Ellipse, radius_m: float, radius_share: float = RADIUS_SHARE
 ) -> tuple[CirclePose, ...]:
-    """Both poses of a ring of known radius; one where the ellipse is seen exactly head-on.
+    """Both poses of a ring of known radius; one where the ring is exactly head-on.
 
     Args:
         camera: only its matrix is used: the ellipse is without lens distortion.
@@ -234,7 +234,7 @@ def _propagate(camera, centre, axis, basis, radius, shape_covariance, out):  # t
         if k >= 3:
             bends[:, k - 3] = (ahead - 2.0 * base + behind) / (size * size)
     plain = jacobian.T @ information @ jacobian
-    # The centre takes up what of a bend it can: only what is left tells the tilt.
+    # The centre absorbs part of a bend: only the remainder determines the tilt.
     place = np.ascontiguousarray(jacobian[:, :3])
     taken = np.linalg.solve(place.T @ information @ place, place.T @ information)
     left = bends - place @ (taken @ bends)

@@ -79,17 +79,17 @@ def fit_joint(
         return None
     if float(axis @ centre) > 0.0:
         axis = -axis
-    # Near head-on the bend of the first edge's picture tells what a slope does not.
+    # Near head-on the bend of the first edge's picture bounds the axis; a slope does not.
     bound = pose_covariance(camera, CirclePose(centre, axis, start.radius_m), covariances[0])
     turn = tangent_basis(start.axis).T @ tangent_basis(axis)
     whole = np.eye(5)
     whole[3:, 3:] = turn.T
     covariance = whole @ covariance @ whole.T
     for k in (3, 4):
-        excess = covariance[k, k] / bound[k, k]
-        if excess > 1.0:
-            covariance[k, :] /= np.sqrt(excess)
-            covariance[:, k] /= np.sqrt(excess)
+        overshoot = covariance[k, k] / bound[k, k]
+        if overshoot > 1.0:
+            covariance[k, :] /= np.sqrt(overshoot)
+            covariance[:, k] /= np.sqrt(overshoot)
     covariance[:3, :3] += radius_share**2 * np.outer(centre, centre)
     pose = CirclePose(centre, axis, start.radius_m, 0.5 * (covariance + covariance.T))
     return JointPose(pose, float(chi2), 4 * (len(used) - 1))
@@ -212,8 +212,8 @@ def joint_poses(
 ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
     """Both poses of a ring from all its edges, and the misfit χ² of each.
 
-    An edge that misfits both poses (a cone behind the ring, a shadow) is left out. With one edge
-    alone the poses are `circle_poses` and their misfit is 0.
+    An edge that misfits both poses (a cone behind the ring, a shadow) is left out. With a single
+    edge the poses are `circle_poses` and their misfit is 0.
 
     Args:
         camera: only its matrix is used.

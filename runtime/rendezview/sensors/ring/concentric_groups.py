@@ -1,4 +1,4 @@
-"""Which ellipses are edges of one ring: circles about one axis, in or near one plane.
+"""Groups ellipses that are edges of one ring: circles about one axis, in or near one plane.
 
 A nozzle, a dish or the end of a tank has one edge; a ring has several that are concentric and of
 similar size. The number of edges, their visible arcs and their size order the ellipses of a frame

@@ -1,8 +1,8 @@
 """Conics as compiled loops use them: sums of moments, the direct ellipse fit, distances.
 
 The direct fit (Fitzgibbon, Pilu & Fisher 1999, in the form of Halír & Flusser 1998) always gives
-an ellipse, which is what a search for ellipses needs; it is biased on short arcs, so what it finds
-is only the start of `ellipse.fit_geometric`.
+an ellipse, as a search for ellipses needs. It is biased on short arcs, so its result is only the
+start of `ellipse.fit_geometric`.
 """
 
 from __future__ import annotations

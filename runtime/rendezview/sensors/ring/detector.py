@@ -40,7 +40,7 @@ class RingOptions:
     least_share: float = 0.5  # of the longest piece's neighbourhood; see `verify`
     blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
     sample_px: float = 1.5  # between samples of the final fit
-    floor_px: float = 0.03  # σ that an ellipse's numbers have besides: what the edges' model lacks
+    floor_px: float = 0.03  # σ added to an ellipse's numbers: errors of the edge model
     most: int = 12  # ellipses kept
 
 
@@ -129,7 +129,7 @@ class RingDetector:
         )  # fmt: skip
         lap("support")
         if len(shapes) == 0:
-            return Detection((), found.noise_grey, "no ellipse that edges bear out", stage_ms)
+            return Detection((), found.noise_grey, "no ellipse that edges confirm", stage_ms)
         edges = self._refined(grey, shapes, max(found.noise_grey, 0.3))
         lap("fit")
         reason = None if edges else "no ellipse with a sharp edge"

@@ -209,7 +209,7 @@ def _chains(found, follower, leader, high):  # type: ignore[no-untyped-def]
     closed = np.zeros(total, dtype=np.bool_)
     chains, filled = 0, 0
     used = np.zeros(total, dtype=np.bool_)
-    for ring in range(2):  # first what has a beginning, then what is closed
+    for ring in range(2):  # first open chains, then closed ones
         for i in range(total):
             if used[i] or (ring == 0 and leader[i] >= 0):
                 continue

@@ -2,7 +2,7 @@
 
 Inside the compiled loops an ellipse is its *shape vector* (x, y, A11, A12, A22): the points
 ``c + A u`` with u on the unit circle and A symmetric, positive definite. Unlike axes and angle
-these five are smooth where the ellipse is a circle, which is what a ring seen head-on is.
+these five are smooth where the ellipse is a circle, as for a ring seen head-on.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class Ellipse:
         if shape_covariance is not None:
             jacobian = _axes_jacobian(a, b, angle)
             covariance = jacobian @ shape_covariance @ jacobian.T
-            # Of a circle the angle means nothing: at most that of an even spread over half a turn.
-            excess = covariance[4, 4] / (math.pi**2 / 12.0)
-            if excess > 1.0:
-                covariance[4, :] /= math.sqrt(excess)
-                covariance[:, 4] /= math.sqrt(excess)
+            # A circle has no angle: the variance is at most that of a uniform half turn.
+            overshoot = covariance[4, 4] / (math.pi**2 / 12.0)
+            if overshoot > 1.0:
+                covariance[4, :] /= math.sqrt(overshoot)
+                covariance[:, 4] /= math.sqrt(overshoot)
         return cls(np.array([x, y]), (a, b), angle, covariance, shape_covariance)
 
     @property

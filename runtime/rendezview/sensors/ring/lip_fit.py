@@ -37,14 +37,14 @@ def fit_lip(  # type: ignore[no-untyped-def]
     image, lens, shape, step_px, noise, filters, basis, blur, others, samples, used,
     edges, covariances, facts,
 ):  # fmt: skip
-    """Two edges where an ellipse was fitted to both, the larger one first; whether there are two.
+    """Split an ellipse fitted to two edges into both, the larger one first; false if there is one.
 
     Args:
         image, lens, step_px, noise, filters, basis, blur, others: as for `sample_steps`.
         shape: (5,) of the ellipse.
         samples: the first ``used`` are the ellipse's; twice as many as one ellipse needs fit in.
-        edges, covariances, facts: (2, 5), (2, 5, 5) and (2, 3) out, as of `fit_steps`. What is
-            common to both edges is in both covariances.
+        edges, covariances, facts: (2, 5), (2, 5, 5) and (2, 3) out, as of `fit_steps`. Errors
+            common to both edges are in both covariances.
     """
     pair, normal = np.zeros(6), np.empty((6, 6))
     pair[:5] = shape
@@ -74,12 +74,12 @@ def fit_lip(  # type: ignore[no-untyped-def]
     size = 0.5 * (pair[2] + pair[4])
     if not _GAP_PX[0] < abs(pair[5]) * size < _GAP_PX[1]:
         return False
-    lit, dark = samples[:first], samples[first : first + second]
-    arcs = covered(lit, first, scale), covered(dark, second, scale)
+    rising, falling = samples[:first], samples[first : first + second]
+    arcs = covered(rising, first, scale), covered(falling, second, scale)
     if min(arcs) < LEAST_ARC:
         return False
-    found = trim(lit, first, scale), trim(dark, second, scale)
-    spread = max(spread_of(lit, first), spread_of(dark, second))
+    found = trim(rising, first, scale), trim(falling, second, scale)
+    spread = max(spread_of(rising, first), spread_of(falling, second))
     if _update(samples, first + second, 3.0 * scale, pair, normal) < 0.0:
         return False
     whole = np.empty((6, 6))
@@ -108,7 +108,7 @@ def _separate(pair, whole, arcs, found, edges, covariances, facts):  # type: ign
 
 @njit(cache=True, nogil=True)
 def arcs_of_senses(samples, n, scale):  # type: ignore[no-untyped-def]
-    """Angles of the circle borne out by edges that get brighter, and darker, outwards; rad."""
+    """Angles of the circle confirmed by edges that get brighter, and darker, outwards; rad."""
     brighter, darker = 0.0, 0.0
     for i in range(n):
         if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:

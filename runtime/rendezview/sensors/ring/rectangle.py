@@ -30,9 +30,9 @@ class RectangleSight:
 def rectangle_attitude(camera: Camera, corners_px: npt.ArrayLike) -> RectangleSight | None:
     """Attitude of a rectangle of unknown size; None where three corners lie on a line.
 
-    Its frame, as in the paper: 1 → 2 along -y, 1 → 3 along -z, 4 opposite 1; x = y × z. A rectangle
-    whose corners are given in that order has its x axis towards or from the camera by the sense in
-    which they run; the docking side is the user's to say.
+    Its frame, as in the paper: 1 → 2 along -y, 1 → 3 along -z, 4 opposite 1; x = y × z. The
+    sense of rotation of the given corners decides whether the x axis points towards or from the
+    camera; the user gives the docking side.
 
     Args:
         camera: lens distortion included.
@@ -40,7 +40,7 @@ def rectangle_attitude(camera: Camera, corners_px: npt.ArrayLike) -> RectangleSi
     """
     rays = camera.rays(corners_px)
     if rays.shape != (4, 3) or not np.isfinite(rays).all():
-        raise ValueError("corners_px must be (4, 2), seen by the camera")
+        raise ValueError("corners_px must be (4, 2), visible to the camera")
     q1, q2, q3, q4 = rays
     # x1 q1 - x2 q2 - x3 q3 + x4 q4 = 0: linear in k1 = x2/x1, k2 = x3/x1, k4 = x4/x1.
     system = np.column_stack([q2, q3, -q4])

@@ -52,11 +52,11 @@ class RingSize:
 def ring_size(
     camera: Camera, sight: RingSight, beam: npt.ArrayLike = (0.0, 0.0, 1.0)
 ) -> RingSize | None:
-    """R and D_f from one frame (eq. 9–11), with uncertainty; None where they cannot be told.
+    """R and D_f from one frame (eq. 9–11), with uncertainty; None where they are not determined.
 
     The ray of every ring point meets the plane x = D_f of the target frame at (y, z), R² = y² + z².
-    The ring's own plane is the one in which R is the same for all. Head-on the ring tells little of
-    D_f, and the covariance says so.
+    The ring's own plane is the one in which R is the same for all. Head-on the ring gives little
+    information on D_f, and the covariance shows it.
     """
     shape = sight.ellipse.shape
     solved = _single(camera, sight.corners_px, shape, sight.range_m, beam)
@@ -223,20 +223,20 @@ def _single(
 def _predictor(
     camera: Camera, pose: Pose, common: Array, beam: Array
 ) -> Callable[[Array], Array | None]:
-    """What a frame measures after a step (10,) of its pose and of the common four."""
+    """The predicted measurements of a frame after a step (10,) of its pose and the common four."""
 
     def predict(step: Array) -> Array | None:
         moved = pose.perturbed(step[:6])
         across, up, radius, distance = common + step[6:]
         y, z = 0.5 * across, 0.5 * up
         corners = np.array([[0, y, z], [0, -y, z], [0, y, -z], [0, -y, -z]])
-        seen = camera.project(moved.apply(corners))
+        places_px = camera.project(moved.apply(corners))
         axis = moved.rotation[:, 0]
         shape = shape_of_circle(camera, moved.apply([distance, 0.0, 0.0]), axis, radius)
         along = float(axis @ beam)
-        if shape is None or not np.isfinite(seen).all() or abs(along) < 1e-9:
+        if shape is None or not np.isfinite(places_px).all() or abs(along) < 1e-9:
             return None
         range_m = float(axis @ moved.translation_m) / along
-        return np.concatenate([seen.ravel(), shape, [range_m]])
+        return np.concatenate([places_px.ravel(), shape, [range_m]])
 
     return predict

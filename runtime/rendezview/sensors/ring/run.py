@@ -32,7 +32,7 @@ def follow(
         sequence: the frames.
         radius_m: of the ring's edge; None: ellipses only.
         options: of the detector.
-        prior: what is known of a frame.
+        prior: the prior of a frame.
         independent: each on its own, no memory.
     """
     sensors: dict[Camera, RingSensor] = {}
@@ -51,7 +51,7 @@ def follow(
 
 
 def record(frame: Frame, observation: RingObservation) -> dict[str, Any]:
-    """One frame as it stands in the log of JSON lines."""
+    """One frame as the log of JSON lines stores it."""
     return (
         {"im_id": frame.im_id, "image": frame.name}
         | observation.record()

@@ -1,8 +1,8 @@
 """Samples of the edge along an ellipse, and the Gauss–Newton step that moves the ellipse onto them.
 
-`sample_gradients` searches a few pixels to either side: fast, for hypotheses. `update_shape` solves
-for the five numbers of the ellipse, from these samples or from those of `steps`. The ellipse is in
-pixels without lens distortion; every place that is read goes through the lens model.
+`sample_gradients` searches a few pixels to either side: fast, for rough ellipses. `update_shape`
+solves for the five numbers of the ellipse, from these samples or from those of `steps`. The ellipse
+is in pixels without lens distortion; every place that is read goes through the lens model.
 """
 
 from __future__ import annotations

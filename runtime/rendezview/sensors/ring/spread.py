@@ -27,7 +27,7 @@ def scale_of(samples, n):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def covered(samples, n, scale):  # type: ignore[no-untyped-def]
-    """Angle of the circle that samples within ``scale`` px bear out, rad."""
+    """Angle of the circle that samples within ``scale`` px confirm, rad."""
     total = 0.0
     for i in range(n):
         if samples[i, WEIGHT] > 0.0 and abs(samples[i, OFFSET]) < scale:
@@ -54,7 +54,7 @@ def trim(samples, n, scale):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def spread_of(samples, n):  # type: ignore[no-untyped-def]
-    """Factor on the covariance that the weights of trimmed samples say, from how they scatter."""
+    """Factor on the covariance by the weights of trimmed samples, from their scatter."""
     chi, used = 0.0, 0
     for i in range(n):
         if samples[i, WEIGHT] > 0.0:

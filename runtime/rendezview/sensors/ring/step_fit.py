@@ -122,7 +122,7 @@ def _settle(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _fit_single(samples, n, scale, least_arc, shape, covariance, facts):  # type: ignore[no-untyped-def]
-    """The last step of one edge, its covariance and facts; whether enough bears it out."""
+    """The last step of one edge, its covariance and facts; whether enough samples confirm it."""
     used, contrast, rms = trim(samples, n, scale)
     arc = covered(samples, n, scale)
     normal = np.empty((5, 5))

@@ -1,4 +1,4 @@
-"""Where exactly an ellipse's edge lies: a blurred step in the grey picture along its normals.
+"""The exact place of an ellipse's edge: a blurred step in the grey picture along its normals.
 
 The accuracy of the ring's pose comes from these samples. Other edges nearby are part of the model
 where they are known, and narrower windows leave them out where they are not.
@@ -29,7 +29,7 @@ from rendezview.sensors.ring.samples import (
     distance,
 )
 
-LEAST_GAP = 2.2  # px between two edges that can still be told apart
+LEAST_GAP = 2.2  # px between two edges that can still be resolved
 _FARTHEST_PX = 1.6  # from the ellipse, of an edge that the linear model places
 _FLOOR_PX2 = 4e-4  # px², variance of a place beside the noise: (0.02 px)²
 
@@ -49,7 +49,7 @@ def sample_steps(  # type: ignore[no-untyped-def]
         others: (K, 5) shapes of other edges: their steps are part of the fit where they are near,
             and where they are nearer than LEAST_GAP there is no sample.
         samples: (≥ count, COLUMNS) out. WEIGHT is 1/σ² (px⁻²) of the place, 0 where there is no
-            step, -1 outside of the picture; ARC the angle a sample stands for.
+            step, -1 outside of the picture; ARC the angle a sample represents.
     """
     height, width = image.shape
     profile, solved = np.empty(TAPS), np.zeros(5)

@@ -1,4 +1,4 @@
-"""Whether the lights agree on one rigid body, and which of them to leave out where they do not.
+"""Tests whether the lights agree on one rigid body, and finds those to leave out otherwise.
 
 A light that is seen by reflection, or under another light's number, makes the sum of squares
 too large for its degrees of freedom. Every fault is then tried: two lights exchanged, in one
@@ -25,7 +25,7 @@ _FALSE_ALARM = 1e-5  # of a reading without fault
 LIMITS = np.concatenate([[np.inf], chdtri(np.arange(1, 2001), _FALSE_ALARM)])
 TOLERANCE = 0.3  # of a standard deviation: the step after one so short is a twentieth of it
 ITERATIONS = 15
-_LIKE = 9.0  # sums of squares closer than this do not tell two explanations apart
+_LIKE = 9.0  # sums of squares closer than this do not distinguish two explanations
 _APART = 30.0  # squared distance of two poses, in standard deviations, that matters
 _FEWEST_SPARE = 2  # equations left over: with none, anything agrees
 _ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
@@ -37,7 +37,7 @@ _NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
 
 @dataclass(slots=True, eq=False)
 class LightsFit:
-    """A pose with what the equations say of it; arrays are the fit's own."""
+    """A pose with its statistics from the equations; arrays are the fit's own."""
 
     rotation: Array  # (3, 3) rig from target
     translation: Array  # (3,)
@@ -51,7 +51,7 @@ class LightsFit:
 
     @property
     def agrees(self) -> bool:
-        """Whether the sum of squares is as small as noise alone makes it."""
+        """Whether noise explains the sum of squares."""
         return self.spare >= 0 and self.cost <= LIMITS[min(self.spare, len(LIMITS) - 1)]
 
 
@@ -91,7 +91,7 @@ class Disagreement:
 def agree(
     rig: Rig, leds: Array, sights: Sights, rotation: Array, translation: Array
 ) -> LightsFit | Disagreement:
-    """The fit of all lights, or of what is left when the likeliest fault is mended.
+    """The fit of all lights, or of the rest after the likeliest fault is mended.
 
     A fault is likelier the fewer equations it takes away: each light left out in a camera
     could have been anywhere, which costs as much as `_ANYWHERE` of the sum of squares.
@@ -121,8 +121,8 @@ def agree(
     for other_score, other in passing[1:]:
         if other_score - score < _LIKE and distance(best, other) > _APART:
             return Disagreement(
-                "the lights contradict each other, and which of them is false cannot be told "
-                f"({_told(best)}, or {_told(other)})",
+                "the lights contradict each other, and the false one cannot be identified "
+                f"({_faults(best)}, or {_faults(other)})",
                 ambiguous=True,
             )
     return best
@@ -135,7 +135,7 @@ def distance(one: LightsFit, other: LightsFit) -> float:
     return float(away @ one.information @ away)
 
 
-def _told(fit: LightsFit) -> str:
+def _faults(fit: LightsFit) -> str:
     left = [f"light {light + 1} in camera {camera + 1}" for camera, light in fit.left_out]
     swapped = [f"lights {a + 1} and {b + 1} exchanged" for a, b in fit.exchanged]
     return ", ".join(left + swapped)
@@ -144,7 +144,7 @@ def _told(fit: LightsFit) -> str:
 def _mended(
     sights: Sights,
 ) -> Iterator[tuple[Sights, tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]]:
-    """Sights without a fault, for every fault: what is left out, which lights exchanged."""
+    """Sights without a fault, for every fault; with the lights left out and those exchanged."""
     cameras = range(len(sights.weight))
     seen = sights.seen
     lights = np.flatnonzero(seen.any(axis=0)).tolist()

@@ -41,7 +41,7 @@ def reprocess(tracker: StereoTracker, currents: npt.ArrayLike) -> Poses:
     """Every reading's own pose, each started from the one before.
 
     What does not agree at the first attempt (the first reading, false lights, jumps) is done
-    again one by one as the tracker does it. The tracker's own state is left alone.
+    again one by one as the tracker does it. The tracker's own state does not change.
 
     Args:
         tracker: of a rig of photodiodes.

@@ -21,7 +21,7 @@ from rendezview.sensors.stereo.rig import Rig, RigCamera
 OPENCV_FIVE = ("fx", "fy", "cx", "cy", "l1", "l2", "l3", "p1", "p2")  # as cv2.calibrateCamera
 _FEWEST_VIEWS = 3
 _WINDOW_PX = 5  # half-width; a wider one takes in the neighbouring corners of small squares
-_CORNER_PX = 1.0  # σ to begin with; the residuals tell the true one
+_CORNER_PX = 1.0  # initial σ; the residuals give the true one
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def read_board_views(
 
 
 def find_corners(grey: npt.NDArray[np.uint8], board: Chessboard) -> Array | None:
-    """(N, 2) sub-pixel corners of a chessboard; ``None`` where it is not seen whole."""
+    """(N, 2) sub-pixel corners of a chessboard; ``None`` where it is not completely visible."""
     shape = (board.columns, board.rows)
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
     ok, corners = cv2.findChessboardCorners(grey, shape, flags=flags)
@@ -127,7 +127,7 @@ class BoardCalibration:
     """A rig from a board, with the steps on the way."""
 
     rig: Rig
-    alone: tuple[Adjusted, ...]  # each camera by itself
+    separate: tuple[Adjusted, ...]  # each camera by itself
     together: Adjusted  # all at once
 
 
@@ -141,25 +141,27 @@ def calibrate_board(
     """Cameras, lenses and their places from a board; the rig frame is the first camera's.
 
     Args:
-        views: what was seen; a moment that only one camera sees counts for that camera.
+        views: the views of the board; a moment that only one camera sees counts for that camera.
         free: which intrinsics to adjust, from `rendezview.sensors.stereo.bundle.INTRINSICS`, or "f"
             for one focal length instead of "fx" and "fy".
         corrects: the lens in the paper's sense (measured to ideal) in place of OpenCV's.
-        board_sigma_m: how far the corners may be from where the board says; None: exact.
+        board_sigma_m: how far the corners may be from their nominal places; None: exact.
 
     Raises:
         RendezviewError: too few views, or views that do not determine the parameters.
     """
     points = views.board.points_m
-    alone = tuple(_alone(views, k, points, free, corrects) for k in range(len(views.names)))
-    cameras, poses = _joined(views, alone)
+    separate = tuple(
+        _calibrated_alone(views, k, points, free, corrects) for k in range(len(views.names))
+    )
+    cameras, poses = _joined(views, separate)
     used = [v for v, pose in enumerate(poses) if pose is not None]
     bundle = Bundle(
         cameras, tuple(poses[v] for v in used), points, (free,) * len(cameras),  # type: ignore[misc]
         (False, *([True] * (len(cameras) - 1))), (True,) * len(used), board_sigma_m,
     )  # fmt: skip
     together = adjust(bundle, _observations(views, range(len(cameras)), used)).scaled()
-    return BoardCalibration(rig_of(together), alone, together)
+    return BoardCalibration(rig_of(together), separate, together)
 
 
 def rig_of(adjusted: Adjusted) -> Rig:
@@ -173,8 +175,8 @@ def rig_of(adjusted: Adjusted) -> Rig:
             if name.startswith(prefix)
         }
         rms = float(np.sqrt((adjusted.residuals[adjusted.camera == k] ** 2).mean()))
-        # Of a picture camera all that is left counts against each spot: corners cannot tell
-        # their own noise from what the model cannot follow.
+        # With a picture camera the whole residual counts as spot noise: corners do not separate
+        # their own noise from errors of the model.
         floor = rms if camera.photodiode is None else camera.floor
         cameras.append(replace(camera, sigma=sigma, rms=rms, floor=floor))
     kept = [i for i, name in enumerate(adjusted.names) if not name.startswith(("view", "point"))]
@@ -202,7 +204,7 @@ def _observations(views: BoardViews, cameras: Sequence[int], used: Sequence[int]
     )  # fmt: skip
 
 
-def _alone(
+def _calibrated_alone(
     views: BoardViews, k: int, points: Array, free: tuple[str, ...], corrects: bool
 ) -> Adjusted:
     """One camera by itself: its rig frame is its own."""
@@ -238,15 +240,15 @@ def _board_pose(camera: RigCamera, points: Array, corners: Array) -> Pose:
 
 
 def _joined(
-    views: BoardViews, alone: tuple[Adjusted, ...]
+    views: BoardViews, separate: tuple[Adjusted, ...]
 ) -> tuple[tuple[RigCamera, ...], list[Pose | None]]:
-    """Cameras in the first one's frame, and rig_from_board of every view that is seen."""
+    """Cameras in the first one's frame, and rig_from_board of every visible view."""
     by_view: list[dict[int, Pose]] = []
-    for k, one in enumerate(alone):
+    for k, one in enumerate(separate):
         used = [v for v, corners in enumerate(views.corners[k]) if corners is not None]
         by_view.append(dict(zip(used, one.bundle.views, strict=True)))
-    cameras = [alone[0].bundle.cameras[0]]
-    for k in range(1, len(alone)):
+    cameras = [separate[0].bundle.cameras[0]]
+    for k in range(1, len(separate)):
         both = sorted(set(by_view[0]) & set(by_view[k]))
         if not both:
             raise RendezviewError(
@@ -256,7 +258,9 @@ def _joined(
         middle = np.argmin(
             [sum(a.angle_to(b) for b in relative) for a in relative]
         )  # the medoid: one bad view does no harm
-        cameras.append(replace(alone[k].bundle.cameras[0], camera_from_rig=relative[int(middle)]))
+        cameras.append(
+            replace(separate[k].bundle.cameras[0], camera_from_rig=relative[int(middle)])
+        )
     poses: list[Pose | None] = []
     for v in range(len(views.corners[0])):
         pose = None

@@ -1,6 +1,6 @@
 """Bundle adjustment: cameras, lenses, places of boards and lights, all at once.
 
-The paper calibrates in steps, each on what the step before found. Here the same equations
+The paper calibrates in steps, each on the result of the step before. Here the same equations
 (eq. 4 and 6, the detector's response done before) are solved together, by Levenberg's and
 Marquardt's method with analytic derivatives, so that every number has a covariance that
 counts all the others.
@@ -41,7 +41,7 @@ class Observations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bundle:
-    """What is to be adjusted, and what of it may move."""
+    """The parameters to adjust, and which of them are free."""
 
     cameras: tuple[RigCamera, ...]
     views: tuple[Pose, ...]  # rig_from_board
@@ -50,7 +50,7 @@ class Bundle:
     free_cameras: tuple[bool, ...]  # pose of each camera
     free_views: tuple[bool, ...]
     points_sigma_m: float | None = None  # of the points' given places; None: exact
-    # (camera, name, value, σ): what is known of an intrinsic besides
+    # (camera, name, value, σ): priors on intrinsics
     priors: tuple[tuple[int, str, float, float], ...] = ()
     # Covariance (2, T, T) of each camera's response, which then moves within it
     responses: tuple[Array, ...] = ()
@@ -62,7 +62,7 @@ class Adjusted:
     """The adjusted bundle with its residuals and covariance."""
 
     bundle: Bundle
-    residuals: Array  # (M, 2) seen less predicted, detector units
+    residuals: Array  # (M, 2) observed less predicted, detector units
     camera: Ints  # (M,) whose they are
     names: tuple[str, ...]  # of the free parameters
     covariance: Array  # (n, n), of the given σ
@@ -135,11 +135,11 @@ def _finished(
     scale = np.sqrt((jacobian**2).sum(axis=0))
     if not (scale > 0.0).all():
         free = columns.names[int(np.argmin(scale))]
-        raise RendezviewError(f"nothing that was seen depends on {free}: keep it fixed")
+        raise RendezviewError(f"no observation depends on {free}: keep it fixed")
     singular = np.linalg.svd(jacobian / scale, compute_uv=False)
     if singular[-1] < 1e-9 * singular[0]:
         raise RendezviewError(
-            "the calibration is not determined by what was seen: tilt the board more, or free less"
+            "the observations do not determine the calibration: tilt the board more, or free less"
         )
     normal = (jacobian / scale).T @ (jacobian / scale)
     covariance = np.linalg.inv(normal) / np.outer(scale, scale)
@@ -231,7 +231,7 @@ def with_intrinsics(camera: RigCamera, values: Array, pose: Pose) -> RigCamera:
 def _linearised(
     bundle: Bundle, seen: Observations, columns: _Columns, given: Bundle
 ) -> tuple[Array, Array]:
-    """Whitened residuals (seen less predicted) and the Jacobian of the predictions."""
+    """Whitened residuals (observed less predicted) and the Jacobian of the predictions."""
     count = len(seen.camera)
     jacobian = np.zeros((2 * count, len(columns.names)))
     residual = np.empty((count, 2))

@@ -38,7 +38,7 @@ def normal_equations(
 ) -> float:
     """Fill JᵀJ (6, 6) and Jᵀr (6,) of the weighted equations; returns the sum of squares.
 
-    Residual: seen less predicted, over σ. Infinite where a light is behind a camera.
+    Residual: observed less predicted, over σ. Infinite where a light is behind a camera.
     """
     # The sums are kept in scalars: in arrays they cost more than the equations.
     cost = 0.0
@@ -108,7 +108,7 @@ def squares(
 ) -> None:
     """Fill (C, L) sums of squared weighted residuals of each light in each camera.
 
-    0 where not seen; infinite where the light would be behind the camera or shine away from
+    0 where not visible; infinite where the light would be behind the camera or shine away from
     it (``normals`` (L, 3), zeros where its beam is not known).
     """
     for j in range(leds.shape[0]):

@@ -1,4 +1,4 @@
-"""What a detector says of the lights: one type for photodiodes and for pictures."""
+"""Detections of the lights: one type for photodiodes and for pictures."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Spots:
 
     @classmethod
     def none(cls) -> Spots:
-        """No light seen."""
+        """No light visible."""
         return cls(np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64))
 
 
@@ -96,7 +96,7 @@ class Photodiode:
         """The lights of one sequence: (L, 4) currents x1 x2 y1 y2, row k for light k.
 
         A light that is too weak for a place to a twentieth of the detector, not finite, or
-        off the detector is not seen.
+        off the detector is not visible.
 
         Raises:
             ValueError: not (L, 4).
@@ -125,7 +125,7 @@ def read_currents(
     sigma: Array,
     seen: npt.NDArray[np.bool_],
 ) -> int:
-    """Fill places and standard deviations, metres, of (L, 4) currents; how many are seen."""
+    """Fill places and standard deviations, metres, of (L, 4) currents; how many are visible."""
     count = 0
     for i in range(currents.shape[0]):
         x1, x2, y1, y2 = currents[i, 0], currents[i, 1], currents[i, 2], currents[i, 3]

@@ -1,4 +1,4 @@
-"""Which spot is which light, from geometry alone: for lights that all shine at once.
+"""Assigns spots to lights from geometry only: for lights that all shine at once.
 
 Three spots of one camera, taken for any three lights, give a few poses (P3P); the right
 one puts the other lights on spots in every camera. Close to a known pose the spots nearest
@@ -22,8 +22,8 @@ from rendezview.sensors.stereo.rig import Rig, Sights
 from rendezview.sensors.stereo.start import CAP, Retrieval, p3p, widest
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target
-_MOST_HYPOTHESES = 12_000
-_ROUGH_TIMES = 6.0  # as for a start: three lights alone place the others so many σ worse
+_MOST_ASSIGNMENTS = 12_000
+_ROUGH_TIMES = 6.0  # as for a start: three lights place the others so many σ worse
 _FEWEST_SPOTS = 5  # over all cameras: four spots and four lights fit in too many ways
 _DISTINCT_RAD = np.deg2rad(3.0)
 _TRIPLES = 12  # of spots that are tried, the widest first
@@ -73,10 +73,10 @@ def identify(
     """
     counts = [len(found) for found in spots]
     if max(counts) > _MOST_SPOTS:
-        return Disagreement(f"{max(counts)} spots in one camera: that is not the target alone")
+        return Disagreement(f"{max(counts)} spots in one camera: that is more than the target")
     if max(counts) < 3 or sum(counts) < _FEWEST_SPOTS:
         return Disagreement(
-            f"{' + '.join(map(str, counts))} spots: to tell which is which takes 3 in one camera "
+            f"{' + '.join(map(str, counts))} spots: to identify them takes 3 in one camera "
             f"and {_FEWEST_SPOTS} in all"
         )
     xy, weight = _padded(rig, spots)
@@ -97,7 +97,7 @@ def identify(
             # Nothing can explain more than all lights in all cameras.
             if answers and max(a[0] for a in answers) >= min(sum(counts), len(rig) * len(leds)):
                 break
-            if tried > _MOST_HYPOTHESES:
+            if tried > _MOST_ASSIGNMENTS:
                 break
         else:
             continue
@@ -169,13 +169,13 @@ def _verdict(
     answers.sort(key=lambda answer: (-answer[0], answer[1]))
     explained, cost, numbered, fit = answers[0]
     if explained < _FEWEST_SPOTS:
-        return Disagreement(f"only {explained} spots fit the target: too few to be sure of it")
+        return Disagreement(f"only {explained} spots fit the target: too few to be confident")
     for other in answers[1:]:
         apart = rotation_angle(other[3].rotation @ fit.rotation.T) > _DISTINCT_RAD
         # A spot more explained is worth CAP; less than that is no proof.
         if apart and other[1] - cost + CAP * (explained - other[0]) < 0.5 * CAP:
             return Disagreement(
-                f"two poses explain {explained} and {other[0]} spots: which one cannot be told",
+                f"two poses explain {explained} and {other[0]} spots: they cannot be distinguished",
                 ambiguous=True,
             )
     return numbered, fit

@@ -46,7 +46,7 @@ class PlateView:
     """The plate of lights at one place, averaged over frames."""
 
     rig_from_plate: Pose | None  # surveyed, or not known
-    currents: tuple[Array | None, ...]  # of each camera, (P, 4); NaN where a light is not seen
+    currents: tuple[Array | None, ...]  # of each camera, (P, 4); NaN where a light is not visible
     frames: int = 60
 
 
@@ -101,7 +101,7 @@ def calibrate_laboratory(
         order: of the detector's response; the paper's 3 leaves more than the noise.
 
     Raises:
-        RendezviewError: something is missing or does not determine what it should.
+        RendezviewError: something is missing or does not determine its parameters.
     """
     if not any(view.rig_from_plate is not None for view in record.views):
         raise RendezviewError("no view of the plate is at a surveyed place: add rig_from_plate")
@@ -151,13 +151,15 @@ def _with_beams(
     one: CameraRecord, fit: ResponseFit
 ) -> tuple[RigCamera, list[tuple[str, float, float]]]:
     if fit.electrode_sigma is None:
-        raise RendezviewError(f"camera {one.name!r}: one scan does not tell the noise: give two")
+        raise RendezviewError(
+            f"camera {one.name!r}: one scan does not determine the noise: give two"
+        )
     diode = Photodiode(fit.response, fit.electrode_sigma, one.half_width_m)
     principal, sigma = aligned_beam(one.principal_beam, diode)
     centre, centre_sigma = aligned_beam(one.lens_beam, diode)
     off = (centre - principal) / one.focal_m
     off_sigma = np.hypot(centre_sigma, sigma) / one.focal_m
-    # What the cubic cannot follow stays as a floor under every place.
+    # The misfit of the cubic is a floor under the σ of every place.
     expected = float(np.sqrt((_place_sigma(diode, one.scan.mean(axis=0)) ** 2).mean()))
     floor = np.sqrt(max(fit.rms_m**2 - expected**2 / len(one.scan), 0.0))
     camera = RigCamera(
@@ -176,7 +178,7 @@ def _place_sigma(diode: Photodiode, currents: Array) -> Array:
 
 
 def _with_lens(camera: RigCamera, k: int, record: LaboratoryRecord) -> tuple[RigCamera, Step]:
-    """The lens from the views of the plate that this camera alone sees (eq. 6)."""
+    """The lens from the views of the plate that only this camera sees (eq. 6)."""
     mine = [
         v for v, view in enumerate(record.views)
         if view.rig_from_plate is None and view.currents[k] is not None
@@ -241,7 +243,7 @@ def _unsurveyed(cameras: Sequence[RigCamera], view: int, record: LaboratoryRecor
     for k, camera in enumerate(cameras):
         if record.views[view].currents[k] is not None:
             return camera.camera_from_rig.inverse() @ _start(camera, record, k, view)
-    raise RendezviewError(f"view {view} of the plate is seen by no camera: leave it out")
+    raise RendezviewError(f"view {view} of the plate is visible to no camera: leave it out")
 
 
 def _observations(

@@ -52,7 +52,7 @@ _RECORD = TypeAdapter(_Record)
 
 
 def save_record(record: LaboratoryRecord, path: StrPath) -> None:
-    """Write a record, atomically; a light that was not seen is null."""
+    """Write a record, atomically; a light that was not visible is null."""
     content = {
         "cameras": [
             {

@@ -7,8 +7,8 @@ With q = (x, y) − o, the place from the lens's point of symmetry o, and r² = 
 
 in normalised coordinates (sensor coordinates from the principal point, over the focal
 length; the paper's l1 in 1/m² is ours over f², and so on). The paper adds Δ to what was
-*measured*; OpenCV adds it to the *ideal* point to get what is measured. The polynomial is
-the same, so one class serves both, and says which. OpenCV's p1 is the paper's p2 and the
+*measured*; OpenCV adds it to the *ideal* point to get the measured one. The polynomial is
+the same, so one class serves both; a field holds the sense. OpenCV's p1 is the paper's p2 and the
 other way round, and it has no p3 and no point of symmetry of its own.
 """
 
@@ -105,7 +105,7 @@ class Lens:
         worst = float(np.abs(columns @ fitted - wanted.ravel()).max())
         if not worst <= tolerance:
             raise RendezviewError(
-                f"OpenCV's lens model cannot stand for this one: they differ by up to {worst:.2e} "
+                f"OpenCV's lens model cannot represent this one: they differ by up to {worst:.2e} "
                 f"(normalised) within ±{reach:.2f}, {tolerance:.0e} is allowed; p3 or the point "
                 "of symmetry have no place in it: keep the rig file"
             )

@@ -92,7 +92,7 @@ def update(
         rig: the cameras.
         leds: (L, 3) target frame.
         xy: (C, L, 2) ideal places.
-        weight: (C, L, 2) 1/σ, 0 for what is not seen or not believed.
+        weight: (C, L, 2) 1/σ, 0 for lights that are not visible or rejected.
         start: rotation and translation to begin at, such as the reading's own pose.
     """
     given = (state.rotation, state.translation) if start is None else start
@@ -180,9 +180,7 @@ def _update(
     if not linear_algebra.invert(information, lower, posterior):
         return False
     moved = difference(rotation, translation, prior_rotation, prior_translation)
-    gain = (
-        np.ascontiguousarray(prior[6:, :6]) @ inverse
-    )  # what a pose's correction says of the rates
+    gain = np.ascontiguousarray(prior[6:, :6]) @ inverse  # gain of the rates by a pose's correction
     rates += gain @ moved
     covariance[:6, :6] = posterior
     covariance[6:, :6] = gain @ posterior
@@ -197,15 +195,15 @@ def _breaks(
     rotation: Array,
     translation: Array,
     covariance: Array,
-    seen_rotation: Array,
-    seen_translation: Array,
+    measured_rotation: Array,
+    measured_translation: Array,
     information: Array,
 ) -> bool:
     lower, both, solution = np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
     if not linear_algebra.invert(information, lower, both):
         return False
     both += covariance[:6, :6]
-    away = difference(seen_rotation, seen_translation, rotation, translation)
+    away = difference(measured_rotation, measured_translation, rotation, translation)
     if not linear_algebra.solve(both, away, lower, solution):
         return False
     return bool(away @ solution > _BREAK)

@@ -1,4 +1,4 @@
-"""What the stereo tracker says of one reading."""
+"""The observation of the stereo tracker."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Names:
 class StereoObservation(Observation):
     """One reading's answer; `pose` and `covariance` are in the frame of the first camera."""
 
-    fit: LightsFit | None = None  # this reading alone, rig frame
+    fit: LightsFit | None = None  # from this reading only, rig frame
     estimate: Motion | None = None  # the filter after it, where there is one
     restarted: bool = False  # the pose was found without the estimate before
     spots: tuple[Spots, ...] = ()  # with the lights' numbers
@@ -50,7 +50,7 @@ class StereoObservation(Observation):
     ) -> StereoObservation:
         """The observation of a pose: the filter's where there is one, else the reading's own.
 
-        The covariance of a reading alone is the inverse of its information.
+        The covariance of a single reading is the inverse of its information.
         """
         rotation, place, covariance = np.empty((3, 3)), np.empty(3), np.empty((6, 6))
         if estimate is not None:

@@ -47,7 +47,7 @@ def open_readings(
         rig: the cameras; pictures are theirs in the order of the cameras' names.
         names: of the target's lights, in order, for ``leds``.
         rate_hz: of pictures, which carry no time.
-        options: what is a light in a picture.
+        options: how lights are detected in a picture.
 
     Raises:
         RendezviewError: missing, neither of these, or a line (named) that does not fit.

@@ -19,11 +19,11 @@ _FEWEST_FOR_EACH_TERM = 4
 
 
 class Normalisation(StrEnum):
-    """What a difference of currents is divided by."""
+    """The divisor of a difference of currents."""
 
     PAIR = "pair"  # x1 + x2 and y1 + y2, eq. 1 and 2
     TOTAL = "total"  # the mean of the two: the least-squares answer where both pairs share the
-    # light equally, because then three unknowns (light, x, y) stand against four currents
+    # light equally, because then four currents determine three unknowns (light, x, y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +70,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResponseFit:
-    """A response with what the scan says of it."""
+    """A response with its statistics from the scan."""
 
     response: Response
     covariance: Array  # (2, T, T) of each axis' coefficients
@@ -80,13 +80,13 @@ class ResponseFit:
 
     @property
     def rms_m(self) -> float:
-        """What is left, r.m.s. over both axes, counting the degrees of freedom."""
+        """Residual, r.m.s. over both axes, counting the degrees of freedom."""
         free = self.residuals_m.size - self.response.coefficients.size
         return float(np.sqrt((self.residuals_m**2).sum() / free))
 
     @property
     def linear_rms_m(self) -> float:
-        """What the best affine map leaves."""
+        """The same for the best affine map."""
         free = self.linear_residuals_m.size - 6
         return float(np.sqrt((self.linear_residuals_m**2).sum() / free))
 

@@ -111,7 +111,7 @@ class RigCamera:
 
     @property
     def kernel_arguments(self) -> Any:
-        """What the compiled correction needs of this camera."""
+        """The data of this camera for the compiled correction."""
         intrinsics = np.array([self.fx, self.fy, self.cx, self.cy, self.floor])
         return intrinsics, self.lens.coefficients, self.lens.corrects
 
@@ -120,8 +120,8 @@ class RigCamera:
 class Sights:
     """Where all cameras saw the target's lights at one time: the 24 numbers of eq. 4."""
 
-    xy: Array  # (C, L, 2) ideal places x/z, y/z; 0 where not seen
-    weight: Array  # (C, L, 2) 1/σ; 0 where not seen
+    xy: Array  # (C, L, 2) ideal places x/z, y/z; 0 where not visible
+    weight: Array  # (C, L, 2) 1/σ; 0 where not visible
 
     @property
     def seen(self) -> npt.NDArray[np.bool_]:
@@ -157,7 +157,7 @@ class Rig:
         return len(self.cameras)
 
     def sights(self, spots: Sequence[Spots], leds: int) -> Sights:
-        """What the tracker needs of identified spots, one `Spots` for each camera.
+        """The tracker's input from identified spots, one `Spots` for each camera.
 
         Spots without identity, and those that the lens model cannot correct, are left out;
         of several spots with one number none is believed.

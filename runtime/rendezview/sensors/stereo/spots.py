@@ -1,8 +1,8 @@
-"""Lights in a picture: bright blobs, each with a sub-pixel place and how sure it is.
+"""Lights in a picture: bright blobs, each with a sub-pixel place and its σ.
 
 A blob's pixels give a first place; a Gaussian window of the spot's own width, moved until it
 is centred, gives the last. For a round Gaussian spot in white noise this is the
-least-squares place, whose variance is (2/π) (noise/peak)², whatever the spot's width
+least-squares place, whose variance is (2/π) (noise/peak)² at any spot width
 (the Cramér–Rao bound).
 """
 
@@ -35,7 +35,7 @@ class SpotOptions:
     """What counts as a light."""
 
     threshold_grey: float | None = None  # above the sky; None: 8 σ of the noise, at least 12 grey
-    least_pixels: int = 2  # above the threshold: one alone may be a hot pixel
+    least_pixels: int = 2  # above the threshold: a single one may be a hot pixel
     largest_px: float = 40.0  # diameter; a larger blob is no LED
     least_sigma_px: float = 0.002  # of a place, at the best: the pixels themselves differ
 
@@ -91,7 +91,7 @@ def find_spots(image: npt.ArrayLike, options: SpotOptions | None = None) -> Spot
 
 
 def _sky(sample: GreyImage) -> tuple[float, float]:
-    """Level and r.m.s. noise of what is not lit, quantisation included."""
+    """Level and r.m.s. noise of the background, quantisation included."""
     values = sample.ravel().astype(np.float64)
     middle = np.median(values)
     spread = 1.4826 * np.median(np.abs(values - middle))
@@ -150,5 +150,5 @@ def _centre(
     if s2 < 1.0:
         sigma = np.hypot(sigma, _NARROW_PX)
     if saturated > 1:
-        sigma = max(sigma, 0.02 * np.sqrt(saturated))  # the flat top says little
+        sigma = max(sigma, 0.02 * np.sqrt(saturated))  # the flat top gives little information
     return x, y, sigma, peak

@@ -1,10 +1,10 @@
-"""Poses from no knowledge at all: the linear start, and three-light poses beside it.
+"""Starting poses without a prior: the linear solution, and poses from three lights.
 
-The paper's tracker cannot find its target again once a sensor was lost; it names a linear
-method as the cure. Here the lights that two or more cameras see are intersected (linear
-least squares), and the rigid body is laid through the points (Kabsch). Beside that stand
-the poses of every three lights in every single camera (P3P), which a false light spoils
-only in part and which need no second camera. All are judged by the collinearity equations
+The paper's tracker cannot find its target again once a sensor was lost; it proposes a linear
+method instead. Here the lights that two or more cameras see are intersected (linear
+least squares), and the rigid body is laid through the points (Kabsch). Further starts are
+the poses of every three lights in every single camera (P3P): a false light spoils only
+some of them, and they need no second camera. All are judged by the collinearity equations
 of all cameras, the best are refined, and every distinct answer is returned.
 """
 
@@ -24,7 +24,7 @@ from rendezview.sensors.stereo.collinearity import solve, squares
 from rendezview.sensors.stereo.rig import Rig, Sights
 
 _MOST_TRIPLES = 20  # of lights, for each camera: all of six lights'
-_REFINED = 12  # hypotheses that are worth an iteration
+_REFINED = 12  # starts that are refined
 _DISTINCT_RAD = np.deg2rad(3.0)
 _NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times worse than σ
 CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
@@ -45,7 +45,7 @@ class Candidate:
 def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Candidate]:
     """All distinct poses that the sights allow, the likeliest first.
 
-    Empty where no camera sees three lights and no three are seen by two cameras.
+    Empty where no camera sees three lights and no three are visible to two cameras.
 
     Args:
         rig: the cameras.
@@ -77,7 +77,7 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Ca
 def linear_start(rig: Rig, leds: Array, sights: Sights) -> Pose | None:
     """Intersection of each light's rays, then the rigid body through the points.
 
-    ``None`` where fewer than three lights are seen by two cameras, or all on one line.
+    ``None`` where fewer than three lights are visible to two cameras, or all on one line.
     """
     points, covered = intersect(rig, sights)
     if covered.sum() < 3:
@@ -155,10 +155,10 @@ def p3p(rig: Rig, camera: int, problems: Iterable[tuple[Array, Array]]) -> Retri
 
 
 def refine(
-    rig: Rig, leds: Array, normals: Array, sights: Sights, hypotheses: Retrieval
+    rig: Rig, leds: Array, normals: Array, sights: Sights, starts: Retrieval
 ) -> list[Candidate]:
-    """The hypotheses that fit best, each iterated to its minimum, false lights kept out."""
-    rotations, translations = hypotheses
+    """The starts that fit best, each iterated to its minimum, false lights kept out."""
+    rotations, translations = starts
     if not len(rotations):
         return []
     arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
@@ -217,7 +217,7 @@ def _settle(
             squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
             for k in range(weight.shape[0]):
                 for j in range(weight.shape[1]):
-                    g = scale2 / (scale2 + each[k, j])  # 0 where the light cannot be seen
+                    g = scale2 / (scale2 + each[k, j])  # 0 where the light is not visible
                     softened[k, j] = weight[k, j] * g
                     if not g > 1e-6:
                         softened[k, j] = 0.0

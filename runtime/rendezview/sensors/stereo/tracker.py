@@ -30,7 +30,7 @@ from rendezview.sensors.stereo.observation import Names, StereoObservation
 from rendezview.sensors.stereo.rig import Rig, Sights, required_leds
 from rendezview.sensors.stereo.start import candidates
 
-_ALIKE = 15.0  # sums of squares closer than this do not tell two minima apart
+_ALIKE = 15.0  # sums of squares closer than this do not distinguish two minima
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class TrackerOptions:
     """How a target is followed."""
 
     motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
-    longest_outage_s: float = 5.0  # after that the last estimate says nothing
+    longest_outage_s: float = 5.0  # after that the last estimate is no longer used
     window: float = 0.03  # normalised; unnamed spots are looked for so far from the forecast
 
 
@@ -197,16 +197,16 @@ class StereoTracker:
             left = sum(int((found.led < 0).sum()) for found in named)
             if isinstance(fit, LightsFit) and not (fit.left_out and left):
                 return fit, named, False
-        told = identify(self.rig, self.leds, self.normals, spots)
-        if isinstance(told, Disagreement):
-            return told, tuple(spots), True
-        return told[1], told[0], True
+        answer = identify(self.rig, self.leds, self.normals, spots)
+        if isinstance(answer, Disagreement):
+            return answer, tuple(spots), True
+        return answer[1], answer[0], True
 
     def _partial(
         self, time_s: float, forecast: Motion | None, sights: Sights, named: tuple[Spots, ...]
     ) -> StereoObservation:
         lights = int(sights.seen.any(axis=0).sum())
-        reason = f"{lights} lights seen, a pose needs {FEWEST_LIGHTS}"
+        reason = f"{lights} lights visible, a pose needs {FEWEST_LIGHTS}"
         if self.options.motion is not None and forecast is not None:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)
             if after is not None:
@@ -238,7 +238,7 @@ class StereoTracker:
             after = motion.update(
                 forecast, self.rig, self.leds, fit.sights.xy, fit.sights.weight, own
             )
-        if after is None:  # the first, or the target did what the filter holds impossible
+        if after is None:  # the first, or the motion exceeds the filter's model
             covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
             after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
         self._last = after

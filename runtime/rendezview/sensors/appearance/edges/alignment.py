@@ -37,9 +37,9 @@ class Stage(NamedTuple):
     room_px: float = 0.0  # points with another edge nearer than this are left out
     lines: float = 1.0  # parallel lines read
     stride: float = 1.0  # every so many-th point only
-    fit: float = 0.0  # 1: edges are placed by their strips
+    fit: float = 0.0  # 1: edges are placed by their profiles
     views: float = 1.0  # nearest ones whose points are looked for
-    damping: float = 1e-3  # of the normal equations: what the edges do not show stays as it was
+    damping: float = 1e-3  # of the normal equations: unobservable components stay as they were
     relaxation: float = 1.0  # of a step: weights that fall with the residual make it too short
     stop_px: float = 0.1  # a shorter step is the last; on a small target it is shorter still
 
@@ -73,7 +73,7 @@ def nearest_views(
     directions: Array, shells_m: Array, rotation: Array, centre: Array,
     views: npt.NDArray[np.int64],
 ) -> int:  # fmt: skip
-    """Shell, and into ``views`` its views, from which a target is seen most nearly as at a pose."""
+    """The shell nearest to a pose; ``views`` gets its views nearest to the pose."""
     distance = np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
     x = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
     y = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])

@@ -1,4 +1,4 @@
-"""Among poses of one frame: which is the best, and how likely it is right."""
+"""Choice of the best of a frame's poses, and the probability that it is right."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SHADING_WEIGHT = 0.4  # of a correlation
 _IN_DOUBT = 0.35  # merit behind the best; shading is computed for poses closer than this
 
 _RIVAL_RAD = np.deg2rad(5.0)  # rad; a pose further away is another answer, as in the experiments
-_MOST_FEATURE = 0.3  # of overshoot and of margin in the regression: more says no more
+_MOST_FEATURE = 0.3  # of overshoot and of margin in the regression, which saturate there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,9 @@ class Found:
     """The best pose of a frame and its rival, the best pose more than 5° away."""
 
     best: Refined
-    overshoot: float  # of lit outlines beyond the predicted silhouette, see ``Retrieval.overshoot``
+    overshoot: (
+        float  # of bright outlines beyond the predicted silhouette, see ``Retrieval.overshoot``
+    )
     margin: float  # merit of the best pose above its rival's; 1 without a rival
     dark: bool  # the sky is dark
     prior: bool  # found near a prior

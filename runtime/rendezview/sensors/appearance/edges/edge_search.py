@@ -63,7 +63,7 @@ _HALF_CONTRAST = 60.0  # grey levels a pixel; such an edge scores a quarter of t
 # Weights.
 _EVEN_SLOPE = 12.0  # grey levels a pixel; noise and the model's errors displace the edge alike
 _INNER_WEIGHT = 0.3  # of creases and steps: two in three of their edges are others
-_SURE_PX2 = 0.08**2  # px²; an edge with this variance weighs half
+_HALF_WEIGHT_PX2 = 0.08**2  # px²; an edge with this variance weighs half
 _STRAINED = 0.5  # of the target's radius: distance of the edges from its middle
 _UNFITTED_WEIGHT = 0.1  # of an edge whose profile does not fit
 
@@ -175,10 +175,10 @@ def measure_edges(
                 ex, ey = project_start(
                     px, py, pz, inside * radius_m, deeper * radius_m, eye, axes, rotation, centre
                 )
-                seen = -(gx * (ex - x) + gy * (ey - y))
+                projected = -(gx * (ex - x) + gy * (ey - y))
                 inside *= body
                 far = 3.0 * abs(inside) + SLACK_PX
-                places[k] = min(max(seen, inside - far), inside + far)
+                places[k] = min(max(projected, inside - far), inside + far)
             shaded = False
             if outline:
                 away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
@@ -200,8 +200,8 @@ def measure_edges(
             at = fitted[0]
             # Where the craft may differ from its mesh, all edges are uncertain by as much.
             strain_px = _STRAINED * views.shape_error * body
-            sure = _SURE_PX2 + strain_px**2
-            row[WEIGHT] = sure / (sure + fitted[1])
+            half_px2 = _HALF_WEIGHT_PX2 + strain_px**2
+            row[WEIGHT] = half_px2 / (half_px2 + fitted[1])
         else:
             free = min(inner, outer) if outline else inner
             row[WEIGHT] = unfitted_weight(steepness, free, outline, fit)

@@ -1,4 +1,4 @@
-"""How likely a refined pose is right, and how large its errors are: coefficients fitted to data.
+"""The probability that a refined pose is right, and its error scale: coefficients fitted to data.
 
 Two small regressions: log odds that a pose is right to 5°, and log of the factor by which the
 covariance of independent edges is multiplied. Their coefficients are data with provenance
@@ -20,7 +20,7 @@ from rendezview.geometry.pose import Array
 
 PACKAGED = Path(__file__).with_name("error_model.json")
 
-# What the odds depend on, in the order of the coefficients.
+# The features of the odds, in the order of the coefficients.
 CONFIDENCE_FEATURES = (
     "constant", "outline", "inner", "residual_px", "overshoot", "margin", "visible", "dark",
     "prior", "light", "shading",
@@ -37,7 +37,7 @@ class ErrorModel:
 
     log_odds: Array  # (2, 2, 11) without and with shading; before a bright and a dark sky
     log_inflation: Array  # (4,)
-    provenance: Mapping[str, Any] = field(default_factory=dict)  # what it was fitted to, by what
+    provenance: Mapping[str, Any] = field(default_factory=dict)  # data and program of the fit
 
     @classmethod
     def packaged(cls) -> ErrorModel:

@@ -1,4 +1,4 @@
-"""How bright each kind of surface of the target is in a frame.
+"""The brightness of each kind of surface of the target in a frame.
 
 The brightness of a diffuse surface is its albedo times ``sun max(0, n · s) + around``, with
 strengths of the Sun and of uniform light from all around. The direction s and the two strengths
@@ -184,15 +184,15 @@ def _misfit(
     for e in range(kinds):
         cosine = normals[e, 0] * sun[0] + normals[e, 1] * sun[1] + normals[e, 2] * sun[2]
         facing[e] = palette[e, 3] * max(0.0, cosine)
-    lit, albedo = np.empty(len(levels)), np.empty(len(levels))
+    sunlit, albedo = np.empty(len(levels)), np.empty(len(levels))
     for i in range(len(levels)):
-        lit[i], albedo[i] = facing[which[i]], palette[which[i], 3]
-    return light_strengths(levels, lit, albedo, tolerance, strengths)
+        sunlit[i], albedo[i] = facing[which[i]], palette[which[i], 3]
+    return light_strengths(levels, sunlit, albedo, tolerance, strengths)
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def light_strengths(
-    levels: Array, lit: Array, albedo: Array, tolerance: float, strengths: Array
+    levels: Array, sunlit: Array, albedo: Array, tolerance: float, strengths: Array
 ) -> float:
     """Robust misfit of the best strengths (2,) of one Sun and of the light all around.
 
@@ -211,7 +211,7 @@ def light_strengths(
     for step in range(4):
         aa, ab, bb, ca, cb, cost = 1e-9, 0.0, 1e-9, 0.0, 0.0, 0.0
         for i in range(levels.shape[0]):
-            x, y = lit[i], albedo[i]
+            x, y = sunlit[i], albedo[i]
             weight = max(0.0, levels[i])  # at first
             if step > 0:
                 r = levels[i] - a * x - b * y

@@ -1,7 +1,7 @@
 """Edge profiles: the surfaces beside an edge, as seen from a pose.
 
-The model stores the surfaces beside an edge as one of its views shows them, and how deep they lie.
-From another pose a surface begins where the stored place is seen, or is hidden.
+The model stores the surfaces beside an edge as one of its views shows them, with their depths.
+At another pose a surface begins at the projection of the stored place, unless it is hidden.
 """
 
 from __future__ import annotations

@@ -190,7 +190,7 @@ class Refiner:
         return sorted(found, key=lambda r: -r.inlier_ratio)
 
     def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
-        """How well bright and dark agree with a pose, −1 … 1; None where the model cannot tell."""
+        """Agreement of bright and dark with a pose, −1 … 1; None where the model has no surface."""
         if self._surface is None:
             return None
         rotation, centre = self._centred(pose)
@@ -229,7 +229,7 @@ class Refiner:
         )
         residual, strained = spread_px, None
         if self.model.shape_error > 0.0:
-            # As of an exact model: what tells right from wrong was fitted to that.
+            # As for an exact model: the classifier was fitted to that.
             _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
             strained = strain_covariance(edges, self._cut_px, self._nothing_known, centre, arm)
         outline, inner, visible = inlier_ratios(

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import (
-    LIT_BINS,
     READING_UNIT,
+    SHADOWED_BINS,
     ShadowedSilhouettes,
 )
 from rendezview.sensors.appearance.model import ViewModel
@@ -45,7 +45,7 @@ class _Catalogue:
         self.bins = readings.shape[1]
         self._spectra = np.conj(fft.rfft(readings, axis=1))
         self._squares = np.sum(readings**2, axis=1)
-        # What a roll leaves unchanged: the sizes of the harmonics.
+        # The amplitudes of the harmonics do not change with roll.
         self._sizes = np.ascontiguousarray(np.abs(self._spectra[:, :_HARMONICS]))
 
     def most_similar(self, readings: Readings) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
@@ -69,7 +69,7 @@ class _Catalogue:
 def least(values: npt.NDArray[np.float32], count: int) -> npt.NDArray[np.intp]:
     """Places, ascending, of the ``count`` least of many values (K,); all where there are fewer.
 
-    A sample of the values tells below which bound nearly all of them need no further look.
+    A bound from a sample of the values rejects nearly all of them quickly.
     """
     if count >= len(values):
         return np.arange(len(values))
@@ -87,11 +87,11 @@ class Retrieval:
     def __init__(self, model: ViewModel) -> None:
         self.model = model
         self._readings = model.views.readings.astype(np.float32)
-        self._bins = LIT_BINS if model.bins % LIT_BINS == 0 else model.bins
+        self._bins = SHADOWED_BINS if model.bins % SHADOWED_BINS == 0 else model.bins
         self._whole = _Catalogue(self._coarse(self._readings))
         self._directions = np.ascontiguousarray(model.lattice.nodes)
         self._shadowed: _Catalogue | None = None
-        if model.lit is not None and self._bins == LIT_BINS:
+        if model.lit is not None and self._bins == SHADOWED_BINS:
             readings = model.lit.readings.astype(np.float32) * np.float32(READING_UNIT)
             self._shadowed = _Catalogue(readings)
 
@@ -153,8 +153,8 @@ class Retrieval:
         entries, shifts = catalogue.most_similar(readings)
         if sun_camera is not None:
             sun = signature.centred_from_camera @ sun_camera
-            lit = _under_sun(shadowed, entries, self._rolls(shifts), sun)
-            entries, shifts = entries[lit], shifts[lit]
+            under_sun = _under_sun(shadowed, entries, self._rolls(shifts), sun)
+            entries, shifts = entries[under_sun], shifts[under_sun]
         chosen = self._spread(shadowed.view[entries].astype(np.intp), shifts, most)
         entries, rolls = entries[chosen], self._rolls(shifts[chosen])
         attitudes = np.zeros((0, 3, 3))

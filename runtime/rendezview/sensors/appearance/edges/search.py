@@ -212,7 +212,7 @@ class PoseSearch:
     def _half_turned(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
-        Each is refined as it stands and after coarse alignment, which may move it away.
+        Each is refined directly and after coarse alignment, which may move it away.
         """
         rotations = best.pose.rotation @ self._half_turns
         centres = np.tile(best.pose.apply(self.model.centre_m), (len(rotations), 1))

@@ -38,7 +38,7 @@ _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
 # Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
 # of a level lie 32°, 16° and 8° apart.
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
-_NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that stand for it
+_NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that represent it
 _EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out
 _NODE_SPACING_RAD = 0.15  # rad; of the 642 directions
 
@@ -140,7 +140,7 @@ def shading(
     every = 1 + found // _FITTED
     count = (found + every - 1) // every
     some = levels[:found:every].copy()
-    albedo, lit = np.empty(count), np.empty(count)
+    albedo, sunlit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
     tolerance = _TOLERANCE * np.percentile(some, _BRIGHT_PERCENTILE) + frame[0]
@@ -160,8 +160,8 @@ def shading(
             elif _dot(tried, away) > -_BEHIND or (near > -1.0 and _dot(tried, middle) < near):
                 continue
             for k in range(count):
-                lit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
-            cost = light_strengths(some, lit, albedo, tolerance, strengths)
+                sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
+            cost = light_strengths(some, sunlit, albedo, tolerance, strengths)
             if cost < best:
                 best, node = cost, s
                 sun[:] = tried
@@ -186,6 +186,17 @@ def _brightness(surface: SurfaceTables, node: int, point: int, normal: Array, su
     if cosine <= 0.0 or not (surface.seen[node, point >> 3] >> (point & 7)) & 1:
         return 0.0
     return surface.albedo[point] * cosine  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _mean_level(image: Picture, u: float, v: float) -> float:
+    """Grey level at a pixel, a mean of 3 × 3."""
+    column, row = int(u + 0.5), int(v + 0.5)
+    total = 0
+    for i in range(-1, 2):
+        for j in range(-1, 2):
+            total += image[row + i, column + j]
+    return total / 9.0
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
@@ -244,12 +255,7 @@ def visible_points(
         pu, pv = camera[0] * a + camera[2], camera[1] * b + camera[3]
         if not (pu > 1.0 and pv > 1.0 and pu < width - 2.0 and pv < height - 2.0):
             continue
-        column, row = int(pu + 0.5), int(pv + 0.5)
-        total = 0
-        for i in range(-1, 2):
-            for j in range(-1, 2):
-                total += image[row + i, column + j]
-        which[found], u[found], v[found], levels[found] = k, pu, pv, total / 9.0
+        which[found], u[found], v[found], levels[found] = k, pu, pv, _mean_level(image, pu, pv)
         facing[found, 0], facing[found, 1], facing[found, 2] = way * n0, way * n1, way * n2
         found += 1
     return found

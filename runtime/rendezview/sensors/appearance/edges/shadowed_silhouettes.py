@@ -1,4 +1,4 @@
-"""Views of which the Sun lights only a part: what a threshold shows of a target in hard light."""
+"""Silhouettes of the sunlit part of a target: the result of a threshold in hard light."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
 
-LIT_BINS = 90
+SHADOWED_BINS = 90
 READING_UNIT = 16.0  # of a stored reading, thousandths of sqrt(area)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShadowedSilhouettes:
-    """L silhouettes of the lit parts, each with its view and the Sun that lights it.
+    """L silhouettes of sunlit parts, each with its view and its Sun direction.
 
-    The Sun stands in one of S fixed directions of the target frame; shadows are cast.
+    The Sun is in one of S fixed directions of the target frame; shadows are cast.
     """
 
     suns: Array  # (S, 3) unit, towards the Sun, target frame
     sun: npt.NDArray[np.uint8]  # (L,) which
     view: npt.NDArray[np.uint16]  # (L,) of the lattice
-    quat_wxyz: npt.NDArray[np.float32]  # (L, 4) centred_from_target: the lit centroid ahead
-    readings: npt.NDArray[np.uint8]  # (L, LIT_BINS) in READING_UNIT
+    quat_wxyz: npt.NDArray[np.float32]  # (L, 4) centred_from_target: the sunlit centroid ahead
+    readings: npt.NDArray[np.uint8]  # (L, SHADOWED_BINS) in READING_UNIT
     area_m2: npt.NDArray[np.float32]  # (L,) area_sr × range²
     offset_m: npt.NDArray[np.float32]  # (L, 2) view centre off the centroid's line of sight
 
@@ -39,7 +39,7 @@ class ShadowedSilhouettes:
             "suns": (len(self.suns), 3),
             "view": (count,),
             "quat_wxyz": (count, 4),
-            "readings": (count, LIT_BINS),
+            "readings": (count, SHADOWED_BINS),
             "area_m2": (count,),
             "offset_m": (count, 2),
         }
@@ -48,4 +48,4 @@ class ShadowedSilhouettes:
                 found = getattr(self, name).shape
                 raise ValueError(f"lit.{name} has shape {found} instead of {size}")
         if count and (int(self.view.max()) >= views or int(self.sun.max()) >= len(self.suns)):
-            raise ValueError("a lit view belongs to a view or a Sun that the model has not")
+            raise ValueError("a shadowed silhouette refers to a view or a Sun that the model lacks")

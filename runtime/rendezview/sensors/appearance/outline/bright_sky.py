@@ -31,7 +31,7 @@ def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Mi
     """The target as the network shows it at several odds, the likeliest first.
 
     Low odds close the outline around dim panels. High odds separate the target from clouds that
-    touch it. Only a comparison with the model can tell which is right.
+    touch it. Only a comparison with the model shows which is right.
 
     Args:
         image: (H, W) 8-bit grey frame.

@@ -1,4 +1,4 @@
-"""The paper's way from a frame to a pose (Cleghorn & Sternberg 1991).
+"""The paper's method from a frame to a pose (Cleghorn & Sternberg 1991).
 
 Silhouette → radial signature → trees → votes → placement. `OutlineRecognition.trace` takes the
 first two steps, `OutlineRecognition.recognize` the others.
@@ -33,7 +33,7 @@ from rendezview.sensors.observation import Status
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Traced:
-    """What a frame shows of the target: a silhouette, or the reason for none."""
+    """The silhouette of the target in a frame, or the reason for none."""
 
     silhouette: Silhouette | None  # the likeliest, if there are several
     outlines: list[Outlines]  # of each silhouette that encloses an area
@@ -109,11 +109,13 @@ class OutlineRecognition:
         if traced.missing is not None:
             missing = traced.missing
             return AppearanceObservation(missing.status, missing.reason, stage_ms=clock.stage_ms)
-        seen = AppearanceObservation(
+        partial_result = AppearanceObservation(
             Status.OK, silhouette=traced.silhouette, stage_ms=clock.stage_ms
         )
         if not traced.outlines:
-            return replace(seen, status=Status.SMALL, reason="the silhouette encloses no area")
+            return replace(
+                partial_result, status=Status.SMALL, reason="the silhouette encloses no area"
+            )
         signature = traced.outlines[0].signature
         if confident is not None:
             match = self.matcher.at(signature, confident)
@@ -125,13 +127,18 @@ class OutlineRecognition:
         if match is None:
             near = "" if prior is None else " near the prior attitude"
             reason = f"no node of the sphere recognises this view{near}"
-            return replace(seen, status=Status.UNRECOGNIZED, reason=reason, signature=signature)
-        seen = replace(
-            seen, signature=signature, active_nodes=match.active_nodes, weights=match.weights
+            return replace(
+                partial_result, status=Status.UNRECOGNIZED, reason=reason, signature=signature
+            )
+        partial_result = replace(
+            partial_result,
+            signature=signature,
+            active_nodes=match.active_nodes,
+            weights=match.weights,
         )
         refused = self.matcher.refusal(match)
         if refused is not None:
-            return replace(seen, status=refused.status, reason=refused.reason)
+            return replace(partial_result, status=refused.status, reason=refused.reason)
         pose, covariance = place(self.model, match, signature)
         points_m = node_points(self.model, match, signature)
         interpolated = None
@@ -139,5 +146,9 @@ class OutlineRecognition:
             interpolated = partial(self._interpolator.points, match, signature, self._pixel_rad)
         clock.lap("pose")
         return replace(
-            seen, pose=pose, covariance=covariance, points_m=points_m, interpolated=interpolated
+            partial_result,
+            pose=pose,
+            covariance=covariance,
+            points_m=points_m,
+            interpolated=interpolated,
         )

@@ -1,4 +1,4 @@
-"""Which stored views are most similar to a signature, and at which roll.
+"""Search for the stored views, and their rolls, that are most similar to a signature.
 
 The distance of two signatures is the sum of squared differences of their readings.
 """

@@ -48,7 +48,7 @@ class MatchOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """What the trees make of one signature, at the attitude that they agree on best."""
+    """The trees' votes on one signature, at the attitude with the best agreement."""
 
     active_nodes: Indices  # (K,) ascending
     weights: Array  # (K,) trust in each, 0 … 1
@@ -59,7 +59,7 @@ class Match:
 
 
 class Matcher:
-    """Finds the active nodes of one model; holds what is computed once."""
+    """Finds the active nodes of one model; holds tables that are computed once."""
 
     def __init__(self, model: ViewModel, options: MatchOptions | None = None) -> None:
         self.model = model
@@ -85,7 +85,7 @@ class Matcher:
             signature: of the frame.
             prior_centred_from_target: (3, 3) expected attitude of the centred camera;
                 ``None``: all attitudes are searched.
-            prior_error_rad: how far off the prior may be; ``None``: as the options say.
+            prior_error_rad: how far off the prior may be; ``None``: the value of the options.
 
         Returns:
             ``None`` where no node is active. Without a prior, ``rival`` holds another attitude
@@ -150,7 +150,7 @@ class Matcher:
         return nodes[active], trust[active]
 
     def trust_of(self, leaves: npt.NDArray[np.int32]) -> Array:
-        """How surely a leaf (K,) means that its node is active, 0 … 1; 0 where it does not."""
+        """The confidence of a leaf (K,) that its node is active, 0 … 1; 0 where it is inactive."""
         return np.asarray(self._trust[leaves])
 
     def consensus(self, active_nodes: Indices, trust: Array) -> tuple[Array, Array]:
