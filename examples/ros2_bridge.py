@@ -38,7 +38,7 @@ def camera_from_info(info: Any) -> Camera:
 
 
 def grey_from_image(image: Any) -> np.ndarray:
-    """(H, W) uint8 of a ``sensor_msgs/Image``, whatever its row length."""
+    """(H, W) uint8 of a ``sensor_msgs/Image``, for any row length."""
     channels = {"mono8": 1, "8UC1": 1, "rgb8": 3, "bgr8": 3}.get(image.encoding)
     if channels is None:
         raise ValueError(f"encoding {image.encoding!r}: publish mono8, rgb8 or bgr8")
@@ -64,7 +64,7 @@ def fill_pose(message: Any, state: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Run the node until it is told to end."""
+    """Run the node until it is stopped."""
     import rclpy
     from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
     from rclpy.node import Node

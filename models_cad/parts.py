@@ -2,7 +2,7 @@
 
 Every function returns one closed solid (`trimesh.Trimesh`, outward winding) in the
 vehicle's target frame. Units: metres and radians.
-No booleans: parts may overlap, each one alone is watertight.
+No booleans: parts may overlap, each single part is watertight.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def unit(vector: Vector) -> Array:
 def frame(axis: Vector, up: Vector = (0.0, 0.0, 1.0)) -> Array:
     """(3, 3) right-handed basis, columns (along, side, up): `axis` first, `up` nearly kept.
 
-    Where `axis` is parallel to `up`, +X stands in for `up`.
+    Where `axis` is parallel to `up`, +X replaces `up`.
     """
     along = unit(axis)
     if np.linalg.norm(np.cross(np.asarray(up, float), along)) < 1e-6:

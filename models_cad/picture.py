@@ -17,7 +17,7 @@ from PIL import Image
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """Where the camera stands; directions and points in the target frame, metres."""
+    """The camera's place; directions and points in the target frame, metres."""
 
     eye: Vector
     look_at: Vector
@@ -79,13 +79,13 @@ def _sunlit(points: Array, triangles: Array, sun: Array, right: Array) -> Array:
     pixels = (local[..., :2] - low[:2]) * scale + 4.0
     _, height = _rasterise(pixels, local[..., 2], (SHADOW_PX, SHADOW_PX))
     at = points @ basis.T
-    lit = np.zeros(len(points))
+    sunlit = np.zeros(len(points))
     taps = [(i, j) for i in (-0.7, 0.0, 0.7) for j in (-0.7, 0.0, 0.7)]
     for i, j in taps:
         u = np.clip(np.rint((at[:, 0] - low[0]) * scale + 4.0 + i), 0, SHADOW_PX - 1).astype(int)
         v = np.clip(np.rint((at[:, 1] - low[1]) * scale + 4.0 + j), 0, SHADOW_PX - 1).astype(int)
-        lit += at[:, 2] > height[v, u] - 2.5 / scale
-    return lit / len(taps)
+        sunlit += at[:, 2] > height[v, u] - 2.5 / scale
+    return sunlit / len(taps)
 
 
 def _background(shape: tuple[int, int]) -> Array:

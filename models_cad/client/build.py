@@ -137,7 +137,7 @@ def target_parts(group: str) -> list[Part]:
     y, z = TARGETS[group]
     spots = reflector_positions(group)
     radius = 0.5 * REFLECTOR_DIAMETER[group]
-    plate_x = BACK - TARGET_STANDOFF + 0.004  # reflectors stand 4 mm proud of the black plate
+    plate_x = BACK - TARGET_STANDOFF + 0.004  # reflectors protrude 4 mm from the black plate
     width = FAR_WIDTH * scale
     plate = box((0.024, width + 0.08, 0.36 * width + 0.03), (plate_x + 0.012, y, z))
     pedestal = box((TARGET_STANDOFF, 0.5 * width, 0.09), (BACK - 0.45 * TARGET_STANDOFF, y, z))

@@ -46,7 +46,7 @@ SHIELD_LENGTH, SHIELD_RADIUS = 4.0, 1.53  # [M]‡ 13 ft long, 10 ft in diameter
 DOOR_RADIUS, DOOR_OPENING = 1.53, np.radians(105.0)  # [M]‡ 10 ft across, opens 105° at most
 ARRAY_LENGTH, ARRAY_WIDTH = 7.1, 2.6  # [M]‡
 ARRAY_MAST = 4 * 0.3048  # [R]
-# In flight both wings face the sun together; unequal angles tell the two sides apart.
+# In flight both wings face the sun together; unequal angles distinguish the two sides.
 ARRAY_ANGLES = {"plus-v2": np.radians(24.0), "minus-v2": np.radians(-38.0)}
 ANTENNA_DIAMETER = 1.3  # class of the steerable dishes
 PIN_RADIUS, PIN_LENGTH, SCUFF_RADIUS = 0.5 * 0.0762, 0.2413, 0.5 * 0.5588  # [T]

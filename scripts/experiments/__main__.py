@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-# Group: name of the experiment: (module, what it measures).
+# Group: name of the experiment: (module, summary).
 EXPERIMENTS = {
     "recognition and pose": {
         "recognition-accuracy": ("recognition.accuracy", "active nodes and views, held-out frames"),
@@ -84,7 +84,7 @@ EXPERIMENTS = {
 
 def listing() -> str:
     """All experiments in their groups, a line each."""
-    lines = ["python -m experiments NAME [ARGUMENTS]; NAME --help says more"]
+    lines = ["python -m experiments NAME [ARGUMENTS]; NAME --help explains it"]
     for group, experiments in EXPERIMENTS.items():
         lines += ["", group]
         lines += [f"  {name:24}{what}" for name, (_, what) in experiments.items()]

@@ -1,4 +1,4 @@
-"""What all experiments share: arguments from a signature, tables, targets, pictures."""
+"""Shared parts of all experiments: arguments from a signature, tables, targets, pictures."""
 
 from __future__ import annotations
 

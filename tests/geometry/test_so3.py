@@ -64,3 +64,16 @@ def test_exponential_is_a_rotation(w):
     turn = so3.exp(w)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+def test_both_directions_fill_the_array_that_they_are_given():
+    turn, back = np.full((3, 3), np.nan), np.full(3, np.nan)
+    for w in _vectors():
+        so3.exp_into(w, turn)
+        np.testing.assert_allclose(turn, Rotation.from_rotvec(w).as_matrix(), atol=3e-16 * 8)
+        so3.log_into(turn, back)
+        np.testing.assert_array_equal(back, so3.log(turn))
+        twin = Rotation.from_matrix(turn).as_rotvec()
+        if np.linalg.norm(w) > np.pi - 1e-9 and back @ twin < 0.0:
+            twin = -twin  # at half a turn both axes are right
+        np.testing.assert_allclose(back, twin, atol=1e-9 if np.linalg.norm(w) > 3.1 else 1e-14)

@@ -146,7 +146,7 @@ def test_3mf_unit_and_build_transform_are_used(
 def test_given_unit_overrules_the_3mf_one_and_says_so(tmp_path: Path) -> None:
     mesh = load_mesh(three_mf(tmp_path / "t.3mf", None, 100.0), "cm")
     np.testing.assert_allclose(mesh.extent_m, [1, 1, 1], atol=1e-9)
-    assert "not millimeters (3MF) as the file says" in note_with(mesh, "Unit cm as given")
+    assert "not millimeters (3MF) as the file states" in note_with(mesh, "Unit cm as given")
 
 
 def test_dae_unit_is_applied_once(tmp_path: Path) -> None:

@@ -92,28 +92,21 @@ def downhill_simplex(
         (P,) the best corner, its cost, and how often the cost was asked for.
     """
     size = len(start)
-    place = np.empty((len(weights), 3))
-    out = np.empty((len(weights), RESIDUALS))
-    corners = np.empty((size + 1, size))
-    costs = np.empty(size + 1)
-    for k in range(size + 1):
-        corners[k] = start
-        if k > 0:
-            corners[k, k - 1] += steps[k - 1]
-        costs[k] = cost(code, corners[k], data, weights, cut, place, out)
+    place, out = np.empty((len(weights), 3)), np.empty((len(weights), RESIDUALS))
+    corners, costs = np.empty((size + 1, size)), np.empty(size + 1)
+    corners[:] = start
+    for k in range(size):
+        corners[k + 1, k] += steps[k]
+    _fill_costs(code, corners, data, weights, cut, place, out, costs, 0)
     asked = size + 1
-    expand = 1.0 + 2.0 / size
-    contract = 0.75 - 0.5 / size
-    shrink = 1.0 - 1.0 / size
+    expand, contract, shrink = 1.0 + 2.0 / size, 0.75 - 0.5 / size, 1.0 - 1.0 / size
     trial, second = np.empty(size), np.empty(size)
     while asked < most:
         order = np.argsort(costs)
         corners, costs = corners[order], costs[order]
         if costs[size] - costs[0] <= near:
             break
-        middle = np.zeros(size)
-        for k in range(size):
-            middle += corners[k] / size
+        middle = _mean(corners[:size])
         away = middle - corners[size]
         trial[:] = middle + away
         at_trial = cost(code, trial, data, weights, cut, place, out)
@@ -123,10 +116,8 @@ def downhill_simplex(
         elif at_trial < costs[size - 1]:
             corners[size], costs[size] = trial, at_trial
             continue
-        elif at_trial < costs[size]:
-            second[:] = middle + contract * away
         else:
-            second[:] = middle - contract * away
+            second[:] = middle + (contract if at_trial < costs[size] else -contract) * away
         at_second = cost(code, second, data, weights, cut, place, out)
         asked += 1
         if at_second < min(at_trial, costs[size]):
@@ -134,12 +125,27 @@ def downhill_simplex(
         elif at_trial < costs[0]:
             corners[size], costs[size] = trial, at_trial
         else:
-            for k in range(1, size + 1):
-                corners[k] = corners[0] + shrink * (corners[k] - corners[0])
-                costs[k] = cost(code, corners[k], data, weights, cut, place, out)
+            corners[1:] = corners[0] + shrink * (corners[1:] - corners[0])
+            _fill_costs(code, corners, data, weights, cut, place, out, costs, 1)
             asked += size
     best = np.argmin(costs)
     return corners[best], costs[best], asked
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _mean(corners):  # type: ignore[no-untyped-def]
+    """(P,) the mean of points (N, P)."""
+    middle = np.zeros(corners.shape[1])
+    for k in range(len(corners)):
+        middle += corners[k] / len(corners)
+    return middle
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _fill_costs(code, corners, data, weights, cut, place, out, costs, first):  # type: ignore[no-untyped-def]
+    """The costs of the simplex's corners from number ``first`` on."""
+    for k in range(first, len(costs)):
+        costs[k] = cost(code, corners[k], data, weights, cut, place, out)
 
 
 @njit(cache=True, nogil=True)

@@ -1,4 +1,4 @@
-"""Rows of the benchmark, kept in a file, and what has become worse than it."""
+"""Rows of the benchmark, kept in a file, and the check for rows that have become worse."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Row:
     ours: float
     beside: str  # the peer or floor
     peer: float
-    unit: str  # times: "s"; else what is counted
+    unit: str  # times: "s"; else the unit of the count
     command: str  # the script that measures it at length
 
     @property
@@ -73,7 +73,7 @@ def write(rows: Iterable[Row], path: Path) -> None:
 
 
 def worse(rows: Iterable[Row], path: Path, allowed: float = ALLOWED) -> dict[str, str]:
-    """What is wrong, a line for each key: ratios above ``allowed`` × the kept ones, missing rows.
+    """The faults, a line for each key: ratios above ``allowed`` × the kept ones, missing rows.
 
     A row that the file does not have is wrong too: it wants ``--write``.
     """

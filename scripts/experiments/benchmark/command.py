@@ -1,4 +1,4 @@
-"""Everything the README claims, beside its peers and floors, in one run."""
+"""Measures every figure of the README, beside its peers and floors, in one run."""
 
 from __future__ import annotations
 
@@ -184,9 +184,9 @@ def campaigns(folder: str) -> int:
 def measured(
     bench: Bench, passes: int, kept: Path | None, short: bool
 ) -> tuple[list[Row], dict[str, str]]:
-    """All rows, the best of the passes, and what is worse than kept.
+    """All rows, the best of the passes, and the rows that are worse than the kept ones.
 
-    Groups with a row that is worse are measured again: noise passes, what is really slower stays.
+    Groups with a row that is worse are measured again: noise disappears, a real slowdown stays.
     """
     everything = groups(short)
     rows: dict[str, Row] = {}

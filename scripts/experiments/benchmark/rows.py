@@ -1,4 +1,4 @@
-"""What benchmark compares, in groups: each gives its rows, of calls that the speed scripts make.
+"""Groups of the benchmark: each measures its rows with the calls of the speed scripts.
 
 Times are the least of medians taken in turns (turns); the accuracy rows are counts and errors of
 the same inputs and come out alike in every run.
@@ -49,7 +49,7 @@ MODELS = MODELS_CAD
 
 @dataclass(frozen=True)
 class Bench:
-    """What the groups share. ``frames``, ``problems``: of each kind; ``seconds``: of each race."""
+    """Data of all groups. ``frames``, ``problems``: of each kind; ``seconds``: of each race."""
 
     mesh: Mesh
     model_path: Path
@@ -323,14 +323,14 @@ def visp(bench: Bench) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         program = visp_driver.build(Path(folder))
         singles, length = 3 * bench.frames, 5 * bench.frames
-        told = {"sequence": "sequence, 1.5° a frame"}
+        labels = {"sequence": "sequence, 1.5° a frame"}
         for task, scores in visp_tracking.tasks(
             bench.mesh, bench.model, program, singles, length, bench.seed
         ):
-            what = told.get(task, f"prior {task} off")
+            what = labels.get(task, f"prior {task} off")
             ours = scores.pop(visp_tracking.OURS)
             for peer, theirs in scores.items():
-                if peer != visp_tracking.EDGES and task not in told:
+                if peer != visp_tracking.EDGES and task not in labels:
                     continue  # its other ways: of the sequence only
                 yield Row(f"tracking, {what}", 1e-3 * ours.ms, peer, 1e-3 * theirs.ms, "s", command)
                 name = f"attitude error, median, {what}"

@@ -91,7 +91,7 @@ def perturbed(readings: Readings, rng: np.random.Generator) -> Readings:
 
 
 def run(
-    model: Path, target: Annotated[Path, "of which the model is: folder or target.toml"], *,
+    model: Path, target: Annotated[Path, "target of the model: folder or target.toml"], *,
     signatures: int = 10000, seed: int = 77,
     optimise: Annotated[str, "flag of the C compiler"] = "-O2",
     onnx: Annotated[bool, "the ONNX graph too (needs onnxruntime)"] = False,

@@ -34,7 +34,7 @@ def error_deg(found: ActiveNodes | Match | Status | str | None, truth: Array) ->
 
 
 def run(
-    model: Path, target: Annotated[Path, "of which the model is: folder or target.toml"], *,
+    model: Path, target: Annotated[Path, "target of the model: folder or target.toml"], *,
     frames: int = 400, seed: int = 77,
 ) -> None:  # fmt: skip
     """Direction of view that the C code finds, by the error of the prior attitude.
@@ -60,8 +60,8 @@ def run(
         for _ in range(frames):
             _, pose = random_pose(view_model, camera, rng)
             image = frame_of(mesh, view_model, camera, pose, (0.0, 30.0), rng)
-            seen = code.frame(image, camera)
-            signature = seen[1] if isinstance(seen, tuple) else seen
+            visible = code.frame(image, camera)
+            signature = visible[1] if isinstance(visible, tuple) else visible
             for prior_deg in ERRORS_DEG:
                 axis = rng.normal(size=3)
                 turn = np.deg2rad(prior_deg) * axis / np.linalg.norm(axis)

@@ -77,9 +77,9 @@ def tables(flights: list[Flight]) -> None:
         mean = float(np.mean(means))
         within = np.mean((values >= one_low) & (values <= one_high))
         above = np.mean(values > one_high)
-        told = "in" if low <= mean <= high else ("below" if mean < low else "above")
+        verdict = "in" if low <= mean <= high else ("below" if mean < low else "above")
         shares = f"{100 * within:5.1f} % {100 * above:5.1f} %"
-        print(f"{far:5.1f}–{near:5.1f} {mean:6.2f} {told:5s} {shares}")
+        print(f"{far:5.1f}–{near:5.1f} {mean:6.2f} {verdict:5s} {shares}")
 
 
 def run(

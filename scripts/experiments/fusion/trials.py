@@ -52,7 +52,7 @@ LASER_SIGMA_M = 0.02
 LASER_ORIGIN_M = (0.3, 0.0, 0.0)  # beside the camera, along its boresight
 SUN_PHASE_DEG = (10.0, 40.0)
 PRIOR_ERROR_DEG = 8.0  # of the attitude that the recognizer is given at the start
-# What the beam may meet, as given to the filter: the heat shield between nozzle and adapter, the
+# Surfaces the beam can hit, as given to the filter: the heat shield between nozzle and adapter, the
 # bus's face around the adapter, and, where neither is certain, something near them.
 SURFACES = (
     BeamSurface(np.array([-1.43, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0]), 0.02, 0.17, 0.43),
@@ -128,7 +128,7 @@ def _overflows(frame: Frame, model: ViewModel) -> bool:
 
 
 def make_run(folder: Path, seed: int, model: ViewModel | None, *, keep_frames: bool) -> None:
-    """Whatever of a run is not there yet: frames, recognizer, ring detector, ranger."""
+    """Makes the missing files of a run: frames, recognizer, ring detector, ranger."""
     logs = [folder / f"{name}.jsonl" for name in ("truth", "appearance", "ring", "laser")]
     if all(log.exists() for log in logs):
         return
@@ -206,7 +206,7 @@ def ring_of_client() -> DockingRing:
 
 @dataclass(frozen=True)
 class Run:
-    """What the sensors said in one approach, and the truth."""
+    """The sensors' measurements in one approach, and the truth."""
 
     measurements: list[Measurement]
     truth: dict[float, Pose]  # by time

@@ -23,7 +23,7 @@ ROUNDS = 15  # of a match
 
 
 def ask(python: Path | None, frames: list[np.ndarray], *words: str) -> Any:
-    """What the peer says of the frames; an empty dict where there is no peer, or it fails."""
+    """The peer's results on the frames; an empty dict where there is no peer, or it fails."""
     if python is None:
         return {}
     with tempfile.TemporaryDirectory() as folder:

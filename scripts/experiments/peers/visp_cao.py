@@ -198,17 +198,17 @@ def _corners(
     for here, others in around.items():
         kinds = {creases[_key(here, other)] for other in others}
         stays[here] = len(others) != 2 or len(kinds) > 1
-    seen: set[Edge] = set()
+    visited: set[Edge] = set()
     # chains from corner to corner, then closed ones from any of their points
     for here in [*np.flatnonzero(stays).tolist(), *around]:
         for other in sorted(around.get(here, ())):
-            if _key(here, other) in seen:
+            if _key(here, other) in visited:
                 continue
             chain = [here, other]
-            seen.add(_key(here, other))
+            visited.add(_key(here, other))
             while not stays[chain[-1]] and chain[-1] != here:
                 ahead = next(k for k in around[chain[-1]] if k != chain[-2])
-                seen.add(_key(chain[-1], ahead))
+                visited.add(_key(chain[-1], ahead))
                 chain.append(ahead)
             stays[_straightened(points, chain, reach_m)] = True
     return stays
@@ -259,7 +259,7 @@ def _thinned(loop: list[int], corner: npt.NDArray[np.bool_]) -> list[int]:
 
 
 def _legs(loop: list[int], corner: npt.NDArray[np.bool_]) -> list[Edge]:
-    """The first edge from each corner of a loop on: it tells of all up to the next corner."""
+    """The first edge from each corner of a loop: it represents all up to the next corner."""
     return [(a, b) for a, b in zip(loop, [*loop[1:], loop[0]], strict=True) if corner[a]]
 
 

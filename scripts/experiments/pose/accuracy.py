@@ -23,7 +23,7 @@ from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.open_executor import open_executor
 
 WRONG_DEG = 5.0
-PRIOR_RAD = np.deg2rad(6.0)  # what the recognizer is told of a prior's error
+PRIOR_RAD = np.deg2rad(6.0)  # the prior's error that is given to the recognizer
 SINGLE_PRIORS = 3  # more priors of each frame, for the log
 HALF_FIELD_RAD = np.deg2rad(15.0)
 VISIBLE = ((0.0, 0.3), (0.3, 0.5), (0.5, 0.7), (0.7, 0.9), (0.9, 1.01))  # share of the outline
@@ -32,7 +32,7 @@ Record = dict[str, Any]
 
 
 def compared(observation: AppearanceObservation, truth: Pose, model: ViewModel) -> Record:
-    """One answer beside the truth; everything that may tell right from wrong."""
+    """One answer beside the truth, with all features that may separate right from wrong."""
     record: Record = {
         "status": str(observation.status),
         "confidence": observation.confidence,

@@ -13,14 +13,14 @@ from sklearn.linear_model import LogisticRegression
 from rendezview.sensors.appearance.edges.error_model import ErrorModel, inflation_features
 
 WRONG_DEG = 5.0
-_DARK = 7  # the feature that tells dark skies
+_DARK = 7  # the feature that marks dark skies
 _WEIGHT_OF_WRONG = 5.0  # a wrong answer costs more than one that is not given
 
 
 def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.ndarray:
-    """(2, 2, 11) coefficients, by the edges alone and with the surface, bright skies and dark.
+    """(2, 2, 11) coefficients, by the edges only and with the surface, for bright and dark skies.
 
-    By the edges alone everything is fitted again, without the last feature.
+    By the edges only, everything is fitted again without the last feature.
     """
     tables = []
     for look in (False, True):

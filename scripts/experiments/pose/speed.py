@@ -1,4 +1,4 @@
-"""How long a pose takes at 1024 × 1024 on one core, beside what it could be done with."""
+"""Time of a pose at 1024 × 1024 on one core, beside other methods."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def scene(
 def calls(
     full: Recognizer, fast: Recognizer, frame: np.ndarray, prior: Pose
 ) -> dict[str, Callable[[], object]]:
-    """What is done with a frame, by ours and by what stands beside it."""
+    """The calls on a frame, ours and those of the peers."""
     model, camera = full.model, full.camera
     found: dict[str, Callable[[], object]] = {
         TRACKING: lambda: fast.recognize(frame, prior),

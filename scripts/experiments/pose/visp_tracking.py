@@ -27,7 +27,7 @@ from rendezview.training.mesh import Mesh
 
 CAMERA = Camera.from_fov(1024, 1024, math.radians(40.0))
 OURS, EDGES, KLT = "ours", "ViSP, edges", "ViSP, edges and KLT"
-OPEN = "ViSP, edges, no scan-line test"  # what is hidden is told by the faces' angles alone
+OPEN = "ViSP, edges, no scan-line test"  # hidden edges are found by the faces' angles only
 WAYS: dict[str, dict[str, float]] = {EDGES: {}, OPEN: {"scanline": 0.0}, KLT: {"klt": 1.0}}
 WRONG_RAD, CLOSE_RAD = math.radians(5.0), math.radians(1.0)
 TURN_RAD, NEARER = math.radians(1.5), 0.003  # a frame of a sequence
@@ -146,7 +146,9 @@ def recognized(frames: Iterable[tuple[Frame, Pose, Pose]], model: ViewModel) -> 
     recognizer = Recognizer(model, CAMERA, trees=False)
     score = Score()
     for image, truth, prior in frames:
-        recognizer.recognize(image, prior, 1.2 * WRONG_RAD)  # ViSP has seen the frame before, too
+        recognizer.recognize(
+            image, prior, 1.2 * WRONG_RAD
+        )  # ViSP has processed the frame before, too
         start = time.process_time()
         observation = recognizer.recognize(image, prior, 1.2 * WRONG_RAD)
         score.add(time.process_time() - start, observation.pose, truth, model)
@@ -196,7 +198,10 @@ def tasks(
     for task, share in SHARES.items():
         given = [(i, t, earlier(t, model.centre_m, share, rng)) for i, t, rng in kept]
         scores = {OURS: recognized(given, model)}
-        for way in (EDGES, OPEN):  # KLT's points tell motion between frames: of one frame, none
+        for way in (
+            EDGES,
+            OPEN,
+        ):  # KLT's points measure motion between frames: one frame gives none
             with Visp(program, cao, CAMERA, SETTINGS[task] | WAYS[way] | (changed or {})) as visp:
                 scores[way] = tracked(given, model, visp, PASSES[task])
         yield task, scores
@@ -239,7 +244,7 @@ def run(
       threw an error goes on from its last pose.
 
     A frame is right if the pose is less than 5° off. As priors are at most 5° off, the count
-    within 1° says more.
+    within 1° is more informative.
 
     ViSP's settings are the best found on seed 501, 24 frames of client and 12 of hubble: range 5,
     6, 8, 10, 12, 15, 20, 25, 30 pixels; masks of 3, 5, 7; thresholds of 1,000 to 20,000; steps of

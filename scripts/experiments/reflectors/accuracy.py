@@ -105,7 +105,7 @@ def pixel_bound(pattern: ReflectorPattern, pose: Pose) -> float:
         grey = np.zeros((CAMERA.height, CAMERA.width), np.float32)
         paint_reflector(grey, CAMERA, pattern, k, pose, gain, OPTIONS)
         for axis in (0, 1):
-            # Spots are few pixels wide: the slope of what the pixels sample, not of neighbours.
+            # Spots are few pixels wide: the slope of the sampled spot, not of neighbouring pixels.
             waves = np.fft.fftfreq(grey.shape[axis])
             shape = [1, 1]
             shape[axis] = -1

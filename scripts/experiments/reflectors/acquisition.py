@@ -66,7 +66,7 @@ def agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, first) 
 
 def run(
     *, frames: int = 2500, seed: int = 39,
-    tell: Annotated[bool, "say what was missed or false"] = False,
+    tell: Annotated[bool, "print missed and false finds"] = False,
 ) -> None:  # fmt: skip
     """Acquisition among glints and foil: rate of finds, false finds and false locks.
 

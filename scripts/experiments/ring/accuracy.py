@@ -129,7 +129,7 @@ def accuracy(seed: int, count: int, peer: Path | None) -> None:
             match = next((c for c, t in ring_edges(scene) if right(shape, t)), None)
             if match is None:
                 continue
-            # Which edge the radius is of is not what is measured here: give the found one's.
+            # This experiment does not test to which edge the radius belongs: give the found one's.
             if match.radius_m != scene.ring.radius_m:
                 reading = RingSensor(CAMERA, match.radius_m).update(0.0, image)
             found = errors_of(reading.circles, match)

@@ -166,7 +166,7 @@ class Fuzz:
             http.close()
             self.outcomes[type(error).__name__] += 1
             if isinstance(error, TimeoutError):
-                self.failures.append(f"{method} {path}: hangs")
+                self.failures.append(f"{method} {path}: no answer")
         if time.monotonic() - start > SLOW_S:
             self.failures.append(f"{method} {path}: took {time.monotonic() - start:.1f} s")
         return content
@@ -242,20 +242,22 @@ class Fuzz:
                         if self.rng.random() < 0.05:
                             message = json.dumps(self.value())
                         elif self.rng.random() < 0.2:
-                            told = {"sensor": self.value(), "record": self.value()}
+                            answer = {"sensor": self.value(), "record": self.value()}
                             if self.rng.random() < 0.8:
-                                told["sensor"] = str(self.rng.choice(["ring", "laser", "mirrors"]))
-                            message = json.dumps(told)
+                                answer["sensor"] = str(
+                                    self.rng.choice(["ring", "laser", "mirrors"])
+                                )
+                            message = json.dumps(answer)
                             if self.rng.random() < 0.8:
                                 sensor, lines = self.lines()
                                 line = lines.decode(errors="replace").split("\n")[0]
                                 message = f'{{"sensor": "{sensor}", "record": {line}}}'
                         stream.send(message)
-                        told = json.loads(stream.recv(SLOW_S))
-                        status = told.get("status", 200)
-                        self.outcomes[f"stream {status if 'error' in told else 'state'}"] += 1
-                        if "error" in told and status >= 500 and status != 503:
-                            self.failures.append(f"stream: {told}")
+                        answer = json.loads(stream.recv(SLOW_S))
+                        status = answer.get("status", 200)
+                        self.outcomes[f"stream {status if 'error' in answer else 'state'}"] += 1
+                        if "error" in answer and status >= 500 and status != 503:
+                            self.failures.append(f"stream: {answer}")
             except TimeoutError:
                 self.failures.append("stream: no answer")
             except (WebSocketException, OSError) as error:

@@ -32,7 +32,7 @@ def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) 
     sequence = open_sequence(scene)
     images = [frame.read() for frame in sequence]
     images += images[-2:0:-1]
-    told = acknowledged.setdefault(name, [])
+    states = acknowledged.setdefault(name, [])
     try:
         with Client(url) as client:
             session = client.open(sequence.frames[0].camera, name=name)
@@ -40,7 +40,7 @@ def send(url: str, scene: Path, name: str, acknowledged: dict[str, list[dict]]) 
             while True:
                 state = session.track(images[k % len(images)], k / 30.0)
                 if state["recorded"]:
-                    told.append(state)
+                    states.append(state)
                 k += 1
     except (RendezviewError, OSError):
         pass  # killed
@@ -93,11 +93,11 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                 upcoming = start(done + 1)  # while the logs of this one are read
             for thread in threads:
                 thread.join()
-            for name, told in acknowledged.items():
-                acknowledged_in_all += len(told)
+            for name, states in acknowledged.items():
+                acknowledged_in_all += len(states)
                 paths = list(folder.glob(f"{name}-*.mcap"))
                 if not paths:
-                    lost += len(told)
+                    lost += len(states)
                     continue
                 try:
                     as_left = {
@@ -107,21 +107,21 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                     }
                     cut = mend(paths[0])
                     mended = states_of(paths[0])
-                except Exception as error:  # whatever a reader says
+                except Exception as error:  # any error of a reader
                     print(f"{paths[0]}: {error}")
                     unreadable += 1
-                    lost += len(told)
+                    lost += len(states)
                     continue
                 if cut is not None:
                     cut_files += cut > 0
                     cut_bytes += cut
                 lost += sum(
-                    as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in told
+                    as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in states
                 )
             shutil.rmtree(folder)
             shutil.rmtree(Path(work) / f"models-{done}", ignore_errors=True)
-            told_so_far = f"{done} of {kills}: {acknowledged_in_all} poses, {lost} lost"
-            print(f"\r{told_so_far}", end="", file=sys.stderr, flush=True)
+            progress = f"{done} of {kills}: {acknowledged_in_all} poses, {lost} lost"
+            print(f"\r{progress}", end="", file=sys.stderr, flush=True)
     print(
         f"seed {seed}: {kills} kills, {acknowledged_in_all} acknowledged "
         f"poses, {lost} lost, {unreadable} logs unreadable; {cut_files} logs ended in half a "

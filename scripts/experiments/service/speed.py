@@ -93,10 +93,10 @@ def run_client(url: str, scene: Path, frames: int, out: int) -> None:
                 continue
             done += 1
             last = time.perf_counter()
-        told = {"frames": done, "seconds": last - start}
-        told["processor_s"] = time.process_time() - used
+        result = {"frames": done, "seconds": last - start}
+        result["processor_s"] = time.process_time() - used
         session.close()
-    os.write(out, json.dumps(told).encode() + b"\n")
+    os.write(out, json.dumps(result).encode() + b"\n")
 
 
 def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> None:
@@ -150,11 +150,11 @@ def many(loop: Loop, model: Path, scene: Path, clients: int, frames: int) -> Non
     after, after_ms = one_core(8.0)
     core = 0.5 * (before + after)
     print(f"{clients} clients, {total} frames in {spent:.0f} s:")
-    print(f"one tracker alone: {before:.0f} and {after:.0f} frames/s, before and after")
+    print(f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after")
     print(f"service: {throughput:.0f} frames/s, {throughput / core:.2f} × one tracker core's")
     alone_ms, cores = 0.5 * (before_ms + after_ms), os.cpu_count() or 1
     print(
-        f"processor time a frame: tracker alone {alone_ms:.2f} ms, service and workers "
+        f"processor time a frame: bare tracker {alone_ms:.2f} ms, service and workers "
         f"{service_ms:.2f} ms, client {clients_ms:.2f} ms: {cores} cores with nothing else to do "
         f"would reach {cores * alone_ms / (service_ms + clients_ms):.2f} × with these clients, "
         f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere"

@@ -30,14 +30,14 @@ from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
 
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
-POSITIONS = 41  # of the stage; the paper's figure does not say
+POSITIONS = 41  # of the stage; the paper's figure does not give it
 RATE_HZ = 10.0
 AVERAGED = 60  # the paper: "several"; its calibration averages 60
 
 
 @dataclass(frozen=True)
 class Job:
-    """What the parts are asked for."""
+    """The options of the parts."""
 
     seed: int
     cases: int | None
@@ -91,7 +91,7 @@ def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
 def turned_deg(rotations: np.ndarray) -> np.ndarray:
     """Turn of each about the stage's axis, the laboratory's z, from their mean, degrees.
 
-    Unlike the yaw of eq. 3 it does not care how the lights' plane stands on the stage.
+    Unlike the yaw of eq. 3 it does not depend on the orientation of the lights' plane on the stage.
     """
     u, _, vt = np.linalg.svd(rotations.mean(axis=0))
     _x, _y, z, w = Rotation.from_matrix(rotations @ (u @ vt).T).as_quat().T
@@ -258,8 +258,8 @@ def recovery(job: Job, target: Target) -> None:
         start = time.perf_counter()
         found = tracker.locate(sights)
         spent.append(time.perf_counter() - start)
-        told = judge(tracker, sights, found, pose)
-        outcome[told] += 1
+        verdict = judge(tracker, sights, found, pose)
+        outcome[verdict] += 1
         if isinstance(found, LightsFit):
             yaws.append(abs(Rotation.from_matrix(found.rotation @ pose.rotation.T).as_rotvec()[2]))
     print(f"{cases} readings, any yaw, tilt to 60°, nothing known: {outcome}, "

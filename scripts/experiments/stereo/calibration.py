@@ -125,19 +125,19 @@ def pictures() -> None:
     boards = [BOARD.points_m.astype(np.float32)] * len(views.corners[0])
     corners = [[found.astype(np.float32) for found in one] for one in views.corners]
     table = Table("r.m.s., px", "OpenCV", "ours", "difference")
-    lone = []
+    apart = []
     for k, name in enumerate(views.names):
         rms, matrix, lens, *_rest = cv2.calibrateCamera(
             boards, corners[k], views.sizes[k], None, None
         )
-        lone.append((matrix, lens))
+        apart.append((matrix, lens))
         ours = made.separate[k].rms
         table.add_row(name, f"{rms:.6f}", f"{ours:.6f}", f"{ours - rms:+.1e}")
     stereo = {}
     for name, flags in (("OpenCV, intrinsics fixed (its default)", cv2.CALIB_FIX_INTRINSIC),
                         ("OpenCV, everything free", cv2.CALIB_USE_INTRINSIC_GUESS)):  # fmt: skip
         stereo[name] = cv2.stereoCalibrate(
-            boards, *corners, *(part.copy() for pair in lone for part in pair), views.sizes[0],
+            boards, *corners, *(part.copy() for pair in apart for part in pair), views.sizes[0],
             flags=flags,
         )  # fmt: skip
     best = min(one[0] for one in stereo.values())

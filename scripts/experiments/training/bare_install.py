@@ -71,7 +71,7 @@ def _import_program() -> str:
 
 def _run(what: str, command: list[str], expect: int = 0) -> subprocess.CompletedProcess[str]:
     start = time.perf_counter()
-    # Away from the checkout and its paths, so that only what is installed is found.
+    # Away from the checkout and its paths, so that only the installed package is found.
     clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
     done = subprocess.run(
         command, capture_output=True, text=True, cwd=tempfile.gettempdir(), env=clean, check=False

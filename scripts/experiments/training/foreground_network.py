@@ -103,7 +103,7 @@ def log_odds(weights, statistics, pictures, learning):
 
 
 def loss(weights, statistics, pictures, covers):
-    """Cross entropy, and what the overlap (Dice) lacks of 1."""
+    """Cross entropy plus one minus the overlap (Dice)."""
     odds, kept = log_odds(weights, statistics, pictures, True)
     entropy = jnp.mean(jax.nn.softplus(odds) - covers * odds)
     share = jax.nn.sigmoid(odds)

@@ -270,7 +270,7 @@ def run(
     speed: starts a scheduler and workers of one thread each on this machine, lets every worker
     load its compiled code, and times the same training and the same campaign. Efficiency is the
     time of one worker over the time of several, over the number of cores. "CPU" is the CPU time
-    of one worker over the sum of several: it counts what is computed twice, not waiting, so other
+    of one worker over the sum of several: it counts repeated work, not waiting, so other
     load disturbs it less.
     kill: one worker is killed in the middle of a training; the bytes must be the same.
     cost: CPU time by stage, in this one process; --full trains with the defaults instead of

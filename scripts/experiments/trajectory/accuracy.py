@@ -62,7 +62,7 @@ def placed(
 
 
 def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array, Array, Array]:
-    """Times, points about the centre and weights, from stored signatures and active nodes alone."""
+    """Times, points about the centre and weights, from stored signatures and active nodes only."""
     times, points, weights = [], [], []
     for k, frame in enumerate(data["outline_frame"]):
         on = data["node_frame"] == frame
@@ -133,7 +133,7 @@ def spin_errors(spin: Spin, data: dict[str, Array], kind: str, seed: int) -> Arr
     for at in (data["times_s"], data["times_s"] + SPAN_S):
         true_turn, _ = turn(at)
         found, _ = spin.at(at)
-        # The camera stands on −z of the reference: its direction in target axes.
+        # The camera is on −z of the reference: its direction in target axes.
         moved = np.linalg.norm(true_turn[:, 2] - found[:, 2], axis=1)
         off.append(100.0 * float(np.median(moved)))
     return np.array([rate, float(np.rad2deg(np.arccos(cosine))), *off])

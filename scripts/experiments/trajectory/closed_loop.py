@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.closed_loop import Flight, FlightErrors, Look, Seen, fly
+from rendezview.simulation.closed_loop import Flight, FlightErrors, Look, Observed, fly
 from rendezview.simulation.command import default_camera
 from rendezview.training.bundled import find_target
 from rendezview.training.mesh import Mesh, load_mesh
@@ -58,7 +58,7 @@ def eye(model: ViewModel, mesh: Mesh, refine: bool, rng: np.random.Generator) ->
     azimuth = rng.uniform(0.0, 2.0 * math.pi)
     tracker: Tracker | None = None
 
-    def look(time_s: float, pose: Pose) -> Seen:
+    def look(time_s: float, pose: Pose) -> Observed:
         nonlocal tracker
         if tracker is None:
             turn = rng.standard_normal(3)
@@ -69,8 +69,8 @@ def eye(model: ViewModel, mesh: Mesh, refine: bool, rng: np.random.Generator) ->
             tracker = Tracker(Recognizer(model, camera, refine=refine), prior)
         sun = sun_at_phase(pose.apply(model.centre_m), 0.0, azimuth)
         frame = render_frame(mesh, camera, pose, sun, SceneOptions(), rng, time_s)
-        seen = tracker.update(time_s, frame)
-        return seen.pose, seen.covariance, *seen.cloud
+        observed = tracker.update(time_s, frame)
+        return observed.pose, observed.covariance, *observed.cloud
 
     return look
 
@@ -97,7 +97,7 @@ def flights(
 def run(
     model: Path, target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], *,
     kinds: list[str] = KINDS, seeds: tuple[int, int] = (0, 20),
-    nodes: Annotated[bool, "active nodes alone, no refinement"] = False,
+    nodes: Annotated[bool, "active nodes only, no refinement"] = False,
     by_target: Annotated[bool, "no star tracker: the target's attitude instead"] = False,
 ) -> None:  # fmt: skip
     """Closed loop: frames, recognition, fit and correction, beside flights without correction.

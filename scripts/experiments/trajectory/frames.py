@@ -36,7 +36,7 @@ def true_path(
     Returns:
         Times (N,) to camera places (N, 3), target frame; times to ``reference_from_target``
         (N, 3, 3) and the target's angular velocity (N, 3) in its own axes. The reference is a
-        frame in which the target's centre stands still on +z, as the camera's does.
+        frame in which the target's centre is fixed on +z, as the camera's does.
     """
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     axes = Rotation.random(random_state=rng).as_matrix()

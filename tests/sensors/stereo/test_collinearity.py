@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.stereo import rotation_of, yaw_pitch_roll
 from rendezview.sensors.stereo.agreement import iterate
-from rendezview.sensors.stereo.collinearity import normal_equations
+from rendezview.sensors.stereo.collinearity import count_lights, normal_equations
 from rendezview.simulation.led_laboratory import Laboratory
 
 POSE = Pose(rotation_of(0.7, 0.2, -0.1), [0.05, -0.08, 0.3])
@@ -95,3 +95,12 @@ def test_straight_up_and_down_roll_is_zero_and_the_attitude_right(pitch: float):
     angles = yaw_pitch_roll(rotation)
     assert angles.roll == 0.0
     assert rotation_of(*angles) == pytest.approx(rotation, abs=1e-7)
+
+
+def test_lights_and_equations_are_counted_over_all_cameras():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        weight = rng.uniform(500.0, 1000.0, (2, 6, 2))
+        weight[rng.random((2, 6)) < 0.6] = 0.0
+        visible = weight[..., 0] > 0.0
+        assert count_lights(weight) == (visible.any(axis=0).sum(), 2 * visible.sum())

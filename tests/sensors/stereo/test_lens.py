@@ -8,7 +8,8 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.stereo import Lens
-from rendezview.sensors.stereo.lens import ideal_with_sigma
+from rendezview.sensors.stereo.lens import ideal_with_sigma, unshift
+from rendezview.sensors.stereo.rig import ideal_spot
 
 WHOLE = Lens((0.2, -0.1, 0.05), (0.004, -0.003, 2.0), (0.01, -0.02), corrects=True)
 FIELD = np.random.default_rng(5).uniform(-0.3, 0.3, (200, 2))
@@ -88,3 +89,48 @@ def test_sigma_follows_the_lens(corrects: bool):
 def test_a_point_beyond_the_fold_is_nan():
     lens = Lens((-1.0, 0.0, 0.0), corrects=False)
     assert np.isnan(lens.undistort([[2.0, 0.0]])).all()
+
+
+def delta(points: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Eq. 6 by plain numpy, (N, 2) → (N, 2); complex numbers too, for derivatives."""
+    x, y = (points - c[6:]).T
+    r2 = x * x + y * y
+    radial = c[0] * r2 + c[1] * r2**2 + c[2] * r2**3
+    g = 1.0 + c[5] * r2
+    return np.stack(
+        [
+            x * radial + g * (c[3] * (r2 + 2.0 * x * x) + 2.0 * c[4] * x * y),
+            y * radial + g * (c[4] * (r2 + 2.0 * y * y) + 2.0 * c[3] * x * y),
+        ],
+        axis=1,
+    )
+
+
+def slopes(points: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """(N, 2, 2) derivatives of Δ by the complex step."""
+    return np.stack([delta(points + 1e-30j * a, c).imag / 1e-30 for a in np.eye(2)], axis=-1)
+
+
+def test_newton_undoes_equation_6_and_gives_its_derivatives():
+    c = WHOLE.coefficients
+    solved = np.array([unshift(*(point + delta(point[None], c)[0]), c) for point in FIELD])
+    np.testing.assert_allclose(solved[:, :2], FIELD, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(solved[:, 2:], slopes(FIELD, c).reshape(-1, 4), rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("corrects", [True, False])
+def test_a_spot_becomes_an_ideal_place_as_in_numpy(corrects: bool):
+    rng = np.random.default_rng(6)
+    c, k = WHOLE.coefficients, np.array([800.0, 750.0, 320.0, 250.0, 0.07])
+    ideal = FIELD
+    by_place = np.eye(2) + slopes(FIELD, c)
+    if corrects:  # Δ leads from the measured to the ideal place
+        measured, ideal = FIELD, FIELD + delta(FIELD, c)
+    else:
+        measured, by_place = FIELD + delta(FIELD, c), np.linalg.inv(by_place)
+    sigma = rng.uniform(0.05, 0.2, FIELD.shape)
+    spread = np.hypot(sigma, k[4]) / k[:2]
+    twin = np.hstack([ideal, np.sqrt(((by_place * spread[:, None]) ** 2).sum(axis=-1))])
+    spots = measured * k[:2] + k[2:4]
+    places = [ideal_spot(*uv, *s, k, c, corrects) for uv, s in zip(spots, sigma, strict=True)]
+    np.testing.assert_allclose(places, twin, rtol=1e-12, atol=1e-12)

@@ -13,7 +13,7 @@ from rich.table import Table
 from rendezview.evaluation.evaluation import Evaluation, number_text
 from rendezview.evaluation.scores import Scores, scores
 
-# Name in `Scores`, what is shown, factor, unit, decimals.
+# Name in `Scores`, label, factor, unit, decimals.
 _SCORES: tuple[tuple[str, str, float, str, int], ...] = (
     ("speed", "SPEED score, mean", 1.0, "", 4),
     ("speed_plus", "SPEED+ score, mean", 1.0, "", 4),
@@ -23,7 +23,7 @@ _SCORES: tuple[tuple[str, str, float, str, int], ...] = (
     ("mssd_recall", "BOP recall by MSSD", 100.0, "%", 1),
     ("mspd_recall", "BOP recall by MSPD", 100.0, "%", 1),
 )
-# Name in `PoseErrors`, what is shown, factor, unit, decimals.
+# Name in `PoseErrors`, label, factor, unit, decimals.
 _ERRORS: tuple[tuple[str, str, float, str, int], ...] = (
     ("rotation_rad", "rotation", math.degrees(1.0), "°", 3),
     ("translation_m", "translation", 1000.0, "mm", 1),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +15,11 @@ from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.report import write_report
 from rendezview.io.files import make_folder
-from rendezview.io.results import JsonLinesWriter, write_results
 from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.observation import Status
+from rendezview.sensors.run import Line, run
 from rendezview.simulation.command import default_camera
 from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
@@ -65,7 +67,7 @@ def demo(
                 perturbed_views=_VIEWS,
                 held_out_views=_HELD_OUT_VIEWS,
                 contour_radii=_SHELLS,
-                shadowed_silhouettes=False,  # the Sun stands behind the camera
+                shadowed_silhouettes=False,  # the Sun is behind the camera
                 seed=seed,
             ),
             camera=camera,
@@ -110,16 +112,20 @@ def demo(
         error = rng.normal(size=3)
         error *= _PRIOR_ERROR_RAD / np.linalg.norm(error)
         prior = truth.perturbed(np.concatenate([error, np.zeros(3)]))
-        observations, rows = [], []
-        with JsonLinesWriter(output / "log.jsonl") as log:
+        observations: list[AppearanceObservation] = []
+
+        def lines() -> Iterator[Line]:
             for frame, observation in follow(model, sequence, prior=prior):
                 observations.append(observation)
-                log.write(record(frame, observation))
                 row = result_row(sequence.scene_id, frame, observation)
-                if row is not None:
-                    rows.append(row)
-                progress("tracking", len(observations), len(sequence))
-        write_results(output / "poses.csv", rows)
+                yield Line(record(frame, observation), observation.status, row)
+
+        rows = run(
+            lines(),
+            log=output / "log.jsonl",
+            results=output / "poses.csv",
+            progress=progress.stage("tracking", len(sequence)),
+        ).rows
     evaluation = evaluate_rows(sequence, rows, target.symmetries, model.centre_m)
     report = write_report(
         output,

@@ -26,7 +26,7 @@ _BLOCK = 2000  # rows of distances computed at once, to limit memory
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelPoints:
-    """The vertices of a target, and what the measures need of them."""
+    """The vertices of a target, and the quantities that the measures need from them."""
 
     points_m: Array  # (V, 3) vertices, target frame
     hull_m: Array  # (H, 3) those on the convex hull

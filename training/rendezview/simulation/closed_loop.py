@@ -21,8 +21,8 @@ from rendezview.trajectory import Correction, PathFollower, Plan, Report
 from rendezview.trajectory.relative_orbit import push, transition, velocity_to_reach
 
 # Time and true camera_from_target → measurement of the follower: pose, covariance, points, weights.
-Seen = tuple[Pose | None, Array | None, Array, Array]
-Look = Callable[[float, Pose], Seen]
+Observed = tuple[Pose | None, Array | None, Array, Array]
+Look = Callable[[float, Pose], Observed]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,8 +116,8 @@ def fly(
             if own_attitude:
                 off = Rotation.from_rotvec(reported[k]).as_matrix()
                 attitude = plan.orbit.hill_from_target @ pose.rotation.T @ off
-            seen = look(float(time_s), pose)
-            report = follower.update(float(time_s), *seen, path_from_camera=attitude)
+            observed = look(float(time_s), pose)
+            report = follower.update(float(time_s), *observed, path_from_camera=attitude)
             reports.append(report)
             given = report.correction
             half_way = isinstance(given, Correction) and (given.reach_s - time_s >= 5.0 * step_s)

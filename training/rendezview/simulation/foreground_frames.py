@@ -19,7 +19,7 @@ from rendezview.training.zbuffer import Float32s
 
 WIDTH, HEIGHT = 320, 240  # px; input of the network
 _RADIUS_PX = (40.0, 118.0)  # px; radius of the craft in the picture
-_DARK_EXPOSURE = 300.0  # grey levels per unit of radiance, if no part of the craft is lit
+_DARK_EXPOSURE = 300.0  # grey levels per unit of radiance, if no part of the craft is sunlit
 
 
 def foreground_frame(rng: np.random.Generator) -> tuple[UInt8s, UInt8s]:

@@ -131,7 +131,7 @@ class Laboratory:
         return exact if rng is None else exact + rng.normal(0.0, self.noise, exact.shape)
 
     def calibration(self, rng: np.random.Generator, scans: int = 60) -> LaboratoryRecord:
-        """What a calibration of this laboratory measures, with the noise of its readings.
+        """The measurements of a calibration of this laboratory, with the noise of its readings.
 
         A scan of 30 × 30 places, aligned beams, a plate of 6 × 7 lights before each lens
         and at twelve surveyed places, everything averaged over ``scans`` frames.

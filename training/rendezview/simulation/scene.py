@@ -165,7 +165,7 @@ def simulate(
         suns.append(_sun(mesh, pose, options, azimuth))
     if options.sensor.exposure is None:
         chosen = np.unique(np.linspace(0, len(poses) - 1, _METERED_FRAMES).round().astype(int))
-        # One sample per pixel without shadows is enough to measure the lit faces.
+        # One sample per pixel without shadows is enough to measure the sunlit faces.
         plain = replace(options.shading, samples=1, shadows=False)
         drawn = [render(mesh, camera, poses[i][1], suns[i], plain) for i in chosen]
         pictures = [(picture.radiance, picture.coverage) for picture in drawn]
@@ -198,7 +198,7 @@ def _exposure(mesh: Mesh, pictures: list[Picture], options: SceneOptions) -> flo
     metered = automatic_exposure(pictures, options.sensor.black_level_grey)
     if metered is not None:
         return metered
-    # No part of the target is lit and visible: expose for its mean albedo in full sunlight.
+    # No part of the target is sunlit and visible: expose for its mean albedo in full sunlight.
     albedo = float(np.mean(mesh.face_albedo)) if len(mesh.faces) else 0.0
     return (200.0 - options.sensor.black_level_grey) / max(albedo, 0.05)
 

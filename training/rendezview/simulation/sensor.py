@@ -15,9 +15,9 @@ from rendezview.training.zbuffer import Float32s
 
 UInt8s = npt.NDArray[np.uint8]
 
-_TARGET_GREY = 200.0  # grey level of the brightest tenth of the lit target
-_LIT_SHARE = 0.1  # of the brightest pixels; lit pixels are brighter
-_LIT_RADIANCE = 0.03  # lit pixels are brighter; dark sides in ambient light are not
+_TARGET_GREY = 200.0  # grey level of the brightest tenth of the sunlit target
+_SUNLIT_SHARE = 0.1  # of the brightest pixels; sunlit pixels are brighter
+_SUNLIT_RADIANCE = 0.03  # sunlit pixels are brighter; dark sides in ambient light are not
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,22 +46,22 @@ class SensorOptions:
 def automatic_exposure(
     pictures: Iterable[tuple[Float32s, Float32s]], black_level_grey: float = 0.0
 ) -> float | None:
-    """Exposure that puts the brightest tenth of the lit target near 200 grey.
+    """Exposure that puts the brightest tenth of the sunlit target near 200 grey.
 
     Args:
         pictures: (radiance, coverage) of one or several renderings of the target.
 
     Returns:
         Grey levels per unit of radiance. The median of the brightest tenth (the 95th percentile) of
-        the fully covered, sunlit pixels becomes 200. None if no pixel of the target is lit.
+        the fully covered, sunlit pixels becomes 200. None if no pixel is sunlit.
     """
-    seen = [np.asarray(radiance[coverage > 0.99]) for radiance, coverage in pictures]
-    values = np.concatenate(seen) if seen else np.empty(0, np.float32)
-    values = values[values > _LIT_RADIANCE]
+    covered = [np.asarray(radiance[coverage > 0.99]) for radiance, coverage in pictures]
+    values = np.concatenate(covered) if covered else np.empty(0, np.float32)
+    values = values[values > _SUNLIT_RADIANCE]
     if not len(values):
         return None
-    lit = values[values > _LIT_SHARE * np.percentile(values, 99.0)]
-    return (_TARGET_GREY - black_level_grey) / float(np.percentile(lit, 95.0))
+    bright = values[values > _SUNLIT_SHARE * np.percentile(values, 99.0)]
+    return (_TARGET_GREY - black_level_grey) / float(np.percentile(bright, 95.0))
 
 
 def with_shot_noise(

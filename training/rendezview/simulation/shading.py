@@ -55,7 +55,7 @@ class ShadingOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rendering:
-    """The target alone, on black."""
+    """The target on black, without a background."""
 
     radiance: Float32s  # (H, W) premultiplied by coverage: add (1 − coverage) × background
     coverage: Float32s  # (H, W) share of the pixel that the target covers

@@ -37,7 +37,7 @@ def shadow_map(
     sun: Array,
     visible: tuple[Float32s, Int32s],
     intrinsics: tuple[float, float, float, float],
-    lit: Array,
+    incidence: Array,
     texels_max: int,
 ) -> ShadowMap:
     """Map of everything that may shade the visible surfaces, in the camera frame.
@@ -52,7 +52,7 @@ def shadow_map(
         texels_max: limit of either side; texels are otherwise as small as samples.
     """
     axes = axes_towards(sun)
-    bounds = _visible_bounds(*visible, *intrinsics, lit, axes)
+    bounds = _visible_bounds(*visible, *intrinsics, incidence, axes)
     left, top, right, bottom, z_min = bounds
     if not left <= right:
         return ShadowMap.empty()
@@ -75,7 +75,7 @@ def shadow_map(
 
 @njit(cache=True, nogil=True)
 def _visible_bounds(
-    nearness: Float32s, owner: Int32s, fx: float, fy: float, cx: float, cy: float, lit: Array,
+    nearness: Float32s, owner: Int32s, fx: float, fy: float, cx: float, cy: float, incidence: Array,
     axes: Array,
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Extent of the visible sunlit samples across the Sun's direction, and their least z."""
@@ -84,7 +84,7 @@ def _visible_bounds(
     for i in range(nearness.shape[0]):
         for j in range(nearness.shape[1]):
             face = owner[i, j]
-            if face < 0 or lit[face] <= 0.0:
+            if face < 0 or incidence[face] <= 0.0:
                 continue
             z = 1.0 / nearness[i, j]
             x, y = z * (j - cx) / fx, z * (i - cy) / fy

@@ -1,7 +1,7 @@
 """Trajectories of a camera relative to a target, as poses with times.
 
 The camera looks at ``centre_m``, a point of the target; the range is its distance. The target's +Z
-points up in the picture unless a docstring says otherwise.
+points up in the picture unless a docstring states otherwise.
 """
 
 from __future__ import annotations

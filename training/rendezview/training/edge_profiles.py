@@ -2,7 +2,7 @@
 
 A bevel or the rim of a panel is often narrower than a pixel of the drawn view, but moves the edge
 in a camera's picture by its width. So the visible surface at a place is computed from triangles;
-the pixels around it only tell which triangles to test.
+the pixels around it only select the triangles to test.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def _sample(
 
 @njit(cache=True, nogil=True)
 def _nearest_start(first: npt.NDArray[np.int64], places: Array, wide: Array) -> int:
-    """The stretch that begins nearest to the edge itself; what lies before it is sky."""
+    """The stretch that begins nearest to the edge itself; stretches before it are sky."""
     sky, nearest = 0, np.inf
     for k in range(1, len(first)):
         begins = places[first[k]] - 0.5 * wide[first[k]]

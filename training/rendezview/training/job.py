@@ -14,8 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-import rendezview.sensors.appearance.outline.tracing
-import rendezview.training.views
+import rendezview.sensors.appearance
+import rendezview.training
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
@@ -180,8 +180,8 @@ _UNMEASURED = HeldOut(
 def _code_sha256() -> str:
     """Digest of the modules that compute shards: shards of other code are discarded."""
     digest = hashlib.sha256()
-    for module in (rendezview.training.views, rendezview.sensors.appearance.outline.tracing):
-        for source in sorted(Path(str(module.__file__)).parent.glob("*.py")):
+    for package in (rendezview.training, rendezview.sensors.appearance):
+        for source in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
             digest.update(source.read_bytes())
     return digest.hexdigest()
 

@@ -151,7 +151,7 @@ def _cleaned(
         what = " (a cloud of points?)" if len(content.vertices) else ""
         raise RendezviewError(
             f"{path} holds no triangles{what}. "
-            "Export the model as a surface mesh; check that the file is what its suffix says."
+            "Export the model as a surface mesh; check that the file matches its suffix."
         )
     finite = (np.abs(content.vertices[faces]) < _LARGEST_COORDINATE).all(axis=(1, 2))
     if not finite.any():
@@ -203,7 +203,7 @@ def _scale(path: Path, vertices: Array, content: MeshFile, unit: str | None) -> 
         factor = METRES_PER_UNIT[unit]
         source = f"Unit {unit} as given"
         if content.unit is not None and not np.isclose(content.unit[0], factor):
-            source += f", not {content.unit[1]} as the file says"
+            source += f", not {content.unit[1]} as the file states"
     elif content.unit is not None:
         factor = content.unit[0]
         source = f"Unit from the file: {content.unit[1]}"

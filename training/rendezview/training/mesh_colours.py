@@ -62,7 +62,7 @@ def visual_face_rgb(geometry: Any, linear: bool, ignore_white: bool) -> Rgb | No
     Args:
         geometry: ``trimesh.Trimesh``.
         linear: factors and vertex colours are linear already (glTF).
-        ignore_white: a white material stands for a texture that could not be read.
+        ignore_white: a white material replaces a texture that could not be read.
     """
     visual, faces = geometry.visual, np.asarray(geometry.faces)
     decode = unit_range if linear else lambda values: linear_from_srgb(unit_range(values))

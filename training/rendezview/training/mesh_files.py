@@ -182,7 +182,7 @@ def _texture_notes(path: Path, messages: list[tuple[int, str]]) -> list[str]:
             notes.append("Textures not found or not readable: their faces keep their plain colour.")
     warned = [text for level, text in messages if level >= logging.WARNING]
     notes += [
-        f"trimesh says: {text.rstrip('.')}."
+        f"trimesh reports: {text.rstrip('.')}."
         for text in dict.fromkeys(warned)
         if text not in troubled
     ]

@@ -114,6 +114,6 @@ def _find(folder: Path, entry: str) -> Path | None:
     if not written.name:
         return None
     for candidate in (folder / written, folder / written.name):
-        if os.path.isfile(candidate):  # never raises, whatever the name
+        if os.path.isfile(candidate):  # never raises, for any name
             return candidate
     return None

@@ -66,7 +66,7 @@ def project_vertices(vertices_m: Array, camera_from_target: Pose, window: Window
     )
     if not least > NEAREST_M:
         raise RendezviewError(
-            "part of the target lies behind the camera: the camera stands inside the target, "
+            "part of the target lies behind the camera: the camera is inside the target, "
             "use a larger sphere radius"
         )
     return points_px

@@ -26,9 +26,9 @@ _MAP_TEXELS = 256  # width of a shadow map
 _PICTURE_PX = 128  # px; width of the drawn view
 _BORDER_PX = 2.0  # px around the target in the picture
 _RANGE_RADII = 1.5  # sphere radii; between the nearest and the far views
-_PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # below, nearly the whole silhouette is lit
+_PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # below, nearly the whole silhouette is sunlit
 _LEAST_COSINE = 0.06  # of the Sun's incidence; a flatter face stays below the threshold
-_LEAST_SHARE = 0.08  # of the silhouette; a smaller lit part is left out
+_LEAST_SHARE = 0.08  # of the silhouette; a smaller sunlit part is left out
 _LEAST_OUTLINE = 10  # points; a shorter outline is a speck
 _SMOOTH_BINS = 3  # bins of a signature
 

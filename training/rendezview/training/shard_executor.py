@@ -1,4 +1,4 @@
-"""What every executor of shards shares: the contract, its types, and how one shard runs.
+"""Shared parts of all executors of shards: the contract, its types, and how one shard runs.
 
 A shard is a part of a stage of work: a task and its arguments. A task is a function of a module,
 so that other processes find it.

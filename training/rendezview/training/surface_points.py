@@ -15,7 +15,7 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.zbuffer import Int32s
 
-SURFACE_ORDER = 3  # of the sphere of directions: 642, whatever the order of the trees
+SURFACE_ORDER = 3  # of the sphere of directions: 642, independent of the order of the trees
 _CANDIDATES = 8  # candidates per kept point: much of a mesh is visible from nowhere
 _AFAR_RADII = 100.0  # target radii; perspective is negligible from there
 _BORDER_PX = 4.0  # px around the target in the picture

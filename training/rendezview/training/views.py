@@ -26,7 +26,7 @@ _SUPERSAMPLING = 2  # samples per pixel side of perturbed views
 _MARGIN_PX = 6  # px of sky around a perturbed view
 _SKY_GREY = 12.0  # grey levels
 _TILE = 1024  # px; side of the tile of noise
-# All blobs belong to the one target. The low threshold is that of flight; the high one stands for
+# All blobs belong to the one target. The low threshold is that of flight; the high one simulates
 # wires and panels that are too dim to be visible.
 _THRESHOLDS = (
     SilhouetteOptions(merge_gap=10.0),

@@ -208,12 +208,8 @@ def _ratios(sides, angles, s):  # type: ignore[no-untyped-def]
             d23 * q12 - d12 * q23,
         )
     )
-    c0, c1, c2, c3 = (
-        determinant(a),
-        mixed_determinant(a, b),
-        mixed_determinant(b, a),
-        determinant(b),
-    )
+    c0, c1 = determinant(a), mixed_determinant(a, b)
+    c2, c3 = mixed_determinant(b, a), determinant(b)
     # Turn the pencil's basis so that the cubic keeps its leading term: a cubic form does not
     # vanish in four directions.
     best, cosine, sine = -1.0, 1.0, 0.0

@@ -77,20 +77,21 @@ def normal_equations(
                 n32, n42, n52 = n32 + gx * h2, n42 + gy * h2, n52 + gz * h2
                 n33, n43, n53 = n33 + gx * gx, n43 + gy * gx, n53 + gz * gx
                 n44, n54, n55 = n44 + gy * gy, n54 + gz * gy, n55 + gz * gz
-    gradient[0], gradient[1], gradient[2] = b0, b1, b2
-    gradient[3], gradient[4], gradient[5] = b3, b4, b5
-    information[0, 0] = n00
-    information[1, 0], information[1, 1] = n10, n11
-    information[2, 0], information[2, 1], information[2, 2] = n20, n21, n22
-    information[3, 0], information[3, 1], information[3, 2], information[3, 3] = n30, n31, n32, n33
-    information[4, 0], information[4, 1], information[4, 2] = n40, n41, n42
-    information[4, 3], information[4, 4] = n43, n44
-    information[5, 0], information[5, 1], information[5, 2] = n50, n51, n52
-    information[5, 3], information[5, 4], information[5, 5] = n53, n54, n55
-    for i in range(6):
-        for j in range(i):
-            information[j, i] = information[i, j]
+    _fill(
+        (b0, b1, b2, b3, b4, b5), gradient,
+        (n00, n10, n11, n20, n21, n22, n30, n31, n32, n33, n40, n41, n42, n43, n44,
+         n50, n51, n52, n53, n54, n55), information,
+    )  # fmt: skip
     return cost
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _fill(right, gradient, lower, information):  # type: ignore[no-untyped-def]
+    """Put the sums into their arrays; ``lower`` is the triangle, row by row."""
+    for i in range(6):
+        gradient[i] = right[i]
+        for j in range(i + 1):
+            information[i, j] = information[j, i] = lower[i * (i + 1) // 2 + j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

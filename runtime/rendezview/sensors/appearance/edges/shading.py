@@ -189,6 +189,17 @@ def _brightness(surface: SurfaceTables, node: int, point: int, normal: Array, su
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _mean_level(image: Picture, u: float, v: float) -> float:
+    """Grey level at a pixel, a mean of 3 × 3."""
+    column, row = int(u + 0.5), int(v + 0.5)
+    total = 0
+    for i in range(-1, 2):
+        for j in range(-1, 2):
+            total += image[row + i, column + j]
+    return total / 9.0
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def visible_points(
     image: Picture, lens: Lens, surface: SurfaceTables, rotation: Array, centre: Array,
     which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array, levels: Array,
@@ -244,12 +255,7 @@ def visible_points(
         pu, pv = camera[0] * a + camera[2], camera[1] * b + camera[3]
         if not (pu > 1.0 and pv > 1.0 and pu < width - 2.0 and pv < height - 2.0):
             continue
-        column, row = int(pu + 0.5), int(pv + 0.5)
-        total = 0
-        for i in range(-1, 2):
-            for j in range(-1, 2):
-                total += image[row + i, column + j]
-        which[found], u[found], v[found], levels[found] = k, pu, pv, total / 9.0
+        which[found], u[found], v[found], levels[found] = k, pu, pv, _mean_level(image, pu, pv)
         facing[found, 0], facing[found, 1], facing[found, 2] = way * n0, way * n1, way * n2
         found += 1
     return found
