@@ -204,5 +204,5 @@ def test_what_is_no_certificate_is_refused(tmp_path):
     wrong = tmp_path / "wrong.pem"
     wrong.write_text("no certificate")
     for path in (wrong, tmp_path / "nothing.pem"):
-        with pytest.raises(RendezviewError, match=r"\.pem: no certificate"):
+        with pytest.raises(RendezviewError, match=r"\.pem: not a certificate"):
             Client("https://127.0.0.1:8360", certificate=path)
