@@ -44,7 +44,7 @@ def test_lines_read_for_the_service_are_those_of_the_command(sensors, tour):
     for record in (sensors.ring(time_s, truth), sensors.range(time_s, truth)):
         kind = kind_of(record, "here")
         assert read_record(record, kind, "any", context, "here").time_s == time_s
-        with pytest.raises(RendezviewError, match=r"where it is|what the beam meets"):
+        with pytest.raises(RendezviewError, match=r"where it is|the surfaces it can hit"):
             read_record(record, kind, "any", LogContext(), "here")
 
 

@@ -165,6 +165,7 @@ def test_who_pauses_looks_back_while_frames_go_on(service, feed, open_page) -> N
     page = open_page(f"{service.url}#back")
     until(page, "rendezview.updates > 12")
     page.keyboard.press(" ")
+    until(page, "document.getElementById('when').textContent.startsWith('paused')")
     note = "Number(document.getElementById('frame-note').textContent.split(' ')[1])"
     before = until(page, note)
     count = session.info()["frames"]
