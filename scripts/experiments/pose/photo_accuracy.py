@@ -102,17 +102,18 @@ def table(name: str, rows: list[dict]) -> None:
     )
 
 
-def main(
+def run(
     model: Path,
     folder: Path,
+    *,
     priors: Annotated[int, "of each photograph"] = 3,
-    sketch: Annotated[bool, "search on sketches where the grey edges give no pose"] = True,
+    no_sketch: Annotated[bool, "without the search on sketches"] = False,
     log: Annotated[Path | None, "errors of every photograph, JSON lines"] = None,
     seed: int = 1,
 ) -> None:
     cv2.setNumThreads(1)
     camera, frames = read(folder)
-    recognizer = Recognizer(ViewModel.load(model), camera, sketch=sketch)
+    recognizer = Recognizer(ViewModel.load(model), camera, sketch=not no_sketch)
     recognizer.recognize(frames[0][1])  # compiles, and reads the network
     rng = np.random.default_rng(seed)
     rows: dict[str, list[dict]] = {"no prior": [], "prior": []}

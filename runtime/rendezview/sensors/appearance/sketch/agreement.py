@@ -11,6 +11,7 @@ from rendezview.sensors.appearance.sketch.retrieval import towards
 from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches
 
 _HALVES = 2  # times coarser than the sketch: a view's maps are no finer. Source: by construction
+# Source: experiment photo-accuracy
 _LINE_SIGMA_CELLS = 1.2  # σ, cells: lines of the nearest view lie a little aside
 FEATURES = ("overlap", "edges", "creases")
 

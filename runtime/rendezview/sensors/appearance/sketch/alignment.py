@@ -53,13 +53,18 @@ class Maps(NamedTuple):
 AT, CONTRAST = COLUMNS, COLUMNS + 1
 WIDTH = COLUMNS + 2  # Source: by construction
 
-_LEAST_PROBABILITY = 0.08  # of an edge, to be a candidate. Source: experiment sketch-accuracy
+_LEAST_PROBABILITY = 0.08  # of an edge, to be a candidate. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
 _STEP_PX = 3.0  # sketch px to either side of an outline, where the cover is read
+# Source: experiment photo-accuracy
 _LEAST_CONTRAST = 0.15  # of the cover, added: where the cover is wrong an edge still counts
+# Source: as edges/alignment.py
 _CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
-_LEAST_EDGES = 10  # found, for six unknowns
+_LEAST_EDGES = 10  # found, for six unknowns. Source: as edges/alignment.py
+# Source: a tenth of an edge's error, by construction
 _STOP_PX = 0.05  # sketch px; a shorter step is the last
 _HELD = 1e-3  # damping, share of the information. Source: as edges/alignment.py
+# Source: experiment photo-accuracy
 _LEAST_SIGMA_PX = 0.3  # sketch px; one σ of an edge in the best of cases
 # Information of about a radian and a target radius. Source: as edges/refinement.py
 _NOTHING_KNOWN = 1e-4

@@ -17,7 +17,8 @@ PACKAGED = Path(__file__).with_name("error_model.json")
 # What a pose is judged by, in the order of the fields of ``SketchPose`` …
 POSE_FEATURES = ("outline", "inner", "contrast", "visible", "overlap", "edges", "creases")
 # … and the choice of one.
-CHOICE_FEATURES = ("constant", "merit", "margin", "visible", "cut", "prior")
+CHOICE_FEATURES = ("constant", "margin", "cut", "prior", *POSE_FEATURES)
+# Source: the spacing of the nodes' views
 _RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
 _MOST_MARGIN = 4.0  # of log odds; a larger margin says no more. Source: by construction
 _MOST_ODDS = 30.0  # of the log odds: exp stays finite. Source: by construction
@@ -38,12 +39,12 @@ class SketchPose:
 
     @property
     def features(self) -> Array:
-        """(8,) a constant and ``POSE_FEATURES``."""
-        return np.array([1.0, *(getattr(self, name) for name in POSE_FEATURES)])
+        """(7,) ``POSE_FEATURES``."""
+        return np.array([getattr(self, name) for name in POSE_FEATURES])
 
     @property
     def merit(self) -> float:
-        """Log odds that the pose is right, by itself."""
+        """Log odds against the other poses of the frame, but for a constant."""
         return float(self.features @ _packaged().merit)
 
 
@@ -65,10 +66,9 @@ class SketchChoice:
 
     @property
     def features(self) -> Array:
-        """(6,) ``CHOICE_FEATURES``."""
-        best = self.best
+        """(11,) ``CHOICE_FEATURES``."""
         margin = min(self.margin, _MOST_MARGIN)
-        return np.array([1.0, best.merit, margin, best.visible, float(self.cut), float(self.prior)])
+        return np.array([1.0, margin, float(self.cut), float(self.prior), *self.best.features])
 
     @property
     def confidence(self) -> float:
@@ -108,14 +108,14 @@ def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[S
 class SketchErrorModel:
     """Coefficients fitted to frames of known pose (``experiments sketch-confidence``)."""
 
-    merit: Array  # (8,) of a constant and POSE_FEATURES
-    log_odds: Array  # (6,) of CHOICE_FEATURES
+    merit: Array  # (7,) of POSE_FEATURES
+    log_odds: Array  # (11,) of CHOICE_FEATURES
     inflation: float  # of the covariance of independent edges
 
 
 @cache
 def _packaged() -> SketchErrorModel:
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
-    merit = [record["merit"][name] for name in ("constant", *POSE_FEATURES)]
+    merit = [record["merit"][name] for name in POSE_FEATURES]
     odds = [record["log_odds"][name] for name in CHOICE_FEATURES]
     return SketchErrorModel(np.array(merit), np.array(odds), float(record["inflation"]))

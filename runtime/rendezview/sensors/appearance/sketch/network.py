@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 NETWORK = Path(__file__).with_name("sketch.onnx")
 COVER, EDGE, CREASE = 0, 1, 2  # maps of a sketch, probabilities
-MAPS = 3
+MAPS = 3  # Source: by construction
 SIDE_PX = 256  # sketch px; the network is trained at this size. Source: experiment sketch-network
 # Px a side: the pixels of a square become channels. Source: experiment sketch-network
 SQUARE_PX = 4
@@ -35,7 +35,10 @@ _GLANCE_PX = (320, 240)  # sketch px; at most, of the look at the whole frame. S
 _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. Source: as trained
 _LEAST_SIDE = 0.75  # of SIDE_PX: a smaller square would be magnified. Source: as trained
 _COVERED = 0.5  # probability. Source: by construction
-_PIECE_SHARE = 0.03  # of the largest piece; smaller ones are specks. Source: issue of real frames
+_PIECE_SHARE = (
+    0.03  # of the largest piece; smaller ones are specks. Source: experiment photo-accuracy
+)
+# Source: experiment photo-accuracy
 _PIECE_GAP = 0.4  # of the largest piece's size; pieces this near belong to it
 
 Float32s = npt.NDArray[np.float32]

@@ -20,13 +20,14 @@ from rendezview.sensors.appearance.sketch.views import (
 
 Bools = npt.NDArray[np.bool_]
 
-_ROLLS = 40  # 9° apart; alignment converges from half of that
-# Weights of the correlations of each map. Source: experiment sketch-accuracy
+_ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
+# Weights of the correlations of each map. Source: experiment photo-accuracy
 _WEIGHTS = {COVER: 1.0, EDGE: 1.0, CREASE: 0.6}
 # Where the target leaves the frame: its whole size, of what is seen, and the shift of its centre
-# beyond the border, of the growth. Source: experiment sketch-accuracy
+# beyond the border, of the growth. Source: experiment photo-accuracy
 _CUT_SIZES = (1.0, 1.25, 1.6)
-_CUT_SHIFT = 0.6
+_CUT_SHIFT = 0.6  # Source: experiment photo-accuracy
+# Source: spacing of the nodes' views
 _SAME_RAD = np.deg2rad(7.0)  # rad; nearer views lead to the same pose
 
 

@@ -39,21 +39,24 @@ from rendezview.sensors.appearance.sketch.network import (
 from rendezview.sensors.appearance.sketch.retrieval import SketchRetrieval
 
 # Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
-# of the target is looked over first, then less and less. Source: experiment sketch-accuracy
+# of the target is looked over first, then less and less. Source: experiment photo-accuracy
 _COARSE = np.array(
     [[14.0, 7.0, 3.0, 2.0, 0.5], [9.0, 4.0, 3.0, 1.0, 0.5], [6.0, 2.5, 4.0, 1.0, 0.5]]
 )
 # In the finer sketch all edges within 2 % of the target's size count: where the mesh is wrong, the
-# mean of many edges is nearer to the pose than the few that fit. Source: experiment sketch-accuracy
+# mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
 _FINE = np.array([[12.0, 5.0, 10.0, 1.0, 1.0]])
-_FINER = 2  # times SIDE_PX. Source: experiment sketch-accuracy
+_FINER = 2  # times SIDE_PX. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
 _RETRIEVED = 80  # views and rolls that are aligned without a prior
-_RETRIEVED_NEAR = 30  # the same near a prior
-_LOOKED_AT = 5  # of the aligned poses, more closely
-_APART_RAD = np.deg2rad(4.0)  # rad, between them
+_RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
+_LOOKED_AT = 5  # of the aligned poses, more closely. Source: experiment photo-accuracy
+_APART_RAD = np.deg2rad(4.0)  # rad, between them. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
 _ASIDE_RAD = np.deg2rad(4.0)  # rad; the pose that fits best is looked for that far around
 _VIEW_RAD = np.deg2rad(6.0)  # rad; from any attitude to the nearest view. Source: the node sphere
 _SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: half their width
+# Source: experiment photo-accuracy
 _CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
 
 

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.sketch.network import COVER, MAPS, Float32s
 
-GRID = 40  # cells a side of a view's maps
-# Half a side of the maps, of the root of the cover's area. Source: experiment sketch-accuracy
+GRID = 40  # cells a side of a view's maps. Source: experiment photo-accuracy
+# Half a side of the maps, of the root of the cover's area. Source: experiment photo-accuracy
 REACH = 1.3
-_DOUBT = 0.3  # probability; a fainter cover is none. Source: experiment sketch-accuracy
+_DOUBT = 0.3  # probability; a fainter cover is none. Source: experiment photo-accuracy
 _SMOOTH_CELLS = 0.5  # σ of the maps before they are read. Source: half a cell, by construction
 
 
