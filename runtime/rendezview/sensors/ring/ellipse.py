@@ -77,6 +77,12 @@ class Ellipse:
         row = self._row()
         return np.array([sampson(row, x, y) for x, y in points])
 
+    def holds(self, point_px: npt.ArrayLike) -> bool:
+        """Whether a point (2,) px lies within."""
+        x, y, a, b, c = self.shape
+        away = np.linalg.solve([[a, b], [b, c]], np.asarray(point_px, np.float64) - (x, y))
+        return bool(away @ away < 1.0)
+
     def points(self, count: int = 180) -> Array:
         """(count, 2) points on it, px."""
         angles = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
