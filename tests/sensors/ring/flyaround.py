@@ -1,4 +1,4 @@
-"""Pictures of a panel with a ring before it, drawn from the distance of each pixel to their outlines."""
+"""Pictures of a panel with a ring before it, from the distance of pixels to their outlines."""
 
 from __future__ import annotations
 

@@ -24,10 +24,13 @@ Floats = npt.NDArray[np.float32]
 
 _LEVELS = 9  # thresholds between the darkest and the brightest percentile. Source: by construction
 _LEAST_AREA = 0.003  # of the picture. Source: by construction, a panel 70 × 50 px of 1024 × 1024
-_CORNER_SHARE = 0.02  # of the outline, by which a quadrilateral may miss it. Source: OpenCV's sample
+_CORNER_SHARE = (
+    0.02  # of the outline, by which a quadrilateral may miss it. Source: OpenCV's sample
+)
 _SAMPLE_PX = 2.0  # between profiles along a side. Source: by construction, an edge's blur
-_NEAR_CORNER = 0.06  # share of a side left out at either end, where two edges meet. Source: as above
-_SEARCH_PX = 8  # from the rough side. Source: by construction, _CORNER_SHARE of a 400 px outline
+_NEAR_CORNER = (
+    0.06  # share of a side left out at either end, where two edges meet. Source: as above
+)
 _LEAST_EDGES = 0.6  # of a side's profiles that must show the line. Source: by construction
 _CUT_SPREADS = 3.5  # of steps from their line. Source: by construction, normal distribution
 _FLOOR_PX = 0.03  # σ added to a corner, the edge model's. Source: `RingOptions.floor_px`
@@ -66,7 +69,9 @@ class Panel:
     def holds(self, point_px: Array) -> bool:
         """Whether a point (2,) lies within."""
         outline = self.corners_px.astype(np.float32)
-        return bool(cv2.pointPolygonTest(outline, (float(point_px[0]), float(point_px[1])), False) > 0)
+        return bool(
+            cv2.pointPolygonTest(outline, (float(point_px[0]), float(point_px[1])), False) > 0
+        )
 
 
 def find_panel(image: Grey, camera: Camera, blur_px: float = 0.9) -> Panel | None:
@@ -79,20 +84,20 @@ def find_panel(image: Grey, camera: Camera, blur_px: float = 0.9) -> Panel | Non
     """
     filters = step_filters(blur_px)[0]
     grey = np.asarray(image, dtype=np.float32)
-    for rough in _quadrilaterals(image):
+    for corners, outline in _quadrilaterals(image):
         sides = []
-        for start, end in pairwise([*rough, rough[0]]):
-            side = _side(grey, camera, start, end, filters)
+        for start, end in pairwise([*corners, corners[0]]):
+            side = _side(grey, camera, start, end, outline, filters)
             if side is None:
                 break
             sides.append(side)
         if len(sides) < 4:
             continue
         meets = [sides[k - 1].meets(sides[k]) for k in range(4)]
-        corners = np.array([place for place, _ in meets])
+        places = np.array([place for place, _ in meets])
         variance = float(np.mean([spread for _, spread in meets]))
-        if np.isfinite(corners).all():
-            return Panel(corners, float(np.hypot(np.sqrt(variance), _FLOOR_PX)))
+        if np.isfinite(places).all():
+            return Panel(places, float(np.hypot(np.sqrt(variance), _FLOOR_PX)))
     return None
 
 
@@ -137,12 +142,12 @@ class _Line:
         return self.middle + far[0] * self.direction, variance
 
 
-def _quadrilaterals(image: Grey) -> list[Array]:
-    """Convex outlines with four corners (4, 2) px inside the picture, the largest first."""
+def _quadrilaterals(image: Grey) -> list[tuple[Array, Array]]:
+    """Four corners (4, 2) px and the outline (N, 2) of convex regions, the largest first."""
     height, width = image.shape
     smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
     low, high = np.percentile(smooth, (1.0, 99.5))
-    found: list[tuple[float, Array]] = []
+    found: list[tuple[float, Array, Array]] = []
     for level in np.linspace(low, high, _LEVELS + 2)[1:-1]:
         mask = (smooth > level).astype(np.uint8)
         for outline in cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)[0]:
@@ -154,36 +159,38 @@ def _quadrilaterals(image: Grey) -> list[Array]:
             corners = cv2.approxPolyDP(hull, near, True).reshape(-1, 2).astype(np.float64)
             inside = (corners > 1).all() and (corners < (width - 2, height - 2)).all()
             if len(corners) == 4 and inside and area > 0.8 * cv2.contourArea(hull):
-                found.append((area, corners))
-    return [corners for _, corners in sorted(found, key=lambda one: -one[0])]
+                found.append((area, corners, outline.reshape(-1, 2).astype(np.float64)))
+    return [(corners, line) for _, corners, line in sorted(found, key=lambda one: -one[0])]
 
 
 def _side(
-    grey: Floats, camera: Camera, start: Array, end: Array, filters: Array
+    grey: Floats, camera: Camera, start: Array, end: Array, outline: Array, filters: Array
 ) -> _Line | None:
     """The line of a side, in pixels of the camera without distortion."""
     long = float(np.linalg.norm(end - start))
-    shares = np.linspace(_NEAR_CORNER, 1.0 - _NEAR_CORNER, max(int(long / _SAMPLE_PX), 8))
     along = (end - start) / long
     across = np.array([-along[1], along[0]])
+    shares = np.linspace(_NEAR_CORNER, 1.0 - _NEAR_CORNER, max(int(long / _SAMPLE_PX), 8))
     base = start + shares[:, None] * (end - start)
-    # The steepest place first; it decides the sense of the edge.
-    wide = _profiles(grey, base, across, _SEARCH_PX)
-    slope = np.diff(wide, axis=1)
-    sense = 1.0 if abs(slope.max(axis=1).sum()) > abs(slope.min(axis=1).sum()) else -1.0
-    offsets = np.argmax(sense * slope, axis=1) - _SEARCH_PX + 0.5
-    middle = _robust_line(shares, offsets)
+    # The region's outline gives the side to a pixel, steps of the grey levels the rest.
+    share, away = (outline - start) @ along / long, (outline - start) @ across
+    mine = (share > shares[0]) & (share < shares[-1]) & (np.abs(away) < _CORNER_SHARE * 4.0 * long)
+    if mine.sum() < 8:
+        return None
+    line = _robust_line(share[mine], away[mine])
     for _ in range(2):
-        offsets_now = middle[0] + middle[1] * shares
-        profiles = _profiles(grey, base + offsets_now[:, None] * across, across, REACH)
+        offsets = line[0] + line[1] * shares
+        profiles = _profiles(grey, base + offsets[:, None] * across, across, REACH)
         _, contrast, shifted = filters @ profiles.T
-        good = sense * contrast > 0.3 * np.median(sense * contrast)
+        usual = float(np.median(contrast))
+        good = contrast * np.sign(usual) > 0.3 * abs(usual)
         steps = np.divide(shifted, contrast, out=np.full_like(contrast, np.inf), where=good)
         good &= np.abs(steps) < REACH - 1.0
         if good.sum() < max(_LEAST_EDGES * len(shares), 4):
             return None
-        middle = _robust_line(shares[good], (offsets_now + steps)[good])
-    places = base[good] + (offsets_now + steps)[good][:, None] * across
+        offsets = offsets + steps
+        line = _robust_line(shares[good], offsets[good])
+    places = base[good] + offsets[good, None] * across
     rays = camera.rays(places)
     flat = rays[:, :2] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
     return _Line.fit(flat)

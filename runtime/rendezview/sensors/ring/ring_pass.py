@@ -186,6 +186,4 @@ def _finished(problem: _Pass, state: _State, used: tuple[int, ...], chi2: float)
     covariance = covariance * max(1.0, chi2 / freedom)  # frames that scatter more than they claim
     sides, (radius, distance) = state.common[:2], state.common[2:4]
     offset = state.common[4:]
-    return PassSize(
-        float(radius), float(distance), offset, sides, covariance, used, chi2, freedom
-    )
+    return PassSize(float(radius), float(distance), offset, sides, covariance, used, chi2, freedom)
