@@ -305,7 +305,7 @@ class PathFollower:
 
 
 def record(report: Report) -> dict[str, Any]:
-    """A report as a log of JSON lines stores it, docs/files.md."""
+    """A report as a log of JSON lines stores it, docs/files-logs.md."""
     line: dict[str, Any] = {"number": report.number, "ended": report.ended}
     segment = report.segment
     if isinstance(segment, Segment):

@@ -185,7 +185,7 @@ _FITTED = {
 
 
 def load_plan(path: StrPath) -> Plan:
-    """Read a plan file (TOML, docs/files.md).
+    """Read a plan file (TOML, docs/files-plan.md).
 
     Raises:
         RendezviewError: missing, not TOML, an unknown or wrong key, no path or more than one,
