@@ -90,15 +90,15 @@ def intersect(rig: Rig, sights: Sights) -> tuple[Array, np.ndarray]:
 
     Photogrammetric triangulation (intersection), linear; a light needs two cameras.
     """
-    seen = sights.seen
-    rays = np.concatenate([sights.xy, np.ones((*seen.shape, 1))], axis=2) @ rig.rotations
+    visible = sights.visible
+    rays = np.concatenate([sights.xy, np.ones((*visible.shape, 1))], axis=2) @ rig.rotations
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     origins = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
-    across *= seen[..., None, None]
+    across *= visible[..., None, None]
     matrix = across.sum(axis=0)
     vector = np.einsum("kljm,km->lj", across, origins)
-    usable = (seen.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
+    usable = (visible.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
     matrix[~usable] = np.eye(3)
     return np.linalg.solve(matrix, vector[..., None])[..., 0], usable
 
@@ -115,8 +115,8 @@ def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
 
 def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
-    seen = np.flatnonzero(sights.seen[camera])
-    triples: list[tuple[int, ...]] = list(itertools.combinations(seen.tolist(), 3))
+    visible = np.flatnonzero(sights.visible[camera])
+    triples: list[tuple[int, ...]] = list(itertools.combinations(visible.tolist(), 3))
     xy = sights.xy[camera]
     if len(triples) > _MOST_TRIPLES:
         triples = widest(xy, triples)[:_MOST_TRIPLES]
