@@ -25,8 +25,9 @@ from rendezview.sensors.reflectors.pattern import ReflectorPattern
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
-_ITERATIONS = 30
-_TRIALS = 8  # of damping, before the last pose is taken as the minimum
+_ITERATIONS = 30  # Source: by construction, a bound only
+# Of damping, before the last pose is taken as the minimum.
+_TRIALS = 8  # Source: by construction, a bound only
 _STEP = 1e-12  # rad and share of the range: the end. Source: by construction, rounding
 # rad + share of the range: after so small a step the cost may rise by rounding.
 # Source: by construction, root of rounding

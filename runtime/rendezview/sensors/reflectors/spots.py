@@ -36,7 +36,7 @@ BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DAR
 )
 COLUMNS = 19  # Source: by construction
 
-_ROUNDS = 12  # iterations of the window at most
+_ROUNDS = 12  # iterations of the window at most. Source: by construction, a bound only
 _SETTLED_PX = 2e-4  # px, of a step: the end
 _REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction
 _SMALLEST_PX, _LARGEST_PX = 0.6, 40.0  # σ of a window

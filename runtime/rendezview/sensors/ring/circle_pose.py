@@ -21,7 +21,7 @@ from rendezview.sensors.ring.ellipse import Ellipse
 Array = npt.NDArray[np.float64]
 
 RADIUS_SHARE = 3e-4  # σ of a known radius: facets of a CAD ring, warmth, tolerances
-_FIXED_POINT_STEPS = 12
+_FIXED_POINT_STEPS = 12  # Source: by construction, a bound only
 _LARGEST_ANGLE_RAD = 1.0  # of an axis' standard deviation: beyond it nothing is known
 
 

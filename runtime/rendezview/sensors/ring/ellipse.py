@@ -19,7 +19,7 @@ from rendezview.sensors.ring.conic import sampson
 
 Array = npt.NDArray[np.float64]
 
-_GEOMETRIC_STEPS = 12
+_GEOMETRIC_STEPS = 12  # Source: by construction, a bound only
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]
 
-_MOST_SAMPLES = 640  # along one ellipse
+_MOST_SAMPLES = 640  # along one ellipse. Source: by construction, a bound of memory
 
 
 @njit(cache=True, nogil=True)

@@ -24,7 +24,7 @@ from rendezview.sensors.stereo.detectors import read_currents
 from rendezview.sensors.stereo.rig import Sights, ideal_spot
 from rendezview.sensors.stereo.tracker import StereoTracker
 
-_PIECE = 1024
+_PIECE = 1024  # Source: by construction, a bound of memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)

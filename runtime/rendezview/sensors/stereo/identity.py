@@ -22,12 +22,12 @@ from rendezview.sensors.stereo.rig import Rig, Sights
 from rendezview.sensors.stereo.start import CAP, Retrieval, p3p, widest
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target
-_MOST_ASSIGNMENTS = 12_000
+_MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
 _ROUGH_TIMES = 6.0  # as for a start: three lights place the others so many σ worse
 _FEWEST_SPOTS = 5  # over all cameras: four spots and four lights fit in too many ways
 _DISTINCT_RAD = np.deg2rad(3.0)
-_TRIPLES = 12  # of spots that are tried, the widest first
-_KEPT = 8
+_TRIPLES = 12  # of spots that are tried, the widest first. Source: by construction, a bound of time
+_KEPT = 8  # Source: by construction, a bound of time
 
 
 def nearest_lights(

@@ -23,11 +23,13 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo.collinearity import solve, squares
 from rendezview.sensors.stereo.rig import Rig, Sights
 
-_MOST_TRIPLES = 20  # of lights, for each camera: all of six lights'
-_REFINED = 12  # starts that are refined
+# Of lights, for each camera: all of six lights'.
+_MOST_TRIPLES = 20  # Source: by construction, 6 over 3
+_REFINED = 12  # starts that are refined. Source: by construction, a bound of time
 _DISTINCT_RAD = np.deg2rad(3.0)
 _NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times worse than σ
-CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
+# Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
+CAP = 30.0  # Source: χ² distribution, two degrees of freedom
 _CAMERA_MATRIX = np.eye(3)  # Source: by construction
 
 Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
