@@ -204,9 +204,8 @@ def _hopeless(
             chi += own * own
         rise = 2.0 * (2.0 - fall)
         uneven = log_peak[left] - log_peak[right] + rise * (o0 - o2)
-        middle = bright + rise * o1
         uneven = max(abs(uneven) - 4.0 * slack, 0.0) / beam_sigma
-        middle = max(abs(middle) - 4.0 * slack, 0.0) / peak_sigma
+        middle = max(abs(bright + rise * o1) - 4.0 * slack, 0.0) / peak_sigma
         if chi + uneven * uneven + middle * middle <= score_limit:
             return False
     return True

@@ -28,6 +28,8 @@ Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 Ints = npt.NDArray[np.int64]
 
+_Options = tuple[float, float, float, float, float, float]  # see `place_windows`
+
 _NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 
 
@@ -170,8 +172,7 @@ def window_noise(lit: Grey, dark: Grey, expected: Array, half: Array) -> float:
 @njit(cache=True, nogil=True)
 def place_windows(
     expected: Array, places: Array, before: Array, brightness: Array, unseen: Ints, ratio: float,
-    misses: int, options: tuple[float, float, float, float, float, float], half: Array,
-    level: Array,
+    misses: int, options: _Options, half: Array, level: Array,
 ) -> None:  # fmt: skip
     """Move the places that a pose predicts by the last motion; set half widths and thresholds.
 
@@ -187,8 +188,7 @@ def place_windows(
         options: window_sizes, window_px, coasting_px, window_share, apart_sizes, least_grey.
         half, level: (N,) results.
     """
-    sizes, extra, coasting, share, apart, least = options
-    count = expected.shape[0]
+    (sizes, extra, coasting, share, apart, least), count = options, expected.shape[0]
     mean_x = mean_y = usual = 0.0
     moving = shining = 0
     for i in range(count):

@@ -47,7 +47,7 @@ class Panel:
         """Corners in the order of `rectangle_attitude`, and that attitude (3, 3).
 
         The x axis points towards the camera. Of the four orders that leaves, the nearest to the
-        attitude ``before``; without one, that whose y runs along the longer side.
+        attitude ``before``; without one, y runs along the longer side and z up in the picture.
         """
         best: tuple[float, Array, Array] | None = None
         for shift in range(4):
@@ -61,7 +61,8 @@ class Panel:
                     worth = float(np.trace(found.rotation.T @ before))
                 else:
                     q1, q2, q3, _ = found.depth_ratios[:, None] * found.rays
-                    worth = float(np.linalg.norm(q2 - q1) - np.linalg.norm(q3 - q1))
+                    longer = np.linalg.norm(q2 - q1) - np.linalg.norm(q3 - q1)
+                    worth = float(longer - 1e-6 * found.rotation[1, 2])
                 if best is None or worth > best[0] + 1e-9:
                     best = (worth, corners, found.rotation)
         return None if best is None else (best[1], best[2])
