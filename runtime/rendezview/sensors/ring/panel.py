@@ -61,8 +61,8 @@ class Panel:
                     worth = float(np.trace(found.rotation.T @ before))
                 else:
                     q1, q2, q3, _ = found.depth_ratios[:, None] * found.rays
-                    longer = np.linalg.norm(q2 - q1) - np.linalg.norm(q3 - q1)
-                    worth = float(longer - 1e-6 * found.rotation[1, 2])
+                    ratio = np.linalg.norm(q2 - q1) / np.linalg.norm(q3 - q1)
+                    worth = float(ratio - 1e-6 * found.rotation[1, 2])
                 if best is None or worth > best[0] + 1e-9:
                     best = (worth, corners, found.rotation)
         return None if best is None else (best[1], best[2])
