@@ -77,9 +77,9 @@ def readme(demo: Annotated[Path, "folder that the demo wrote"]) -> None:
 PHOTOGRAPHS = {
     "plain": {},
     "--overexposure 6": {"overexposure": 6.0},
-    "--overexposure 6 --bloom 0.1": {"overexposure": 6.0, "bloom": 0.1},
+    "--overexposure 6 --bloom 0.3": {"overexposure": 6.0, "bloom": 0.3},
     "--sky-level 40": {"sky_level_grey": 40.0},
-    "--dust 40": {"dust": 40},
+    "--dust 100": {"dust": 100},
     "--mesh-error 0.05": {"mesh_error": 0.05},
 }  # its pictures are 240 px wide: a mesh error of 0.02 would not be seen
 
@@ -98,7 +98,8 @@ def simulation(*, seed: int = 4) -> None:
         changed = dict(options)
         bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(seed))
         sensor = SensorOptions(
-            **{k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed}
+            noise_sigma_grey=1.0,
+            **{k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed},
         )
         scene = SceneOptions(sensor=sensor, **changed)
         tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(seed))
