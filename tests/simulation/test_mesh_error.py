@@ -18,6 +18,7 @@ def ball_with_boom() -> Mesh:
         boom = boom.subdivide()
     boom.apply_translation([2.0, 0.5, 0.0])
     both = trimesh.util.concatenate([ball, boom])
+    assert isinstance(both, trimesh.Trimesh)
     faces = np.asarray(both.faces, np.int32)
     return Mesh(np.asarray(both.vertices), faces, np.full((len(faces), 3), 0.5, np.float32), ())
 

@@ -10,6 +10,7 @@ All pictures are square, (S, S) float32, of one crop around the craft.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import cv2
 import numpy as np
@@ -172,7 +173,7 @@ def exposed(
     if _happens(options.dark_share, rng):
         level = _log_uniform(options.dark_level_grey, rng)
     gain = level / (max(metered, 1e-3) if metered > 0.0 else 0.05)
-    return np.minimum(radiance * np.float32(gain), np.float32(options.most_grey))
+    return np.minimum(radiance * np.float32(gain), options.most_grey).astype(np.float32)
 
 
 def background(
@@ -182,7 +183,7 @@ def background(
     if not _happens(options.sky_share, rng):
         return np.zeros((side, side), np.float32)
     top, left = rng.integers(0, len(sky) - side + 1, 2)
-    part = sky[top : top + side, left : left + side].astype(np.float32)
+    part: npt.NDArray[Any] = sky[top : top + side, left : left + side].astype(np.float32)
     if rng.random() < 0.5:
         part = part[::-1]
     if rng.random() < 0.5:
@@ -216,9 +217,9 @@ def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightO
 
 def detected(grey: Float32s, rng: np.random.Generator, options: HardLightOptions) -> Float32s:
     """(S, S) grey levels that are read out: saturation, response, read and shot noise."""
-    grey = np.clip(grey, 0.0, 255.0)
+    grey = np.clip(grey, 0.0, 255.0).astype(np.float32)
     if _happens(options.response_share, rng):
-        grey = 255.0 * (grey / 255.0) ** rng.uniform(*options.response)
+        grey = (255.0 * (grey / 255.0) ** rng.uniform(*options.response)).astype(np.float32)
     sigma_grey = _log_uniform(options.noise_sigma_grey, rng)
     noise = rng.standard_normal(grey.shape).astype(np.float32)
     if _happens(options.smooth_noise_share, rng):
