@@ -81,7 +81,7 @@ PHOTOGRAPHS = {
     "--sky-level 40": {"sky_level_grey": 40.0},
     "--dust 100": {"dust": 100},
     "--mesh-error 0.05": {"mesh_error": 0.05},
-}  # its pictures are 240 px wide: a mesh error of 0.02 would not be seen
+}
 
 
 def simulation(*, seed: int = 4) -> None:

@@ -173,7 +173,8 @@ def exposed(
     if _happens(options.dark_share, rng):
         level = _log_uniform(options.dark_level_grey, rng)
     gain = level / (max(metered, 1e-3) if metered > 0.0 else 0.05)
-    return np.minimum(radiance * np.float32(gain), options.most_grey).astype(np.float32)
+    grey = np.minimum(radiance * np.float32(gain), options.most_grey)
+    return np.asarray(grey, dtype=np.float32)
 
 
 def background(
@@ -211,7 +212,7 @@ def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightO
         x, y = _places(len(grey))
         most = rng.uniform(*options.stray_grey)
         slope = x * rng.uniform(*options.stray_slope) + y * rng.uniform(*options.stray_slope)
-        grey = grey + np.float32(most) * np.maximum(slope + 0.5, 0.0)
+        grey = grey + np.asarray(most * np.maximum(slope + 0.5, 0.0), dtype=np.float32)
     return np.asarray(grey, dtype=np.float32)
 
 
