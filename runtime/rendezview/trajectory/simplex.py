@@ -19,6 +19,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.least_squares import (
+    DAMPING_DECAY,
+    DAMPING_GROWTH,
+    FIRST_DAMPING,
+    ROUNDING,
+    damped_step,
+)
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.shapes import places
 
@@ -133,7 +140,7 @@ def downhill_simplex(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _mean(corners):  # type: ignore[no-untyped-def]
+def _mean(corners: Array) -> Array:
     """(P,) the mean of points (N, P)."""
     middle = np.zeros(corners.shape[1])
     for k in range(len(corners)):
@@ -142,7 +149,10 @@ def _mean(corners):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _fill_costs(code, corners, data, weights, cut, place, out, costs, first):  # type: ignore[no-untyped-def]
+def _fill_costs(
+    code: int, corners: Array, data: Data, weights: Array, cut: float, place: Array, out: Array,
+    costs: Array, first: int,
+) -> None:  # fmt: skip
     """The costs of the simplex's corners from number ``first`` on."""
     for k in range(first, len(costs)):
         costs[k] = cost(code, corners[k], data, weights, cut, place, out)
@@ -206,28 +216,27 @@ def gauss_newton(
     p = start.copy()
     place = np.empty((len(weights), 3))
     out = np.empty((len(weights), RESIDUALS))
+    step, lower = np.empty(size), np.empty((size, size))
     here = cost(code, p, data, weights, cut, place, out)
     damping = 1e-6
     for _ in range(most):
         matrix, right = normal_equations(code, p, scales, data, weights, cut)
+        for a in range(size):  # what nothing is known of stays where it is
+            matrix[a, a] += 1e-12 / scales[a] ** 2
         better = False
         there = here
-        step: Array = np.zeros(size)
         for _ in range(6):
-            damped = matrix.copy()
-            for a in range(size):
-                damped[a, a] += damping * matrix[a, a] + 1e-12 / scales[a] ** 2
-            step[:] = np.linalg.solve(damped, right)
-            there = cost(code, p + step, data, weights, cut, place, out)
-            if there <= here:
-                better = True
-                break
-            damping = max(10.0 * damping, 1e-4)
+            if damped_step(matrix, right, damping, lower, step):
+                there = cost(code, p + step, data, weights, cut, place, out)
+                if there <= here * (1.0 + ROUNDING):
+                    better = True
+                    break
+            damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
         if not better:
             break
         gain = here - there
         p, here = p + step, there
-        damping *= 0.1
+        damping *= DAMPING_DECAY
         if gain <= 1e-4:  # of χ²: a hundredth of a σ
             break
     return p, here

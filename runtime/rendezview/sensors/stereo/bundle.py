@@ -12,17 +12,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from rendezview.errors import RendezviewError
+from rendezview.estimation.least_squares import FIRST_DAMPING, Equations, Options, minimise
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo.lens import COEFFICIENT_NAMES, Lens
 from rendezview.sensors.stereo.rig import RigCamera
 
 INTRINSICS = ("fx", "fy", "cx", "cy", *COEFFICIENT_NAMES)
 POSE = ("wx", "wy", "wz", "tx", "ty", "tz")
-_ITERATIONS = 100
-_CONVERGED = 1e-14  # of the sum of squares
+# To the rounding of the sum of squares, since a calibration is made once. Source: by construction
+_CONVERGED = Options(
+    iterations=100, trials=16, least_gain=1e-18, relative_gain=1e-14, first_damping=FIRST_DAMPING
+)
 
 Ints = npt.NDArray[np.int64]
 
@@ -82,7 +84,7 @@ class Adjusted:
         return replace(self, covariance=self.covariance * scale, sigma=sigma)
 
 
-def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
+def adjust(bundle: Bundle, observed: Observations) -> Adjusted:
     """Least squares over all free parameters.
 
     Raises:
@@ -91,46 +93,46 @@ def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
     if bundle.responses and not bundle.offsets:
         bundle = replace(bundle, offsets=tuple(np.zeros(c.shape[:2]) for c in bundle.responses))
     columns = _Columns(bundle)
-    damping, current = 1e-4, bundle
-    residual, jacobian = _linearised(current, seen, columns, bundle)
-    cost = float(residual @ residual)
-    if not np.isfinite(cost):
+
+    def at(moved: Bundle) -> _Linearised:
+        return _Linearised(moved, *_linearised(moved, observed, columns, bundle))
+
+    found = minimise(
+        _Linearised.equations,
+        lambda here, step: at(columns.moved(here.bundle, step)),
+        at(bundle),
+        cost=lambda here: here.cost,
+        options=_CONVERGED,
+    )
+    if found is None:
         raise RendezviewError(
             "the calibration starts with points behind a camera or beyond its lens: "
             "check the boards' size and the order of their points"
         )
-    for _ in range(_ITERATIONS):
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        normal /= np.outer(scale, scale)
-        while True:
-            try:
-                step = scipy.linalg.solve(
-                    normal + damping * np.eye(len(normal)), gradient / scale, assume_a="pos"
-                )
-            except (np.linalg.LinAlgError, scipy.linalg.LinAlgWarning):
-                damping = max(10.0 * damping, 1e-12)
-                continue
-            trial = columns.moved(current, step / scale)
-            trial_residual, trial_jacobian = _linearised(trial, seen, columns, bundle)
-            trial_cost = float(trial_residual @ trial_residual)
-            if trial_cost <= cost * (1.0 + 1e-12):
-                break
-            damping = max(10.0 * damping, 1e-9)
-            if damping > 1e12:
-                break
-        if damping > 1e12:
-            break
-        gained = cost - trial_cost
-        current, residual, jacobian, cost = trial, trial_residual, trial_jacobian, trial_cost
-        damping *= 0.1
-        if gained <= _CONVERGED * cost + 1e-18:
-            break
-    return _finished(current, seen, residual, jacobian, columns)
+    return _finished(found.at.bundle, observed, found.at.residual, found.at.jacobian, columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """A bundle with its whitened residuals and the Jacobian of its predictions."""
+
+    bundle: Bundle
+    residual: Array
+    jacobian: Array
+
+    @property
+    def cost(self) -> float:
+        return float(self.residual @ self.residual)
+
+    def equations(self) -> Equations:
+        normal = self.jacobian.T @ self.jacobian
+        # p3 has no effect while p1 and p2 are 0: what has none yet stays where it is.
+        normal[np.diag_indices_from(normal)] += np.diag(normal) == 0.0
+        return self.cost, normal, self.jacobian.T @ self.residual
 
 
 def _finished(
-    bundle: Bundle, seen: Observations, residual: Array, jacobian: Array, columns: _Columns
+    bundle: Bundle, observed: Observations, residual: Array, jacobian: Array, columns: _Columns
 ) -> Adjusted:
     scale = np.sqrt((jacobian**2).sum(axis=0))
     if not (scale > 0.0).all():
@@ -143,11 +145,11 @@ def _finished(
         )
     normal = (jacobian / scale).T @ (jacobian / scale)
     covariance = np.linalg.inv(normal) / np.outer(scale, scale)
-    count = len(seen.camera)
-    raw = residual[: 2 * count].reshape(-1, 2) * seen.sigma
+    count = len(observed.camera)
+    raw = residual[: 2 * count].reshape(-1, 2) * observed.sigma
     sigma = dict(zip(columns.names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return Adjusted(
-        bundle, raw, seen.camera, columns.names, covariance, float(residual @ residual),
+        bundle, raw, observed.camera, columns.names, covariance, float(residual @ residual),
         len(residual) - len(columns.names), sigma,
     )  # fmt: skip
 
@@ -229,17 +231,17 @@ def with_intrinsics(camera: RigCamera, values: Array, pose: Pose) -> RigCamera:
 
 
 def _linearised(
-    bundle: Bundle, seen: Observations, columns: _Columns, given: Bundle
+    bundle: Bundle, observed: Observations, columns: _Columns, given: Bundle
 ) -> tuple[Array, Array]:
     """Whitened residuals (observed less predicted) and the Jacobian of the predictions."""
-    count = len(seen.camera)
+    count = len(observed.camera)
     jacobian = np.zeros((2 * count, len(columns.names)))
     residual = np.empty((count, 2))
     for k, camera in enumerate(bundle.cameras):
-        rows = np.flatnonzero(seen.camera == k)
+        rows = np.flatnonzero(observed.camera == k)
         if not len(rows):
             continue
-        views, points = seen.view[rows], seen.point[rows]
+        views, points = observed.view[rows], observed.point[rows]
         turn = np.stack([view.rotation for view in bundle.views])[views]
         place = np.stack([view.translation_m for view in bundle.views])[views]
         board = bundle.points[points]
@@ -253,8 +255,8 @@ def _linearised(
         ideal = np.column_stack([x / z, y / z])
         measured, by_ideal, by_lens = camera.lens.derivatives(ideal)
         focal = np.array([camera.fx, camera.fy])
-        residual[rows] = (seen.positions[rows] - measured * focal - (camera.cx, camera.cy)) / (
-            seen.sigma[rows]
+        residual[rows] = (observed.positions[rows] - measured * focal - (camera.cx, camera.cy)) / (
+            observed.sigma[rows]
         )
         by_point = np.zeros((len(rows), 2, 3))  # ∂ ideal / ∂ p_camera
         by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
@@ -287,12 +289,12 @@ def _linearised(
                 at = columns.points + 3 * int(point)
                 block[i, :, at : at + 3] = by_board[i]
         if columns.responses:
-            assert seen.terms is not None
-            at, width = columns.responses[k], seen.terms.shape[1]
-            residual[rows] += (seen.terms[rows] @ bundle.offsets[k].T) / seen.sigma[rows]
-            block[:, 0, at : at + width] = -seen.terms[rows]
-            block[:, 1, at + width : at + 2 * width] = -seen.terms[rows]
-        block /= seen.sigma[rows][:, :, None]
+            assert observed.terms is not None
+            at, width = columns.responses[k], observed.terms.shape[1]
+            residual[rows] += (observed.terms[rows] @ bundle.offsets[k].T) / observed.sigma[rows]
+            block[:, 0, at : at + width] = -observed.terms[rows]
+            block[:, 1, at + width : at + 2 * width] = -observed.terms[rows]
+        block /= observed.sigma[rows][:, :, None]
         jacobian.reshape(count, 2, -1)[rows] = block
     extra_r, extra_j = _priors(bundle, columns, given)
     return np.concatenate([residual.ravel(), *extra_r]), np.concatenate([jacobian, *extra_j])
