@@ -63,7 +63,7 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     up = rng.standard_normal(3)
     ambient = render(mesh, camera, pose, up, glow, -up)
     grey = photograph(
-        sunlit.radiance, ambient.radiance, sunlit.coverage, cloudy_sky(SIDE, SIDE, rng), rng
+        sunlit.radiance, ambient.radiance, sunlit.coverage, cloudy_sky(SIDE, rng), rng
     )
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
@@ -127,7 +127,7 @@ def right(pose: dict[str, Any]) -> bool:
 
 
 def fitted_merit(looks: list[dict[str, Any]]) -> np.ndarray:
-    """(7,) weights that put the right poses of a frame before its wrong ones (conditional logit)."""
+    """(7,) weights that put right poses of a frame before wrong ones (conditional logit)."""
     groups = []
     for row in looks:
         clear = [p for p in row["poses"] if right(p) or p["rotation_deg"] > WRONG_DEG]
