@@ -118,7 +118,10 @@ def run(
     rng = np.random.default_rng(seed)
     rows: dict[str, list[dict]] = {"no prior": [], "prior": []}
     for name, picture, truth in frames:
-        looks = {"no prior": [None], "prior": [near(truth, rng) for _ in range(priors)]}
+        looks: dict[str, list[Pose | None]] = {
+            "no prior": [None],
+            "prior": [near(truth, rng) for _ in range(priors)],
+        }
         for kind, starts in looks.items():
             for start in starts:
                 row = look(recognizer, picture, truth, start)

@@ -13,9 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 from joblib import Parallel, delayed
-from rendezview.simulation.cloudy_skies import cloudy_sky
-from rendezview.simulation.hard_light import photograph
-from rendezview.simulation.mesh_error import deformed
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LogisticRegression
@@ -26,6 +23,9 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.sketch import search as sketch_search
 from rendezview.sensors.appearance.sketch.choice import CHOICE_FEATURES, PACKAGED, POSE_FEATURES
+from rendezview.simulation.cloudy_skies import cloudy_sky
+from rendezview.simulation.hard_light import photograph
+from rendezview.simulation.mesh_error import deformed
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.simulation.shading import ShadingOptions, render
 from rendezview.training.mesh import Mesh, load_mesh
@@ -78,13 +78,13 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[dict[str, Any]
     if search is None:
         raise SystemExit("the model has no sketches: train it again")
     seen: list[Any] = []
-    choose = sketch_search.chosen
+    choose = vars(sketch_search)["chosen"]
 
     def listen(poses, symmetries, **kind):
         seen.append(poses)
         return choose(poses, symmetries, **kind)
 
-    sketch_search.chosen = listen
+    vars(sketch_search)["chosen"] = listen  # all poses that it chooses from
     turn, move = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
     turned = Rotation.from_rotvec(np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * turn).as_matrix()
     centre = truth.apply(model.centre_m)
@@ -118,7 +118,7 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[dict[str, Any]
         ]
         cut = choice is not None and choice.cut
         rows.append({"prior": prior, "cut": cut, "nees": nees, "poses": poses})
-    sketch_search.chosen = choose
+    vars(sketch_search)["chosen"] = choose
     return rows
 
 

@@ -82,7 +82,7 @@ def test_frames_of_any_size_are_sketched_or_show_nothing(sketcher, size):
 def test_threads_share_one_network(sketcher, bumpy_mesh, camera, draw):
     frame = draw(bumpy_mesh, Pose(np.eye(3), [0.0, 0.0, 6.0]), camera)
     alone = sketcher.find(frame)
-    found: list[object] = []
+    found: list = []
     threads = [threading.Thread(target=lambda: found.append(sketcher.find(frame))) for _ in "ab"]
     for thread in threads:
         thread.start()
