@@ -15,6 +15,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     Stage,
     align,
     align_each,
+    gauss_newton_step,
     inlier_ratios,
 )
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
