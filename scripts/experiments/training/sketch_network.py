@@ -107,7 +107,7 @@ def run(
     trains on photographs of them that are taken anew for each step. Up to 22 craft are held out;
     the overlap (IoU) of their covers and their losses are printed every 200 steps and at the end.
 
-    The 7800 drawings take half an hour on two cores and 4 GB of memory; the step count depends on
+    The 7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on
     the machine, so the weights are not the same twice.
     """
     try:
