@@ -79,7 +79,9 @@ def _save(path: Path, **arrays: object) -> None:
 def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
     """Pictures (N, 2, S, S) as the network sees them, and maps (N, MAPS, S, S), float32."""
     taken = [take(d, behind[rng.integers(len(behind))], rng) for d in chosen]
-    pictures = np.array([sketch._channels(picture) for picture, _ in taken])  # as it sees, no copy
+    pictures = np.array(
+        [sketch.channels_of(picture) for picture, _ in taken]
+    )  # as it sees, no copy
     return pictures, np.array([maps for _, maps in taken])
 
 

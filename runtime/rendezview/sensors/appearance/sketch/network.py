@@ -134,7 +134,7 @@ class Sketcher:
         """(MAPS, h, w) of a picture (h, w) of grey levels."""
         rows, columns = grey.shape
         below, right = -rows % _MULTIPLE_PX, -columns % _MULTIPLE_PX
-        padded = np.pad(_channels(grey), ((0, 0), (0, below), (0, right)), mode="edge")
+        padded = np.pad(channels_of(grey), ((0, 0), (0, below), (0, right)), mode="edge")
         with self._lock:
             if self._session is None:
                 self._session = _session()
@@ -152,7 +152,7 @@ def _session() -> InferenceSession:
     return ort.InferenceSession(str(NETWORK), options, providers=["CPUExecutionProvider"])
 
 
-def _channels(grey: Float32s) -> Float32s:
+def channels_of(grey: Float32s) -> Float32s:
     """(2, h, w): the grey levels 0 … 1, and faint differences from the median magnified."""
     middle = np.median(grey[::4, ::4])
     return np.stack([grey / np.float32(255.0), np.tanh((grey - middle) / _FAINT_GREY)]).astype(
