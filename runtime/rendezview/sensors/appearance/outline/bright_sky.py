@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
     outer_borders,
     outlines_of_mask,
 )
+from rendezview.sensors.appearance.outline.specks import without_specks
 from rendezview.sensors.observation import Status
 
 _LEAST_LOG_ODDS = (0.0, -1.5, 1.5)  # log odds that count as target, tried in this order
@@ -55,7 +56,7 @@ def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Mi
 def _body(odds: npt.NDArray[np.float32], least: float) -> Silhouette | Missing:
     """The largest piece that is likely target, and the pieces near it."""
     mask = np.where(odds > least, 255, 0).astype(np.uint8)
-    borders = outer_borders(mask)
+    borders = outer_borders(without_specks(mask))
     areas = [cv2.contourArea(border) for border in borders]
     if not areas or max(areas) < _LEAST_AREA_PX:
         return Missing(Status.EMPTY, "nothing that looks like a spacecraft stands out")
