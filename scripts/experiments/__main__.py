@@ -74,6 +74,7 @@ EXPERIMENTS = {
         "fusion-picture": ("pictures:fusion", "errors of sensors and filter over the range"),
         "reflector-picture": ("pictures:reflectors", "spots, triplet, windows and pose"),
         "ring-picture": ("pictures:ring", "the ring as the sensor reads it"),
+        "simulation-picture": ("pictures:simulation", "what photographs have, option by option"),
         "stereo-picture": ("pictures:stereo", "figure 8 of Welch et al. (1991)"),
     },
     "benchmark": {

@@ -18,6 +18,7 @@ from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
 from rendezview.sensors.run import observe
+from rendezview.sensors.sensor import AidedSensor
 
 
 def follow(
@@ -61,7 +62,8 @@ def follow(
             return recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
         tracker = tracker or Tracker(recognizer, prior, options)
         tracker.recognizer = recognizer
-        return tracker.update(time_s, image, sun_camera)
+        sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = tracker
+        return sensor.update(time_s, image, sun_camera)
 
     for frame, _, observation in observe(
         sequence, look, AppearanceObservation, ordered=not independent

@@ -24,7 +24,8 @@ from rendezview.sensors.appearance.outline.trees import Forest
 _Part = TypeVar("_Part")
 
 FAR_RADII = 4.0  # sphere radii, range of the far readings: perspective is weak there
-FAR_UNIT = 5.0  # thousandths, unit of the stored change from near to far readings
+# Thousandths, unit of the stored change from near to far readings.
+FAR_UNIT = 5.0  # Source: by construction, format of the model file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
