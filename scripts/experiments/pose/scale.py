@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from itertools import product
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -111,7 +111,7 @@ def times(
     cv2.setNumThreads(1)
     images = [cv2.imread(str(p), cv2.IMREAD_GRAYSCALE) for p in sorted(pictures.iterdir())]
     frames = [np.asarray(image) for image in images if image is not None]
-    kinds = [{}, {"threshold": Threshold.OTSU}]
+    kinds: list[dict[str, Any]] = [{}, {"threshold": Threshold.OTSU}]
     kinds += [{"threshold": Threshold.FIXED, "level_grey": grey} for grey in LEVELS_GREY]
     spent: dict[str, list[float]] = {}
 
