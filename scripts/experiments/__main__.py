@@ -17,6 +17,8 @@ EXPERIMENTS = {
         "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
+        "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
+        "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
         "pose-speed": ("pose.speed", "time of a pose beside its floors and peers"),
         "visp-tracking": ("pose.visp_tracking", "tracking beside ViSP's model-based tracker"),
     },

@@ -31,6 +31,7 @@ def follow(
     options: TrackerOptions | None = None,
     sun_camera: npt.ArrayLike | None = None,
     refine: bool = True,
+    sketch: bool = True,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
 
@@ -44,6 +45,7 @@ def follow(
         options: of the tracker.
         sun_camera: (3,) towards the Sun, camera frame, if it is known.
         refine: move poses onto the edges, if the model has contour points.
+        sketch: search on a sketch of the frame where the edges give no pose, see ``Recognizer``.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
 
@@ -56,7 +58,9 @@ def follow(
     def look(frame: Frame, time_s: float, image: GreyImage) -> AppearanceObservation:
         nonlocal tracker
         if frame.camera not in recognizers:
-            recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette, refine=refine)
+            recognizers[frame.camera] = Recognizer(
+                model, frame.camera, silhouette, refine=refine, sketch=sketch
+            )
         recognizer = recognizers[frame.camera]
         if independent:
             return recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)

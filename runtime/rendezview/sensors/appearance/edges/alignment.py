@@ -272,7 +272,7 @@ def align(
                 return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre
             held = stage[DAMPING] * weights * scale * scale
-            moved = _gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m, rotation,
+            moved = gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m, rotation,
                                        centre)  # fmt: skip
             if moved < 0.0:
                 return DIVERGED
@@ -284,7 +284,7 @@ def align(
 
 
 @njit(cache=True, nogil=True)
-def _gauss_newton_step(
+def gauss_newton_step(
     matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, rotation: Array,
     centre: Array,
 ) -> float:  # fmt: skip
