@@ -78,7 +78,7 @@ def single_looks(
 ) -> list[Record]:
     """The pose next to a prior if nothing else is tried, without a look at the surface and with."""
     assert recognizer.search is not None
-    refiner, sky = recognizer.search.whole.refiner, Sky.of(image, sun)
+    refiner, sky = recognizer.search.refiner, Sky.of(image, sun)
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []

@@ -69,7 +69,7 @@ class Recognizer:
         self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
         self.sketch = None
         if sketch and self.search is not None and model.sketches is not None:
-            self.sketch = SketchSearch(model, camera, self.search.whole.refiner.views)
+            self.sketch = SketchSearch(model, camera, self.search.refiner.views)
         if silhouette is None and self.search is not None:
             # Shadow cuts a body into pieces; refinement decides whether they are the target's.
             silhouette = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)

@@ -45,6 +45,11 @@ class LevelSearch:
         self.whole = PoseSearch(model, camera)
         self._levels = {1: self.whole}
 
+    @property
+    def refiner(self) -> Refiner:
+        """That of the picture itself."""
+        return self.whole.refiner
+
     def anywhere(
         self,
         image: Picture,
