@@ -69,6 +69,7 @@ EXPERIMENTS = {
         "training-speed": ("training.speed", "time and memory of training"),
         "scale-out": ("training.scale_out", "several workers: speed, bytes, kills, cost"),
         "foreground-network": ("training.foreground_network", "trains the foreground network"),
+        "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
         "check-bare-install": ("training.bare_install", "a plain install tracks a scene"),
     },
     "pictures": {
