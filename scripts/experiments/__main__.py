@@ -13,6 +13,8 @@ EXPERIMENTS = {
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
         "pose-cut": ("pose.accuracy:cut", "poses of targets that the image border cuts"),
+        "pose-scale": ("pose.scale", "poses over fields of view and picture sizes"),
+        "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
