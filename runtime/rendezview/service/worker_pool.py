@@ -233,6 +233,7 @@ class WorkerPool:
             for model in list(self._models.values()):
                 await fresh.ask(_warm_request(model))
             self._spare = fresh
+            log.info("a spare worker is ready")
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
