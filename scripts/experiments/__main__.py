@@ -13,8 +13,12 @@ EXPERIMENTS = {
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
         "pose-cut": ("pose.accuracy:cut", "poses of targets that the image border cuts"),
+        "pose-scale": ("pose.scale", "poses over fields of view and picture sizes"),
+        "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
+        "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
+        "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
         "pose-speed": ("pose.speed", "time of a pose beside its floors and peers"),
         "visp-tracking": ("pose.visp_tracking", "tracking beside ViSP's model-based tracker"),
     },
@@ -65,6 +69,7 @@ EXPERIMENTS = {
         "training-speed": ("training.speed", "time and memory of training"),
         "scale-out": ("training.scale_out", "several workers: speed, bytes, kills, cost"),
         "foreground-network": ("training.foreground_network", "trains the foreground network"),
+        "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
         "check-bare-install": ("training.bare_install", "a plain install tracks a scene"),
     },
     "pictures": {
@@ -72,6 +77,7 @@ EXPERIMENTS = {
         "fusion-picture": ("pictures:fusion", "errors of sensors and filter over the range"),
         "reflector-picture": ("pictures:reflectors", "spots, triplet, windows and pose"),
         "ring-picture": ("pictures:ring", "the ring as the sensor reads it"),
+        "simulation-picture": ("pictures:simulation", "what photographs have, option by option"),
         "stereo-picture": ("pictures:stereo", "figure 8 of Welch et al. (1991)"),
     },
     "benchmark": {

@@ -6,7 +6,6 @@ import json
 import ssl
 import struct
 from collections.abc import Iterator, Mapping
-from types import TracebackType
 from typing import Any, Self
 
 from rendezview.client.messages import Frame, ServiceError, StateDict, frame_content
@@ -91,10 +90,5 @@ class StreamClient:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()

@@ -157,7 +157,7 @@ def noise_grey(frames: LitDark) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _count_steps(lit, dark, counts):  # type: ignore[no-untyped-def]
+def _count_steps(lit: Grey, dark: Grey, counts: npt.NDArray[np.int64]) -> None:
     """How often neighbours in a row differ by so many grey levels; the difference's where dark."""
     for v in range(0, lit.shape[0], _NOISE_STEP):
         if dark.shape[0] > 0:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.reflectors.discs import disc_radius, placed, project_disc, turned
 from rendezview.sensors.reflectors.spots import SIZE
 from rendezview.sensors.reflectors.triplets import expected_size
 
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
 
 @njit(cache=True, nogil=True)
-def expect_spots(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, out
-):
+def expect_spots(
+    lens: Array, points: Array, normals: Array, diameters: Array, rotation: Array,
+    translation: Array, focal_px: float, blur_px: float, out: Array,
+) -> None:  # fmt: skip
     """(N, 3) place and size of every reflector at a pose; NaN where it faces away or is behind."""
     for i in range(points.shape[0]):
         x, y, z = placed(rotation, translation, points, i)
@@ -32,10 +37,11 @@ def expect_spots(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def match_spots(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, order, table,
-    usable, three, limits, which, where,
-):  # fmt: skip
+def match_spots(
+    lens: Array, points: Array, normals: Array, diameters: Array, rotation: Array,
+    translation: Array, focal_px: float, blur_px: float, order: Ints, table: Array, usable: Ints,
+    three: Ints, limits: tuple[float, float], which: Ints, where: Ints,
+) -> int:  # fmt: skip
     """Reflectors and the spots that agree with a pose in place and size."""
     match_px, size_limit = limits
     expected = np.empty((points.shape[0], 3))

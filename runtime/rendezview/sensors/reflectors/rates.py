@@ -81,7 +81,10 @@ class RateEstimator:
 
 
 @njit(cache=True, nogil=True)
-def _slopes(times, rotations, values, covariances, slopes, covariance):  # type: ignore[no-untyped-def]
+def _slopes(
+    times: Array, rotations: Array, values: Array, covariances: Array, slopes: Array,
+    covariance: Array,
+) -> None:  # fmt: skip
     """Least-squares slopes of (turn, translation, six numbers); angles across ±π are unwrapped."""
     n = times.shape[0]
     mean = np.mean(times)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.spot_centroid import window_moments
@@ -35,7 +36,7 @@ BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DAR
 )
 COLUMNS = 19  # Source: by construction
 
-_ROUNDS = 12  # iterations of the window at most
+_ROUNDS = 12  # iterations of the window at most. Source: by construction, a bound only
 _SETTLED_PX = 2e-4  # px, of a step: the end
 _REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction
 _SMALLEST_PX, _LARGEST_PX = 0.6, 40.0  # σ of a window
@@ -132,7 +133,10 @@ def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int
 
 
 @njit(cache=True, nogil=True)
-def _label_loop(mask, words, lit, dark, level, stack, table):  # type: ignore[no-untyped-def]
+def _label_loop(
+    mask: Grey, words: npt.NDArray[np.uint64], lit: Grey, dark: Grey, level: float,
+    stack: npt.NDArray[np.int32], table: Array,
+) -> int:  # fmt: skip
     height, width = mask.shape
     flat = mask.reshape(-1)
     count = 0
@@ -150,7 +154,10 @@ def _label_loop(mask, words, lit, dark, level, stack, table):  # type: ignore[no
 
 
 @njit(cache=True, nogil=True)
-def gather(flat, width, height, start, lit, dark, level, stack, row):  # type: ignore[no-untyped-def]
+def gather(
+    flat: Grey, width: int, height: int, start: int, lit: Grey, dark: Grey, level: float,
+    stack: npt.NDArray[np.int32], row: Array,
+) -> None:  # fmt: skip
     """Zero a spot out of the mask, layer by layer, and fill its row (8-connected)."""
     has_dark = dark.shape[0] > 0
     area = saturated = 0
@@ -210,7 +217,7 @@ def gather(flat, width, height, start, lit, dark, level, stack, row):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
+def place(lit: Grey, dark: Grey, table: Array, noise: float, method: int) -> None:
     """Fill place, size and error of every spot; method 0 binary, 1 weighted, 2 windowed."""
     columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
     for i in range(table.shape[0]):
@@ -227,7 +234,9 @@ def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def window_centroid(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-def]
+def window_centroid(
+    lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
+) -> None:
     """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size."""
     height, width = lit.shape
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
@@ -271,7 +280,7 @@ def window_centroid(lit, dark, row, noise, columns, rows):  # type: ignore[no-un
 
 
 @njit(cache=True, nogil=True)
-def _rim(lit, row):  # type: ignore[no-untyped-def]
+def _rim(lit: Grey, row: Array) -> float:
     """Mean grey level on a frame around the spot's box: the background of a single picture."""
     height, width = lit.shape
     grow = 3 + int(0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP]))

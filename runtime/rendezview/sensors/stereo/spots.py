@@ -22,12 +22,12 @@ from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
-_SATURATED = 254
-_ITERATIONS = 30
+_SATURATED = 254  # Source: by construction, the last but one of 8 bits
+_ITERATIONS = 30  # Source: by construction, a bound only
 _SETTLED_PX = 1e-4
 _LEAST_NOISE = 0.29  # grey, of rounding. Source: by construction
 _NARROW_PX = 0.015  # what sampling does to a spot of σ below a pixel
-_MOST_BLOBS = 2000  # a frame with more shows no lights
+_MOST_BLOBS = 2000  # a frame with more shows no lights. Source: by construction, a bound of time
 
 
 @dataclass(frozen=True, kw_only=True)

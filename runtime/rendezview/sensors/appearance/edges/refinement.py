@@ -61,6 +61,9 @@ _CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
 _INEXACT = _FINE[:-1]
 _INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
 _LEAST_SIGMA_PX = 0.1  # px; one σ of an edge's place in the best of cases
+# Of the target's size, one σ of a strain: the contour points are those of a view up to 2.5° away,
+# and neighbouring ones err together. Source: experiment pose-scale, seed 1
+_VIEW_STRAIN = 3e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +108,7 @@ class Refiner:
         self.options = options or RefineOptions()
         self.error_model = model.error_model or ErrorModel.packaged()
         contours: Contours = model.contours
-        self._views = ViewTables(
+        self.views = ViewTables(
             np.ascontiguousarray(model.lattice.nodes),
             np.ascontiguousarray(contours.shells_m),
             contours.point,
@@ -140,7 +143,7 @@ class Refiner:
         rotation, centre = self._centred(start)
         frame, stages = sky.vector, self._stages[1:] if closely else self._stages
         edges = np.zeros((self._rows, COLUMNS))
-        light = align(image, self._lens, frame, stages, self._views, rotation, centre, edges)
+        light = align(image, self._lens, frame, stages, self.views, rotation, centre, edges)
         if light == DIVERGED:
             return None
         return self._result(image, frame, rotation, centre, light, edges)
@@ -167,7 +170,7 @@ class Refiner:
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
         align_each(
-            image, self._lens, frame, rough, coarse, self._views, rotations, centres,
+            image, self._lens, frame, rough, coarse, self.views, rotations, centres,
             survivors, ratios,
         )  # fmt: skip
         merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
@@ -180,7 +183,7 @@ class Refiner:
                 self._lens,
                 frame,
                 self._stages,
-                self._views,
+                self.views,
                 rotations[k],
                 centres[k],
                 edges,
@@ -227,18 +230,17 @@ class Refiner:
         covariance, spread_px = covariance_of(
             edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
         )
-        residual, strained = spread_px, None
+        residual = spread_px
+        strained = strain_covariance(edges, self._cut_px, self._nothing_known, centre, arm)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
             _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
-            strained = strain_covariance(edges, self._cut_px, self._nothing_known, centre, arm)
         outline, inner, visible = inlier_ratios(
-            image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, edges
+            image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )
         covariance *= self.error_model.inflation(outline, spread_px, frame[2])
         covariance *= self._stages[-1, VIEWS]  # which show the same edges
-        if strained is not None:
-            covariance += self.model.shape_error**2 * strained
+        covariance += (self.model.shape_error**2 + _VIEW_STRAIN**2) * strained
         pose = Pose(rotation, centre - arm)
         return Refined(pose, covariance, outline, inner, visible, residual, light)
 

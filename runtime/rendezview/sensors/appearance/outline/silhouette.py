@@ -13,6 +13,7 @@ from numba import njit
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.outline.specks import MOST_BLOBS, without_specks
 from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.sensors.appearance.sky import sky_level
 from rendezview.sensors.observation import Status
@@ -23,7 +24,7 @@ Box = tuple[int, int, int, int]
 MOST_AVERAGED_PX = 15  # px; the sum of 15 × 15 grey levels fits 16 bits. Source: by construction
 # Blobs whose border is shorter than a quarter of this share of the longest border are skipped.
 _LEAST_BORDER = 0.02
-_NO_GREY = np.zeros((0, 0), dtype=np.uint8)
+_NO_GREY = np.zeros((0, 0), dtype=np.uint8)  # Source: by construction
 
 
 class Threshold(StrEnum):
@@ -53,15 +54,15 @@ class SilhouetteOptions:
     # Grey levels; quantisation remains where there is no noise.
     # Source: experiment recognition-accuracy, seed 1
     least_contrast_grey: float = 4.0
-    # Px, side of the mean that is thresholded: it lifts dim panels out of the noise.
+    # px, side of the mean that is thresholded: it lifts dim panels out of the noise.
     # Source: experiment recognition-accuracy, seed 1
     averaged_px: int = 3
-    # Px inside the border where the target's level is looked for.
+    # px inside the border where the target's level is looked for.
     # Source: experiment recognition-accuracy, seed 1
     reach_px: int = 2
     cleaning: Cleaning = Cleaning.NONE
     background: Picture | None = None  # a frame without the target, subtracted first
-    # Px; a blob below about 9 px across is all staircase.
+    # px; a blob below about 9 px across is all staircase.
     # Source: experiment recognition-accuracy, seed 1
     least_area_px: int = 60
     # Share of the largest blob's area; a smaller blob is noise.
@@ -114,9 +115,11 @@ class _Blobs:
 
     @classmethod
     def of(cls, borders: list[Border]) -> _Blobs:
-        """Measure the blobs; at least one border is needed."""
+        """Measure the ``MOST_BLOBS`` of the longest borders; at least one border is needed."""
         size = [len(b) for b in borders]
-        large = [k for k in range(len(borders)) if 4 * size[k] >= _LEAST_BORDER * max(size)]
+        longest = np.argsort(-np.array(size), kind="stable")[:MOST_BLOBS]
+        least = _LEAST_BORDER * size[longest[0]]
+        large = sorted(int(k) for k in longest if 4 * size[k] >= least)
         # Pick's theorem: the pixels inside a lattice polygon and on it.
         area = {k: cv2.contourArea(borders[k]) + 0.5 * size[k] + 1.0 for k in large}
         return cls(borders, area, {k: box_of(borders[k]) for k in large})
@@ -152,7 +155,7 @@ def find_silhouette(
     if options.cleaning is not Cleaning.NONE:
         kind = cv2.MORPH_OPEN if options.cleaning is Cleaning.OPEN else cv2.MORPH_CLOSE
         mask = cv2.morphologyEx(mask, kind, np.ones((3, 3), np.uint8)).astype(np.uint8, copy=False)
-    borders = outer_borders(mask)
+    borders = outer_borders(without_specks(mask))
     if not borders and sky > 127.0:
         return Missing(
             Status.FULL, f"the frame is bright all over ({sky:.0f} of 255): target too close?"
