@@ -37,9 +37,9 @@ MESH_ERRORS = (0.0, 0.008, 0.02)  # of the radius
 PRIOR_DEG, PRIOR_SHARE, SEARCH_DEG = 12.0, 0.03, 10.0
 RIGHT_DEG, RIGHT_SHARE, WRONG_DEG = 5.0, 0.1, 8.0
 NEES_DEG = 8.0  # larger errors are wrong poses, not inaccurate ones
-WEIGHT_OF_WRONG = 2.5  # a wrong answer costs more than one that is not given
+WEIGHT_OF_WRONG = 1.5  # a wrong answer costs more than one that is not given
 RIDGE = 0.02  # of the weights of the merit
-MEDIAN_CHI2 = 5.35  # of six unknowns
+UNKNOWNS = 6
 DISTINCT_MARGIN = 4.0  # of a pose without a rival, as in ``choice``
 
 
@@ -202,7 +202,7 @@ def run(
     record = {
         "merit": dict(zip(POSE_FEATURES, merit.tolist(), strict=True)),
         "log_odds": dict(zip(CHOICE_FEATURES, odds.tolist(), strict=True)),
-        "inflation": kept["inflation"] * float(np.median(nees)) / MEDIAN_CHI2,
+        "inflation": kept["inflation"] * float(nees.mean()) / UNKNOWNS,
         "provenance": {
             "experiment": "sketch-confidence",
             "targets": [p.stem for p in models],

@@ -24,13 +24,14 @@ from rendezview.sensors.appearance.outline.signature import Outlines
 from rendezview.sensors.appearance.sky import Sky
 
 # Px, radius of the largest target that is searched for in the picture itself. The stages were
-# chosen with 100 to 220 px and hold up to here. Source: experiment pose-scale, seed 1
+# chosen with 100 to 220 px and hold up to here.
+# Source: docs/notes/refinement.md, size of the target
 LARGEST_RADIUS_PX = 350.0
 # Px, the same for the last refinement: in larger ones the points of a view, up to 2.5° away, are
-# off by more than its last stage looks. Source: experiment pose-scale, seed 1
+# off by more than its last stage looks. Source: docs/notes/refinement.md, size of the target
 FINEST_RADIUS_PX = 700.0
 # Rad; a refined pose further away is another one. Twenty times the error that the search leaves.
-_MOST_APART_RAD = np.deg2rad(1.0)  # Source: experiment pose-scale, seed 1
+_MOST_APART_RAD = np.deg2rad(1.0)  # Source: docs/notes/refinement.md, size of the target
 _MOST_TIMES = 32  # a target before the camera is never larger than that. Source: by construction
 # Px², variance that reading adds to a blurred edge: a pixel is a box of 1/12, and reading between
 # pixels a triangle of 1/6. Source: by construction

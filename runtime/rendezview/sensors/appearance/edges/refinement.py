@@ -62,7 +62,7 @@ _INEXACT = _FINE[:-1]
 _INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
 _LEAST_SIGMA_PX = 0.1  # px; one σ of an edge's place in the best of cases
 # Of the target's size, one σ of a strain: the contour points are those of a view up to 2.5° away,
-# and neighbouring ones err together. Source: experiment pose-scale, seed 1
+# and neighbouring ones err together. Source: docs/notes/refinement.md, size of the target
 _VIEW_STRAIN = 3e-4
 
 
