@@ -26,6 +26,10 @@ EXPERIMENTS = {
     "reflectors": {
         "reflector-accuracy": ("reflectors.accuracy", "pose errors against the Cramér–Rao bound"),
         "reflector-acquisition": ("reflectors.acquisition", "acquisition among glints and foil"),
+        "reflector-hidden": ("reflectors.hidden", "every three to five of five reflectors"),
+        "reflector-hidden-runs": ("reflectors.hidden:tracked", "the same, tracked"),
+        "reflector-handover": ("reflectors.handover", "from the far to the near group, by roll"),
+        "reflector-larger": ("reflectors.handover:larger", "one outer reflector larger"),
         "reflector-real-spots": ("reflectors.real_spots", "centroids in a real star picture"),
         "reflector-solvers": ("reflectors.solvers", "a million P3P problems, beside peers"),
         "reflector-speed": ("reflectors.speed", "time of a reading beside OpenCV's moments"),

@@ -17,7 +17,7 @@ from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
+from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration
 from rendezview.sensors.reflectors.difference import Opening, ThresholdOptions
 from rendezview.sensors.reflectors.overlay import draw_reading

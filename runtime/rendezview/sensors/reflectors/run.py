@@ -14,7 +14,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame, Sequence
-from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
+from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import (
     ClosedFormCalibration,
     base_and_post,

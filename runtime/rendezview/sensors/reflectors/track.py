@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +30,15 @@ class TrackingOptions:
     rate_readings: int = 8
 
 
+class Branch(StrEnum):
+    """How the pose is told from the mirrored one that shows nearly the same spots."""
+
+    SURE = "sure"  # by the spots of this reading: no other pose shows them
+    FOLLOWED = "followed"  # by its motion, since it was sure
+    MERGED = "merged"  # both are within the error: the covariance holds both
+    OPEN = "open"  # not at all: there is no pose
+
+
 @dataclass(slots=True, eq=False)
 class Track:
     """The memory between readings."""
@@ -43,6 +53,7 @@ class Track:
     roll_ambiguous: bool
     covariance: Array
     misses: int = 0
+    branch: Branch = Branch.SURE
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
