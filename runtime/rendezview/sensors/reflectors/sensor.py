@@ -66,7 +66,7 @@ class ReflectorSensor:
         self.tracking = tracking or TrackingOptions()
         self.acquirer = Acquirer(camera, patterns, acquisition)
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
-        self._rates = RateEstimator(self.tracking.rate_readings)
+        self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf
@@ -383,8 +383,9 @@ class ReflectorSensor:
             (p for p in self.patterns if all(name in names for name in p.names)),
             next((p for p in self.patterns if p.name == group), self.patterns[0]),
         )
-        six = self._faces[whole.name].six_numbers(pose)
-        rates = self._rates.add(time_s, pose, six, refined.covariance)
+        face = self._faces[whole.name]
+        six = face.six_numbers(pose)
+        rates = self._rates.add(time_s, pose, refined.covariance, face)
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
         return ReflectorObservation(
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,

@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.estimation.acceleration import AccelerationOptions
 from rendezview.geometry.pose import Array, Pose
 
 
@@ -27,7 +28,7 @@ class TrackingOptions:
     confirm: bool = True  # a first find counts when the next reading agrees
     gate_sigma: float = 6.0  # of a redundant fit: a spot further off is no reflector
     floor_px: float = 0.01  # error of a centroid beside the noise: pixels, lens, reflector edge
-    rate_readings: int = 8
+    rates: AccelerationOptions = field(default_factory=AccelerationOptions)
 
 
 class Branch(StrEnum):
