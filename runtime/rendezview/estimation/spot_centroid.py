@@ -24,10 +24,14 @@ Grey = npt.NDArray[np.uint8]
 
 LEAST_WINDOW_PX = 1.2  # σ. Source: experiment reflector-real-spots, stars of 2 px FWHM
 LARGEST_WINDOW_PX = 40.0  # σ: a disc of 125 px. Source: by construction
+_CLIPS = 6  # rounds without what is far off. Source: by construction, two neighbouring spots
 _REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction
 _ROUNDS = 20  # iterations at most; five do for most spots. Source: by construction
 _SETTLED_PX = 2e-4  # px, of a step: the end. Source: by construction, a hundredth of the error
 _LEAST_SPREAD = 0.04  # px², of a spot before the pixels. Source: by construction, σ = 0.2 px
+# Scatter over that of neighbours by which chance does not go: 3 σ of 60 pixels. Source: by
+# construction, √(2 / 57) = 0.19
+_CHANCE = 1.6
 # px²: area over which texture is one grey level, for its error. Source: experiment reflector-nees
 _GRAIN_PX2 = 14.0
 # px of error a root of a saturated pixel: a flat top tells little. Source: reflector-nees
@@ -174,8 +178,8 @@ def centre_spot(
             break
         # Window of the spot's own size: under a window as wide, its second moment halves.
         wide = min(max(wide, LEAST_WINDOW_PX), LARGEST_WINDOW_PX)
-        settled = settled or abs(wide - sigma) < 0.02 * sigma or turn >= 8
-        if not settled:
+        settled = settled or abs(wide - sigma) < 0.005 * sigma or turn >= 12
+        if not settled or wide == LEAST_WINDOW_PX:
             sigma = wide
     return x, y, size, amplitude, error
 
@@ -202,7 +206,7 @@ def ring_plane(
     half_x, half_y = (x1 - x0) // 2 + grow, (y1 - y0) // 2 + grow
     level = slope_x = slope_y = 0.0
     limit, scatter, steps = np.inf, 0.0, 0.0
-    for _ in range(3):
+    for _ in range(_CLIPS):
         n = sv = sx = sy = sxx = syy = svx = svy = svv = sd = nd = 0.0
         before, near = 0.0, False
         for k in range(4 * (half_x + half_y)):
@@ -233,9 +237,10 @@ def ring_plane(
         rest = svv - n * level * level - slope_x * slope_x * cx - slope_y * slope_y * cy
         scatter, steps = max(rest, 0.0) / max(n - 3.0, 1.0), 0.5 * sd / max(nd, 1.0)
         level -= (slope_x * sx + slope_y * sy) / n
-        limit = 3.0 * math.sqrt(max(scatter, noise * noise))
-    grain = max(scatter - max(steps, noise * noise), 0.0)
-    return level, slope_x, slope_y, math.sqrt(max(noise * noise, steps) + _GRAIN_PX2 * grain)
+        limit = 2.5 * math.sqrt(max(scatter, noise * noise))
+    white = max(steps, noise * noise)
+    grain = max(scatter - _CHANCE * white, 0.0)
+    return level, slope_x, slope_y, math.sqrt(white + _GRAIN_PX2 * grain)
 
 
 @njit(cache=True, nogil=True, inline="always")

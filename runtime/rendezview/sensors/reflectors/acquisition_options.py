@@ -9,8 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
 from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors.pattern import ReflectorPattern
 from rendezview.sensors.reflectors.refinement import Refined
+from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,4 +82,17 @@ class Acquisition:
     roll_ambiguous: bool = (
         False  # a symmetry of the visible reflectors leaves the picture unchanged
     )
-    rival_score: float = math.inf
+
+    def names(self, constellation: ReflectorPattern, count: int) -> tuple[str | None, ...]:
+        """The reflector of every one of so many spots."""
+        names: list[str | None] = [None] * count
+        if self.reflectors is not None and self.spot_indices is not None:
+            for reflector, spot in zip(self.reflectors, self.spot_indices, strict=True):
+                names[spot] = constellation.names[reflector]
+        return tuple(names)
+
+    def table(self, spots: SpotTable, count: int) -> Array:
+        """(N, 19) the spot of each of so many reflectors, NaN where it has none."""
+        table = np.full((count, COLUMNS), np.nan)
+        table[self.reflectors] = spots.table[self.spot_indices]
+        return table

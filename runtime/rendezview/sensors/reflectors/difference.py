@@ -23,7 +23,7 @@ Grey = npt.NDArray[np.uint8]
 
 _NOISE_STEP = 12  # rows; the noise is measured on one row in so many
 _CELL_PX = 8  # px, of the coarse background. Source: by construction, its median takes 0.1 ms
-_MEDIAN_CELLS = 25  # cells of the median: 200 px. Source: by construction, over the largest disc
+_MEDIAN_CELLS = (25, 9, 5)  # of the medians: 200 px. Source: by construction, over the largest disc
 _FILTER_PX = 1.0  # σ. Source: by construction, that of a spot of 2 px FWHM and pixel
 _LEAST_NOISE = 0.5  # grey. Source: by construction, rounding that the filter does not average
 _NO_DARK = np.zeros((0, 0), np.uint8)  # Source: by construction
@@ -104,6 +104,13 @@ class LitDark:
     def dark_or_nothing(self) -> Grey:
         """The dark picture, (0, 0) where there is none, for the compiled loops."""
         return _NO_DARK if self.dark is None else self.dark
+
+    def inverted(self) -> LitDark:
+        """The pictures of dark dots on a bright ground, as bright dots on a dark one."""
+        return LitDark(
+            np.asarray(255 - self.lit, dtype=np.uint8),
+            None if self.dark is None else np.asarray(255 - self.dark, dtype=np.uint8),
+        )
 
     def check(self, camera: Camera) -> None:
         """Refuse pictures of another size than the camera's.
@@ -190,16 +197,20 @@ def threshold_of(options: ThresholdOptions, noise: float, frames: LitDark) -> fl
 
 
 def background_of(lit: Grey) -> Grey:
-    """(H, W) smooth background of a single picture: the median over about 200 px.
+    """(H, W) smooth background of a single picture: the least of medians over 40, 72 and 200 px.
 
-    A lit room is brighter on one side; a disc of up to 140 px is no background.
+    A lit room is brighter on one side, and a card may lie on what is as bright as its dots; a disc
+    of up to 140 px is no background.
     """
     height, width = lit.shape
     small = (max(width // _CELL_PX, 1), max(height // _CELL_PX, 1))
     cells = cv2.resize(lit, small, interpolation=cv2.INTER_AREA)
-    size = min(_MEDIAN_CELLS, 2 * (min(small) // 2) + 1)
-    middle = cv2.medianBlur(cells, max(size, 3))
-    smooth = cv2.resize(middle, (width, height), interpolation=cv2.INTER_LINEAR)
+    least = cells
+    for k, cells_wide in enumerate(_MEDIAN_CELLS):
+        size = min(cells_wide, 2 * ((min(small) - 1) // 2) + 1)
+        middle = cv2.medianBlur(cells, size) if size >= 3 else cells
+        least = middle if k == 0 else cv2.min(least, middle)
+    smooth = cv2.resize(least, (width, height), interpolation=cv2.INTER_LINEAR)
     return np.asarray(smooth, dtype=np.uint8)
 
 

@@ -20,6 +20,7 @@ from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined
 from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable, find_spots
+from rendezview.sensors.reflectors.tolerance import fit_dots
 from rendezview.sensors.reflectors.track import (
     Branch,
     Track,
@@ -60,11 +61,11 @@ class ReflectorSensor:
         if not patterns:
             raise RendezviewError("no reflectors to look for: name a group of the target file")
         self.camera = camera
-        self.patterns = patterns
-        self.constellation = merged(patterns)
         self.threshold = threshold or ThresholdOptions()
         self.tracking = tracking or TrackingOptions()
-        self.acquirer = Acquirer(camera, patterns, acquisition)
+        self._given = patterns, acquisition or AcquisitionOptions()
+        self._expect(*self._given)
+        self._note: str | None = None
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
         self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
@@ -79,7 +80,6 @@ class ReflectorSensor:
         self._nowhere = np.full((n, 2), np.nan)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
-        self._fit = WindowFit(camera, self.constellation, self.acquirer.options, self.tracking)
 
     @property
     def is_tracking(self) -> bool:
@@ -137,6 +137,8 @@ class ReflectorSensor:
         spots = find_spots(frames, self.threshold)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
+        if found.status is Status.NOT_FOUND and prior is None:
+            found = self._with_other_dots(spots) or found
         end = time.perf_counter()
         stage_ms = {"spots": 1e3 * (middle - begin), "triplets": 1e3 * (end - middle)}
         if found.refined is None:
@@ -147,10 +149,10 @@ class ReflectorSensor:
                 found.status, found.reason, time_s=time_s, spots=spots,
                 reflectors=(None,) * len(spots), stage_ms=stage_ms,
             )  # fmt: skip
-        names = self._names_of(found, spots)
+        names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(time_s, pose):
-            self._unconfirmed = (time_s, pose, self._table_of(found, spots))
+            self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
             return ReflectorObservation(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
                 time_s=time_s, spots=spots, reflectors=names, group=found.group,
@@ -160,6 +162,20 @@ class ReflectorSensor:
         if prior is not None and self._track is not None:  # it stays as well known as it was
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
+
+    def _with_other_dots(self, spots: SpotTable) -> Acquisition | None:
+        """What is found with dots of another diameter or blur, which are then taken for right."""
+        fitted = fit_dots(self.camera, self._given[0], self._given[1], spots)
+        if fitted is None:
+            return None
+        self._expect(fitted.patterns, fitted.options)
+        self._note = fitted.note
+        return fitted.found
+
+    def _expect(self, patterns: list[ReflectorPattern], options: AcquisitionOptions) -> None:
+        self.patterns, self.constellation = patterns, merged(patterns)
+        self.acquirer = Acquirer(self.camera, patterns, options)
+        self._fit = WindowFit(self.camera, self.constellation, options, self.tracking)
 
     def _adopt(
         self,
@@ -171,25 +187,16 @@ class ReflectorSensor:
     ) -> ReflectorObservation:
         """Track what was found from here on."""
         assert found.refined is not None
-        table = self._table_of(found, spots)
+        table = found.table(spots, len(self.constellation))
         self._remember(time_s, table, found.refined, 2.0, ambiguous, Branch.SURE)
         if self._unconfirmed is not None and self._track is not None:
             self._track.before_s, _, first = self._unconfirmed
             self._track.before = first[:, :2]
         self._unconfirmed = None
         return self._reading(
-            time_s, found.refined, spots, self._names_of(found, spots), found.group, stage_ms,
+            time_s, found.refined, spots, found.names(self.constellation, len(spots)), found.group, stage_ms,
             ambiguous, tracked=False,
         )  # fmt: skip
-
-    def _names_of(self, found: Acquisition, spots: SpotTable) -> tuple[str | None, ...]:
-        """The reflector of every spot."""
-        assert found.reflectors is not None
-        assert found.spot_indices is not None
-        names: list[str | None] = [None] * len(spots)
-        for reflector, spot in zip(found.reflectors, found.spot_indices, strict=True):
-            names[spot] = self.constellation.names[reflector]
-        return tuple(names)
 
     def _agrees(self, time_s: float, pose: Pose) -> bool:
         """Whether a second find is near the first: a tenth of the range, half a radian."""
@@ -199,12 +206,6 @@ class ReflectorSensor:
         where, was = pose.apply(self._centre), first.apply(self._centre)
         near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
         return bool(near and np.trace(pose.rotation @ first.rotation.T) > 1.0 + 2.0 * np.cos(0.5))
-
-    def _table_of(self, found: Acquisition, spots: SpotTable) -> Array:
-        """(N, 19) the spot of every reflector, NaN where it has none."""
-        table = np.full((len(self.constellation), COLUMNS), np.nan)
-        table[found.reflectors] = spots.table[found.spot_indices]
-        return table
 
     # --- tracking
 
@@ -288,14 +289,14 @@ class ReflectorSensor:
         if self._agrees(time_s, pose):
             self._track = None
             return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
-        self._unconfirmed = (time_s, pose, self._table_of(found, spots))
+        self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
         if refined is None:
             return None
         return ReflectorObservation(
             Status.AMBIGUOUS,
             f"another pose explains {len(found.reflectors)} spots and the one that was followed "
             f"{len(seen)}: the next reading decides",
-            time_s=time_s, spots=spots, reflectors=self._names_of(found, spots),
+            time_s=time_s, spots=spots, reflectors=found.names(self.constellation, len(spots)),
             group=found.group, stage_ms=stage_ms,
         )  # fmt: skip
 
@@ -390,5 +391,5 @@ class ReflectorSensor:
         return ReflectorObservation(
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
             rates=rates, spots=spots, reflectors=names, group=whole.name,
-            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms,
+            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms, note=self._note,
         )  # fmt: skip

@@ -39,7 +39,6 @@ BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DAR
 COLUMNS = 19  # Source: by construction
 
 
-
 class Centroid(StrEnum):
     """Which of the three centroids a spot's place is."""
 

@@ -90,8 +90,9 @@ class CalibrationError:
             h = _POSE_STEP if i < 3 else _POSE_STEP * far
             step = np.zeros(6)
             step[i] = h
-            ahead, behind = places(None, None, pose.perturbed(step)), places(
-                None, None, pose.perturbed(-step)
+            ahead, behind = (
+                places(None, None, pose.perturbed(step)),
+                places(None, None, pose.perturbed(-step)),
             )
             by_pose[:, i] = (ahead - behind) / (2.0 * h)
         by_parameter = np.empty((len(scale), len(self._parameters)))
