@@ -193,10 +193,10 @@ class ReflectorSensor:
             self._track.before_s, _, first = self._unconfirmed
             self._track.before = first[:, :2]
         self._unconfirmed = None
+        names = found.names(self.constellation, len(spots))
         return self._reading(
-            time_s, found.refined, spots, found.names(self.constellation, len(spots)), found.group, stage_ms,
-            ambiguous, tracked=False,
-        )  # fmt: skip
+            time_s, found.refined, spots, names, found.group, stage_ms, ambiguous, tracked=False
+        )
 
     def _agrees(self, time_s: float, pose: Pose) -> bool:
         """Whether a second find is near the first: a tenth of the range, half a radian."""
