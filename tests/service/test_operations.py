@@ -18,7 +18,7 @@ import trimesh
 from rendezview.client import ServiceError
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.service.log_file import mend
+from rendezview.service.log_repair import mend
 from rendezview.service.model_messages import JobInfo, ModelInfo
 from rendezview.service.replay import read_log
 from rendezview.service.service import Service

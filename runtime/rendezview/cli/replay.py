@@ -30,7 +30,11 @@ def replay(
         typer.Option(min=0.0, help="Differences allowed; compiled on another machine: 1e-9."),
     ] = 0.0,
     mend: Annotated[
-        bool, typer.Option("--mend", help="Only complete a log that was cut off, in place.")
+        bool,
+        typer.Option(
+            "--mend",
+            help="Only complete a log that was cut off; of a damaged one make a whole copy.",
+        ),
     ] = False,
 ) -> None:
     """Repeat a recorded run and compare it, bit for bit; or mend a log that was cut off.
@@ -39,7 +43,7 @@ def replay(
     Example: rendezview replay run.mcap
     """
     try:
-        from rendezview.service import log_file
+        from rendezview.service import log_repair
         from rendezview.service.replay import model_of, read_log, repeat
         from rendezview.service.tracking import warm_up
     except ModuleNotFoundError as error:
@@ -55,8 +59,16 @@ def replay(
         console.print(text, highlight=False, soft_wrap=True)
 
     if mend:
-        cut = log_file.mend(log)
-        say(f"{log}: whole" if cut is None else f"{log}: completed; {cut} bytes at its end cut")
+        done = log_repair.mend(log)
+        if done is None:
+            say(f"{log}: whole")
+        elif done.path == log:
+            say(f"{log}: completed; {done.cut_bytes} bytes at its end cut")
+        else:
+            say(
+                f"{log}: damaged; {done.path.name} has all but {done.damaged_bytes} bytes of it, "
+                f"and {done.cut_bytes} at its end"
+            )
         return
     opened = read_log(log)
     used = model_of(opened, model)

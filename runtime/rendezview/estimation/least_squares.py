@@ -2,14 +2,14 @@
 
 One driver, `minimise`, for problems that are set up in Python; its pieces (`damped_step`,
 `tukey_weight`) for the few loops that are compiled as a whole because a call from Python would
-cost more than the iteration (contour alignment, reflectors, lights).
+cost more than the iteration (contour alignment, ring edges, reflectors, segments).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Generic, TypeVar
 
 import numpy as np
 from numba import njit
@@ -17,12 +17,17 @@ from numba import njit
 from rendezview.estimation.linear_algebra import solve_scaled
 from rendezview.geometry.pose import Array
 
+_At = TypeVar("_At")  # parameters, of any type
+Equations = tuple[float, Array, Array]  # cost, normal matrix (P, P), right side (P,)
+
 # Damping, a share of the diagonal: the first after a plain step failed, and its factors after a
 # worse and a better step. Source: Marquardt, SIAM J. 11(2), 1963, whose λ₀ is 0.01 and ν 10; 1e-4
 # because the starts here are near.
 FIRST_DAMPING = 1e-4  # Source: as above
 DAMPING_GROWTH = 10.0  # Source: as above
 DAMPING_DECAY = 0.1  # Source: as above
+# By so much of itself a cost may rise at its minimum. Source: rounding of a sum of 10⁴ squares
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,65 +39,67 @@ class Options:
     trials: int = 8  # Source: by construction
     # Of the cost χ²: a hundredth of a standard deviation, squared.
     least_gain: float = 1e-4  # Source: by construction
+    relative_gain: float = 0.0  # of the cost, besides. Source: by construction
     # Of the diagonal; 0: plain Gauss–Newton steps first.
     first_damping: float = 0.0  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Minimum:
+class Minimum(Generic[_At]):
     """Where the iteration ended."""
 
-    at: Any  # the parameters, of the type of the start
+    at: _At  # the parameters
     cost: float
-    normal: Array  # (P, P) undamped normal matrix there: the inverse of the covariance
     iterations: int
     converged: bool
 
 
 def minimise(
-    equations: Callable[[Any], tuple[float, Array, Array]],
-    cost: Callable[[Any], float],
-    step: Callable[[Any, Array], Any],
-    start: Any,
+    equations: Callable[[_At], Equations],
+    step: Callable[[_At, Array], _At],
+    start: _At,
+    *,
+    cost: Callable[[_At], float] | None = None,
     options: Options | None = None,
-) -> Minimum | None:
+) -> Minimum[_At] | None:
     """The least cost near ``start``; ``None`` where the cost there is not finite.
 
     Args:
         equations: parameters → cost, normal matrix JᵀWJ (P, P), right side JᵀWr (P,).
-        cost: parameters → cost, infinite where they mean nothing.
         step: (parameters, increment (P,)) → new parameters. For a pose, the left perturbation.
         start: the first parameters; any type that ``step`` takes.
+        cost: parameters → cost, infinite where they mean nothing. None: that of ``equations``,
+            where its normal matrix costs little more.
         options: when to stop.
 
     Levenberg 1944, Marquardt 1963. Robust weights belong to ``equations`` (iteratively
-    reweighted), the same loss to ``cost``.
+    reweighted), the same loss to the cost.
     """
     options = options or Options()
     here, normal, right = equations(start)
     if not np.isfinite(here):
         return None
-    at, damping, converged, done = start, options.first_damping, False, 0
-    while done < options.iterations and not converged:
-        done += 1
-        accepted = False
+    at, damping = start, options.first_damping
+    increment, lower = np.empty(len(right)), np.empty_like(normal)
+    for done in range(options.iterations):
         for _ in range(options.trials):
-            increment, lower = np.empty(len(right)), np.empty_like(normal)
             if damped_step(normal, right, damping, lower, increment):
                 trial = step(at, increment)
-                there = cost(trial)
-                if there <= here:
-                    accepted = True
+                if cost is None:
+                    there, *ahead = equations(trial)
+                else:
+                    there, ahead = cost(trial), []
+                if there <= here * (1.0 + ROUNDING):
                     break
             damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
-        if not accepted:
-            converged = True
-            break
-        converged = here - there <= options.least_gain
-        at = trial
-        here, normal, right = equations(at)
+        else:
+            return Minimum(at, here, done, True)  # no step lowers the cost
+        gain, at, here = here - there, trial, there
+        if gain <= options.least_gain + options.relative_gain * here:
+            return Minimum(at, here, done + 1, True)
+        normal, right = ahead or equations(at)[1:]
         damping *= DAMPING_DECAY
-    return Minimum(at, here, normal, done, converged)
+    return Minimum(at, here, options.iterations, False)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

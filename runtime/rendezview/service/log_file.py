@@ -1,117 +1,70 @@
-"""MCAP logs that were cut off: find the complete part and append the index.
+"""Reading MCAP logs, whole, cut off or damaged.
 
 A log has one chunk per frame, written before the frame is acknowledged. After a kill the file has
-no index, and its last record may be incomplete. `scan` finds the last complete chunk; `mend`
-removes what follows and appends the index that readers expect.
+no index, and its last record may be incomplete. A damaged record is passed over: reading goes on
+with the next chunk.
 """
 
 from __future__ import annotations
 
 import io
 import os
+import re
 import struct
 import zlib
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, BinaryIO
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
-    Footer,
+    Header,
     McapRecord,
     Message,
     MessageIndex,
     Metadata,
-    MetadataIndex,
     Schema,
-    Statistics,
-    SummaryOffset,
 )
-from mcap.stream_reader import breakup_chunk
+from mcap.stream_reader import breakup_chunk, get_chunk_data_stream
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import StrPath, write_error
+from rendezview.io.files import StrPath
+from rendezview.service.log_index import MAGIC
 
-MAGIC = b"\x89MCAP0\r\n"
+WRITER = "rendezview"  # in the header of the service's own logs
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _PARSED: dict[int, Any] = {
+    Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
+    Opcode.MESSAGE: None,
     Opcode.CHUNK: Chunk,
     Opcode.MESSAGE_INDEX: MessageIndex,
     Opcode.ATTACHMENT: Attachment,
     Opcode.METADATA: Metadata,
 }
+# Codes of other records, of this or a later version of MCAP. Source: mcap.dev/spec, "Opcodes".
+_OTHER = (*range(0x0B, 0x0F), *range(0x80, 0x100))
+_LEAST_MESSAGE = 22  # bytes of an empty message. Source: mcap.dev/spec, "Message"
 _MOST_RECORD = 4_000_000_000  # bytes; a longer record is damage. Source: a chosen limit
-
-
-@dataclass(slots=True, eq=False)
-class ChunkIndexes:
-    """Chunk indexes in their written form: one per frame, about 130 bytes each."""
-
-    written: bytearray = field(default_factory=bytearray)
-    count: int = 0
-    start_ns: int = 0
-    end_ns: int = 0
-
-    def add(self, index: ChunkIndex) -> None:
-        """Add the index of a chunk."""
-        self.written += _written([index])
-        first = self.count == 0
-        self.start_ns = (
-            index.message_start_time if first else min(self.start_ns, index.message_start_time)
-        )
-        self.end_ns = max(self.end_ns, index.message_end_time)
-        self.count += 1
-
-
-@dataclass(slots=True, eq=False)
-class Scan:
-    """The complete part of a log."""
-
-    end: int = len(MAGIC)  # offset after the last complete record of data
-    finished: bool = False  # it has its index and its end
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: ChunkIndexes = field(default_factory=ChunkIndexes)
-    attachments: list[AttachmentIndex] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
-    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
-
-    def add(self, record: McapRecord, offset: int, length: int) -> None:
-        """Count a record of the data section, other than chunks and their indexes."""
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels[record.id] = record
-        elif isinstance(record, Metadata):
-            self.metadata.append(MetadataIndex(offset=offset, length=length, name=record.name))
-        elif isinstance(record, Attachment):
-            index = AttachmentIndex(
-                offset=offset,
-                length=length,
-                log_time=record.log_time,
-                create_time=record.create_time,
-                data_size=len(record.data),
-                name=record.name,
-                media_type=record.media_type,
-            )
-            self.attachments.append(index)
-        self.end = offset + length
+_WINDOW = 1 << 20  # bytes that are searched at once for the next chunk. Source: chosen
+# The start of a chunk: opcode, a length below 4 GiB, times, size and checksum, a compression.
+# Source: mcap.dev/spec, "Chunk".
+_CHUNK = re.compile(
+    rb"\x06.{4}\0{4}.{28}(?:\0{4}|\x03\0{3}lz4|\x04\0{3}zstd)", re.DOTALL
+)  # fmt: skip
+_CHUNK_START = 49  # bytes that the pattern may need. Source: its own length
 
 
 def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:
-    """Complete records of data with offset and length, up to damage or the index.
+    """Complete records of data with offset and length, up to the end or the index.
+
+    Damaged records are left out, so that the offsets have gaps.
 
     Args:
         most: number of bytes to read; None: all.
@@ -127,35 +80,68 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
                 raise RendezviewError(f"{path}: not an MCAP log: name another file")
             place = len(MAGIC)
             while place + _HEAD.size <= size:
-                opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-                end = place + _HEAD.size + length
-                if length > _MOST_RECORD or end > size:
-                    return
-                body = file.read(length)
-                record = _parsed(opcode, body)
-                if record is None:
-                    return
-                yield record, place, end - place
+                found = _record_at(file, place, size)
+                if found is None:
+                    following = _next_chunk(file, place + 1, size)
+                    if following is None:
+                        return
+                    place = following
+                    continue
+                record, length = found
+                yield record, place, length
                 if isinstance(record, DataEnd):
                     return
-                place = end
+                place += length
     except FileNotFoundError:
         raise RendezviewError(f"{path}: no such log: check the path") from None
     except OSError as error:
         raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+def _record_at(file: BinaryIO, place: int, size: int) -> tuple[McapRecord, int] | None:
+    """The record at an offset and its length; None for damage."""
+    file.seek(place)
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        return None
+    opcode, length = _HEAD.unpack(head)
+    end = place + _HEAD.size + length
+    if length > _MOST_RECORD or end > size:
+        return None
+    record = _parsed(opcode, file.read(length))
+    return None if record is None else (record, end - place)
+
+
+def _next_chunk(file: BinaryIO, place: int, size: int) -> int | None:
+    """The offset of the next chunk whose lengths fit together."""
+    while place < size:
+        file.seek(place)
+        window = file.read(min(_WINDOW + _CHUNK_START, size - place))
+        for match in _CHUNK.finditer(window):
+            found = _record_at(file, place + match.start(), size)
+            if found is not None and isinstance(found[0], Chunk):
+                return place + match.start()
+        place += _WINDOW
+    return None
+
+
 def _parsed(opcode: int, body: bytes) -> McapRecord | None:
     """A record of data; None for damage. Records that are not needed stay empty."""
     if opcode == Opcode.DATA_END:
-        return DataEnd(0)
+        return DataEnd(0) if len(body) == 4 else None
+    if opcode == Opcode.MESSAGE:
+        fits = len(body) >= _LEAST_MESSAGE
+        return Message.read(ReadDataStream(io.BytesIO(body)), len(body)) if fits else None
     kind = _PARSED.get(opcode)
     if kind is None:
-        return McapRecord()
+        return McapRecord() if opcode in _OTHER else None
+    content = io.BytesIO(body)
     try:
-        record: McapRecord = kind.read(ReadDataStream(io.BytesIO(body)))
-    except (McapError, ValueError, struct.error):
+        record: McapRecord = kind.read(ReadDataStream(content))
+    except (McapError, ValueError, struct.error, MemoryError, OverflowError):
         return None
+    if isinstance(record, Chunk | MessageIndex) and content.tell() != len(body):
+        return None  # its length was damaged
     if isinstance(record, Attachment):
         stored = struct.unpack("<I", body[-4:])[0]
         if stored and stored != zlib.crc32(memoryview(body)[:-4]):
@@ -163,140 +149,47 @@ def _parsed(opcode: int, body: bytes) -> McapRecord | None:
     return record
 
 
+_DAMAGE = (McapError, ValueError, struct.error, RuntimeError, EOFError, MemoryError)
+
+
+def content_of(chunk: Chunk) -> bytes | None:
+    """The unpacked content of a chunk; None if it is damaged."""
+    try:
+        stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(length) if length == chunk.uncompressed_size else None
+    except _DAMAGE:
+        return None
+
+
 def messages(chunk: Chunk) -> list[Message] | None:
     """The messages of a chunk; None if it is damaged."""
     try:
         parts = breakup_chunk(chunk, validate_crc=True)
-    except (McapError, ValueError, struct.error, RuntimeError, EOFError, MemoryError):
+    except _DAMAGE:
         return None
     return [part for part in parts if isinstance(part, Message)]
 
 
-def scan(path: StrPath, most: int | None = None) -> Scan:
-    """The complete part of a log: up to the last chunk with all its indexes.
-
-    Raises:
-        RendezviewError: the file cannot be read, or is not an MCAP file.
-    """
-    found = Scan()
-    chunk: ChunkIndex | None = None
-    missing: set[int] = set()  # channels of the chunk whose index is still to come
-    inside: Counter[int] = Counter()
-    for record, offset, length in records(path, most):
-        if isinstance(record, MessageIndex) and chunk is not None:
-            chunk.message_index_offsets[record.channel_id] = offset
-            chunk.message_index_length += length
-            missing.discard(record.channel_id)
-            if not missing:
-                found.chunks.add(chunk)
-                found.counts += inside
-                found.end, chunk = offset + length, None
-            continue
-        if chunk is not None:
-            break  # its indexes are missing
-        if isinstance(record, Chunk):
-            parts = messages(record)
-            if parts is None:
-                break
-            chunk = chunk_index(record, offset, length)
-            inside = Counter(part.channel_id for part in parts)
-            missing = set(inside)
-        elif isinstance(record, DataEnd):
-            found.finished = _has_ending(path)
-            break
-        else:
-            found.add(record, offset, length)
-    return found
-
-
-def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
-    """The index of a chunk, without the indexes of its messages."""
-    return ChunkIndex(
-        message_start_time=chunk.message_start_time,
-        message_end_time=chunk.message_end_time,
-        chunk_start_offset=offset,
-        chunk_length=length,
-        message_index_offsets={},
-        message_index_length=0,
-        compression=chunk.compression,
-        compressed_size=len(chunk.data),
-        uncompressed_size=chunk.uncompressed_size,
-    )
-
-
-def ending(found: Scan) -> bytes:
-    """The end of a finished log (summary and index), to be written at ``found.end``."""
-    head = _written([DataEnd(0)])
-    start = found.end + len(head)
-    groups: list[tuple[Opcode, bytes | bytearray]] = [
-        (Opcode.SCHEMA, _written(found.schemas.values())),
-        (Opcode.CHANNEL, _written(found.channels.values())),
-        (Opcode.STATISTICS, _written([_statistics(found)])),
-        (Opcode.CHUNK_INDEX, found.chunks.written),
-        (Opcode.ATTACHMENT_INDEX, _written(found.attachments)),
-        (Opcode.METADATA_INDEX, _written(found.metadata)),
-    ]
-    summary, offsets = bytearray(), []
-    for opcode, group in groups:
-        if group:
-            offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
-        summary += group
-    offsets_start = start + len(summary)
-    summary += _written(offsets)
-    footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
-    checksum = zlib.crc32(footer, zlib.crc32(summary))
-    return head + summary + _written([Footer(start, offsets_start, checksum)]) + MAGIC
-
-
-def mend(path: StrPath) -> int | None:
-    """Repair a log that was cut off, in place; the bytes removed, or None if it is complete.
-
-    Raises:
-        RendezviewError: not an MCAP file, or it cannot be written.
-    """
-    found = scan(path)
-    if found.finished:
-        return None
+def is_own(path: StrPath) -> bool:
+    """Whether the service wrote this file; False for logs of other programs, and no logs."""
     try:
-        with open(path, "r+b") as file:
-            cut = os.fstat(file.fileno()).st_size - found.end
-            file.truncate(found.end)
-            file.seek(found.end)
-            file.write(ending(found))
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise write_error(Path(path), error) from error
-    return cut
+        with open(path, "rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                return False
+            found = _record_at(file, len(MAGIC), os.fstat(file.fileno()).st_size)
+    except OSError:
+        return False
+    return found is not None and isinstance(found[0], Header) and found[0].library == WRITER
 
 
-def taken(builder: RecordBuilder) -> bytes:
-    """The bytes of a builder, which is empty afterwards."""
-    return bytes(builder.end())  # type: ignore[no-untyped-call]
+def is_finished(path: StrPath) -> bool:
+    """Whether a log has its end.
 
-
-def _written(records: Iterable[Any]) -> bytes:
-    builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
-    return taken(builder)
-
-
-def _statistics(found: Scan) -> Statistics:
-    return Statistics(
-        attachment_count=len(found.attachments),
-        channel_count=len(found.channels),
-        channel_message_counts=dict(found.counts),
-        chunk_count=found.chunks.count,
-        message_count=sum(found.counts.values()),
-        message_start_time=found.chunks.start_ns,
-        message_end_time=found.chunks.end_ns,
-        metadata_count=len(found.metadata),
-        schema_count=len(found.schemas),
-    )
-
-
-def _has_ending(path: StrPath) -> bool:
+    Raises:
+        OSError: it cannot be read.
+    """
     with open(path, "rb") as file:
+        if file.seek(0, os.SEEK_END) < 2 * len(MAGIC):
+            return False
         file.seek(-len(MAGIC), os.SEEK_END)
         return file.read() == MAGIC

@@ -104,7 +104,9 @@ class Recording(Message):
     reason: str | None = Field(default=None, description="of a failure")
     name: str | None = Field(default=None, description="of the file")
     messages: int = 0
-    size_bytes: int = 0
+    size_bytes: int = Field(default=0, description="of that file")
+    parts: int = Field(default=0, description="number of the file, from 1")
+    all_bytes: int = Field(default=0, description="of all files since the worker's start")
     lost: int = Field(default=0, description="states and lines that were not written")
 
 

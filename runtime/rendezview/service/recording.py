@@ -1,8 +1,10 @@
 """The log of a session: a state is in the file before it is acknowledged.
 
 One write per frame holds a chunk and its indexes, so a kill at any moment loses no acknowledged
-state. A full disk does not stop the tracking: the log is cut to its last complete frame, the fault
-is reported, and a new file is tried every few seconds.
+state. A log has several files, its parts, each complete in itself: a new one begins when the last
+is large or old enough, when another worker continues the session, and after a fault. A full disk
+does not stop the tracking: the file is cut to its last complete frame, the fault is reported, and
+a new part is tried every few seconds. An open part is locked, so that nobody repairs or removes it.
 """
 
 from __future__ import annotations
@@ -26,16 +28,17 @@ from mcap.records import Attachment, Channel, Chunk, Header, MessageIndex, Metad
 from mcap.records import Message as McapMessage
 from pydantic_core import to_json
 
-from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import write_error
 from rendezview.service import log_schemas
 from rendezview.service.frames import Bytes, kind_of
-from rendezview.service.log_file import MAGIC, Scan, chunk_index, ending, mend, scan, taken
+from rendezview.service.log_file import WRITER
+from rendezview.service.log_folder import SESSION_METADATA, free_number, part_path
+from rendezview.service.log_index import MAGIC, Scan, chunk_index, ending, taken
+from rendezview.service.log_lock import lock
 from rendezview.service.messages import Recording, RecordingState
 from rendezview.service.tracking import StateDict
 
-SESSION_METADATA = "rendezview.session"
 MODEL_ATTACHMENT = "model.rvm"
 _CALIBRATION_EVERY_S = 1.0  # s, between messages with the camera. Source: chosen
 _SYNC_EVERY_S = 1.0  # s, between fsyncs with `interval`. Source: chosen
@@ -49,6 +52,8 @@ class RecordingOptions:
     images: bool = True
     sync: Literal["always", "interval", "never"] = "interval"
     compression: Literal["", "lz4", "zstd"] = "lz4"
+    part_bytes: int = 1_000_000_000  # of a part, then the next begins. Source: chosen
+    part_s: float = 3600.0  # s, the same; bounds the index in memory to 15 MB. Source: chosen
 
 
 class LogWriter:
@@ -65,23 +70,28 @@ class LogWriter:
         model: bytes | None,
         options: RecordingOptions | None = None,
     ) -> None:
-        """Start a log; if the file exists, under the first free numbered name.
+        """Start a log, or its next part.
 
         Args:
-            metadata: the session's data for replay.
-            model: the model file, attached to the log.
+            path: of its first part; if the file exists, the part gets the next number.
+            metadata: the session's data for replay; ``log`` is common to the parts of a log.
+            model: the model file, attached to each part.
         """
         self.options = options or RecordingOptions()
         self._base = path
         self._camera = camera
-        self._metadata = dict(metadata)
+        self._metadata = {"log": secrets.token_hex(8)} | dict(metadata)
+        self._part = 0
+        self._begun_s = 0.0
         self._model = model
         self._file: int | None = None
         self._path = path
         self._scan = Scan()
         self._reason: str | None = None
-        self._messages = 0
+        self._messages = 0  # of all parts of this writer
+        self._earlier_bytes = 0  # of its parts before this one
         self._lost = 0
+        self._unfinished: tuple[Path, Scan] | None = None  # a part without its end
         self._retry_at = 0.0
         self._calibrated_at = -1e300
         self._synced_at = 0.0
@@ -97,6 +107,8 @@ class LogWriter:
             name=self._path.name,
             messages=self._messages,
             size_bytes=self._scan.end,
+            parts=self._part,
+            all_bytes=self._earlier_bytes + (0 if self._file is None else self._scan.end),
             lost=self._lost,
         )
 
@@ -118,29 +130,49 @@ class LogWriter:
             self._lost += count
             return False
         try:
+            if self._is_long:
+                self.close(wait=False)
+                self._open()
+            if self._file is None:
+                raise OSError(0, "no new part can be started")
             append()
         except OSError as error:
-            self._fail(error)
+            if self._file is not None:
+                self._fail(error)
             self._lost += count
             return False
         return True
 
-    def close(self) -> None:
-        """Write the index. Closing again does nothing."""
+    @property
+    def _is_long(self) -> bool:
+        """Whether the part is long enough, and has something in it."""
+        old = time.monotonic() - self._begun_s > self.options.part_s
+        return self._scan.chunks.count > 0 and (old or self._scan.end > self.options.part_bytes)
+
+    def close(self, wait: bool = True) -> None:
+        """Write the index. Closing again does nothing.
+
+        Args:
+            wait: until the file is on the disk.
+        """
         if self._file is None:
             return
         file, self._file = self._file, None
+        self._earlier_bytes += self._scan.end
         try:
             _write_all(file, ending(self._scan), self._scan.end)
-            os.fsync(file)
+            if wait:
+                os.fsync(file)
         except OSError as error:
             self._reason = str(write_error(self._path, error))
             with contextlib.suppress(OSError):
                 os.ftruncate(file, self._scan.end)
-        finally:
-            if self._syncing is not None:
-                self._syncing.join()
+        if self._syncing is not None and wait:
+            self._syncing.join()
+        if wait or self.options.sync == "never":
             os.close(file)
+        else:
+            threading.Thread(target=_quiet_sync, args=(file,)).start()
 
     def _append_frame(self, state: StateDict, state_json: bytes, content: Bytes) -> None:
         log_ns = _ns(state["received_unix_s"])
@@ -212,28 +244,41 @@ class LogWriter:
         self._messages += len(parts)
 
     def _open(self) -> None:
-        """Start a file. It gets its name when it has its beginning; a fault goes to ``_reason``."""
-        self._path = _free_name(self._base)
-        trial = self._path.with_name(f".{self._path.name}.{secrets.token_hex(4)}.tmp")
+        """Start a part. It gets its name when it has its beginning; a fault goes to ``_reason``."""
+        first = self._part == 0
+        number = free_number(self._base, self._part + 1)
+        trial = self._base.with_name(f".{self._base.name}.{secrets.token_hex(4)}.tmp")
+        self._path = part_path(self._base, number)
         file = None
         try:
             file = os.open(trial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-            _write_all(file, self._beginning(), 0)
-            if self.options.sync != "never":
+            lock(file)
+            notes = {"part": str(number), "continues": "no" if first else "yes"}
+            _write_all(file, self._beginning(self._metadata | notes), 0)
+            if self.options.sync == "always":
                 os.fsync(file)
-            os.replace(trial, self._path)
+            while True:
+                try:
+                    os.link(trial, self._path)  # never over another service's file
+                    break
+                except FileExistsError:
+                    number = free_number(self._base, number + 1)
+                    self._path = part_path(self._base, number)
         except OSError as error:
             if file is not None:
                 os.close(file)
-            with contextlib.suppress(OSError):
-                trial.unlink()
             self._fail(error)
             return
-        self._file, self._reason = file, None
+        finally:
+            with contextlib.suppress(OSError):
+                trial.unlink()
+        self._file, self._reason, self._part = file, None, number
+        self._begun_s = time.monotonic()
+        self._calibrated_at = -1e300
 
-    def _beginning(self) -> bytes:
+    def _beginning(self, notes: dict[str, str]) -> bytes:
         builder = RecordBuilder()
-        Header("", "rendezview").write(builder)
+        Header("", WRITER).write(builder)
         found = Scan(end=len(MAGIC) + builder.count)
 
         def add(record: Schema | Channel | Metadata | Attachment) -> None:
@@ -258,7 +303,7 @@ class LogWriter:
                     schema_id=number,
                 )
             )
-        add(Metadata(name=SESSION_METADATA, metadata=self._metadata))
+        add(Metadata(name=SESSION_METADATA, metadata=notes))
         if self._model is not None and self.options.images:
             now = time.time_ns()
             add(
@@ -278,21 +323,36 @@ class LogWriter:
         self._retry_at = time.monotonic() + _RETRY_S
         if self._file is None:
             return
+        self._earlier_bytes += self._scan.end
+        self._unfinished = (self._path, self._scan)
         with contextlib.suppress(OSError):
             os.ftruncate(self._file, self._scan.end)
-        with contextlib.suppress(OSError):
-            _write_all(self._file, ending(self._scan), self._scan.end)
         os.close(self._file)
         self._file = None
+        self._finish()
+
+    def _finish(self) -> None:
+        """Write the end of a part that broke off, if there is room for it."""
+        if self._unfinished is None:
+            return
+        path, found = self._unfinished
+        with contextlib.suppress(OSError):
+            file = os.open(path, os.O_WRONLY)
+            try:
+                if lock(file):
+                    _write_all(file, ending(found), found.end)
+                    self._unfinished = None
+            except OSError:
+                os.ftruncate(file, found.end)
+            finally:
+                os.close(file)
 
     def _try_again(self) -> bool:
         if time.monotonic() < self._retry_at:
             return False
-        lost = self._path
         self._open()
-        if self._file is not None and lost != self._path:
-            with contextlib.suppress(RendezviewError):
-                mend(lost)
+        if self._file is not None:
+            self._finish()
         return self._file is not None
 
     def _sync(self) -> None:
@@ -311,34 +371,8 @@ class LogWriter:
         self._syncing.start()
 
 
-def mend_folder(folder: Path) -> list[tuple[Path, int]]:
-    """Repair all logs of a folder that were cut off; each path with the bytes removed."""
-    mended = []
-    for path in sorted(folder.glob("*.mcap")):
-        with contextlib.suppress(RendezviewError):
-            cut = mend(path)
-            if cut is not None:
-                mended.append((path, cut))
-    return mended
-
-
-def finished_copy(path: Path, size: int) -> tuple[int, bytes]:
-    """Length of the complete part of a log that is being written, and the end to append."""
-    found = scan(path, size)
-    return found.end, ending(found)
-
-
 def _ns(time_s: float) -> int:
     return max(0, int(time_s * 1e9))
-
-
-def _free_name(path: Path) -> Path:
-    """The path, or with the first free number."""
-    number, free = 1, path
-    while free.exists():
-        number += 1
-        free = path.with_name(f"{path.stem}-{number}{path.suffix}")
-    return free
 
 
 def _write_all(file: int, content: bytes, place: int) -> None:

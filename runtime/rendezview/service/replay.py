@@ -24,8 +24,9 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.service.frames import read_frame
 from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.log_file import messages, records
+from rendezview.service.log_folder import SESSION_METADATA, parts_from
 from rendezview.service.messages import SessionRequest
-from rendezview.service.recording import MODEL_ATTACHMENT, SESSION_METADATA
+from rendezview.service.recording import MODEL_ATTACHMENT
 from rendezview.service.tracking import SessionTracker, StateDict, camera_of
 
 # Keys of a state that a repetition must reproduce; computing and clock times differ.
@@ -44,22 +45,42 @@ class LoggedFrame:
     state: dict[str, Any] | None
 
 
-LogEntry = LoggedFrame | LoggedMeasurement
+@dataclass(frozen=True, slots=True, eq=False)
+class LoggedStart:
+    """The beginning of a part of a log, with its metadata."""
+
+    notes: dict[str, str]
+
+    @property
+    def continues(self) -> bool:
+        """Whether the tracker of the part before it goes on."""
+        return self.notes.get("continues") == "yes"
+
+
+LogEntry = LoggedStart | LoggedFrame | LoggedMeasurement
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """A log of the service, complete or cut off, or another MCAP file with Foxglove images."""
+    """A log of the service, complete or cut off, or another MCAP file with Foxglove images.
+
+    Damage is passed over.
+    """
 
     path: Path
     notes: dict[str, str]  # metadata of the session; empty in files of other programs
     model: bytes | None
+    parts: list[Path]  # its files
 
     @property
     def request(self) -> SessionRequest | None:
         """The session's request; None in files of other programs."""
+        return self.request_of(self.notes)
+
+    def request_of(self, notes: dict[str, str]) -> SessionRequest | None:
+        """The session's request at the start of a part; None in files of other programs."""
         try:
-            text = self.notes.get("request")
+            text = notes.get("request")
             return None if text is None else SessionRequest.model_validate_json(text)
         except ValidationError:
             raise RendezviewError(
@@ -73,28 +94,37 @@ class Log:
         return None if request is None or request.camera is None else camera_of(request.camera)
 
     def frames(self) -> Iterator[LoggedFrame]:
-        """The frames in order, up to the end or the first damage."""
+        """The frames in order."""
         return (entry for entry in self.entries() if isinstance(entry, LoggedFrame))
 
     def entries(self) -> Iterator[LogEntry]:
         """Frames and lines of other sensors, in the order in which the worker took them."""
-        kinds: dict[int, str] = {}
-        encodings: dict[int, str] = {}
-        schemas: dict[int, str] = {}
-        for record, _, _ in records(self.path):
-            if isinstance(record, Schema):
-                schemas[record.id] = record.name
-            elif isinstance(record, Channel):
-                kinds[record.id] = schemas.get(record.schema_id, "")
-                encodings[record.id] = record.message_encoding
-            elif isinstance(record, Chunk):
-                parts = messages(record) or []
-                yield from _lines(self.path, parts, kinds)
-                yield from _frames(self.path, parts, kinds)
+        begun = False
+        for path in self.parts:
+            for entry in _entries(path):
+                first = isinstance(entry, LoggedStart) and not begun
+                begun = begun or first
+                yield LoggedStart(self.notes) if first else entry
+
+
+def _entries(path: Path) -> Iterator[LogEntry]:
+    kinds: dict[int, str] = {}
+    schemas: dict[int, str] = {}
+    for record, _, _ in records(path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            kinds[record.id] = schemas.get(record.schema_id, "")
+        elif isinstance(record, Metadata) and record.name == SESSION_METADATA:
+            yield LoggedStart(dict(record.metadata))
+        elif isinstance(record, Chunk):
+            parts = messages(record) or []
+            yield from _lines(path, parts, kinds)
+            yield from _frames(path, parts, kinds)
 
 
 def read_log(path: Path) -> Log:
-    """Open a log and read its metadata.
+    """Open a log with the parts that follow it in its folder, and read its metadata.
 
     Raises:
         RendezviewError: it is missing or not an MCAP file.
@@ -108,7 +138,7 @@ def read_log(path: Path) -> Log:
             model = record.data
         elif isinstance(record, Chunk):
             break
-    return Log(path, notes, model)
+    return Log(path, notes, model, parts_from(path))
 
 
 def _lines(
@@ -160,7 +190,14 @@ class Comparison:
     first_difference: str | None = None
     differing: int = 0
     largest: float = 0.0  # difference of two numbers that should be equal
-    gap: str | None = None  # why the comparison ended early
+    gap: str | None = None  # frames that could not be compared, and why
+
+    def add_gap(self, missing: str) -> None:
+        """Note frames or lines that are not in the log."""
+        self.gap = self.gap or (
+            f"{missing} are not in the log (the tracker remembers them): compared up to there, and "
+            "from the next tracker on"
+        )
 
 
 def model_of(log: Log, model: Path | None) -> ViewModel:
@@ -188,46 +225,65 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
     Raises:
         RendezviewError: the log has no images, or is not one of the service.
     """
-    request = log.request
-    if request is None:
+    if log.request is None:
         raise RendezviewError(f"{log.path}: has no session in it: use the file as a --source")
-    forgotten = log.notes.get("forgotten") == "yes"
-    tracker = SessionTracker(
-        log.notes.get("session", "replay"), model, request, forgotten=forgotten
-    )
     so_far = Comparison()
-    expected = 0
-    lines = 0
+    run: _Run | None = None  # None: frames are missing; the next tracker is compared again
     for entry in log.entries():
-        if isinstance(entry, LoggedMeasurement):
-            if entry.order != lines:
-                so_far.gap = (
-                    f"lines {lines} to {entry.order - 1} of other sensors are not in the log: "
-                    "compared up to there"
+        if isinstance(entry, LoggedStart):
+            if not entry.continues:
+                run = _Run.of(log, entry.notes, model)
+            continue
+        if run is None:
+            if so_far.gap is None:
+                raise RendezviewError(
+                    f"{log.path}: begins in the middle of a run: the tracker remembers frames of "
+                    "earlier parts, which are not here: it can be read, but not repeated"
                 )
-                return
-            lines += 1
-            _measure_again(tracker, entry, so_far)
             continue
-        frame = entry
-        if frame.state is None:
+        if isinstance(entry, LoggedMeasurement):
+            if entry.order != run.lines:
+                so_far.add_gap(f"lines {run.lines} to {entry.order - 1} of other sensors")
+                run = None
+                continue
+            run.lines += 1
+            _measure_again(run.tracker, entry, so_far)
             continue
-        if frame.image is None:
+        if entry.state is None:
+            continue
+        if entry.image is None:
             raise RendezviewError(f"{log.path}: was recorded without images: it cannot be repeated")
-        if frame.state["frame"] != expected:
-            so_far.gap = (
-                f"frames {expected} to {frame.state['frame'] - 1} are not in the log (the tracker "
-                "remembers them): compared up to there"
-            )
-            return
-        expected += 1
-        image = read_frame(frame.image, tracker.camera)
-        state, _ = tracker.track(image, frame.time_s, frame.state["received_unix_s"])
+        if entry.state["frame"] != run.expected:
+            so_far.add_gap(f"frames {run.expected} to {entry.state['frame'] - 1}")
+            run = None
+            continue
+        run.expected += 1
+        image = read_frame(entry.image, run.tracker.camera)
+        state, _ = run.tracker.track(image, entry.time_s, entry.state["received_unix_s"])
+        state["frame"] += run.first_frame
         again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1
         so_far.poses += state["pose"] is not None
-        _compare(again, frame.state, REPEATED, f"frame {state['frame']}", so_far)
+        _compare(again, entry.state, REPEATED, f"frame {state['frame']}", so_far)
         yield state, so_far
+
+
+@dataclass(slots=True)
+class _Run:
+    """One tracker, from its first frame on."""
+
+    tracker: SessionTracker
+    first_frame: int
+    expected: int  # number of the next frame
+    lines: int = 0
+
+    @classmethod
+    def of(cls, log: Log, notes: dict[str, str], model: ViewModel) -> _Run:
+        request = log.request_of(notes)
+        assert request is not None
+        forgotten = notes.get("forgotten") == "yes"
+        session, first = notes.get("session", "replay"), int(notes.get("first_frame", 0))
+        return cls(SessionTracker(session, model, request, forgotten=forgotten), first, first)
 
 
 def _measure_again(tracker: SessionTracker, line: LoggedMeasurement, so_far: Comparison) -> None:

@@ -22,10 +22,10 @@ from rendezview.io.target import Target
 from rendezview.service.fusion_messages import FusionRequest, RingMessage
 from rendezview.service.inputs import Full
 from rendezview.service.jobs import Jobs
+from rendezview.service.log_folder import keep_logs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import ModelStore, StoredModel
-from rendezview.service.recording import mend_folder
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
 from rendezview.service.sources import Feeder, Source, open_source
@@ -117,8 +117,8 @@ class Service:
                 make_folder(place)
             elif not folder.is_dir():
                 raise RendezviewError(f"{place}: its folder does not exist: create it first")
-            for path, cut in await asyncio.to_thread(mend_folder, folder):
-                log.warning("log mended", extra={"log": path.name, "cut_bytes": cut})
+            limits = self.settings.logs_bytes, self.settings.logs_s
+            self._spawn(keep_logs(folder, *limits))
         model = self.given or await asyncio.to_thread(self.models.first_readable)
         await self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
         for number, source in enumerate(self._sources):
@@ -266,7 +266,9 @@ class Service:
         worker = self._workers.least_busy()
         worker.sessions.add(session)
         request = session.request
-        log_path = self._log_path(session) if request.record else None
+        if request.record and session.log_base is None:
+            session.log_base = self._log_path(session)
+        log_path = session.log_base
         try:
             answer = await worker.ask(
                 {
@@ -276,12 +278,16 @@ class Service:
                     "model_path": str(model),
                     "sensors": self.settings.sensors,
                     "forgotten": session.is_fused,
+                    "first_frame": session.frame_base,
+                    "log": session.log_id,
                     "log_path": None if log_path is None else str(log_path),
                     "log_model": self.settings.record_model,
                     "recording": {
                         "images": self.settings.record_images,
                         "sync": self.settings.sync,
                         "compression": self.settings.compression,
+                        "part_bytes": self.settings.log_part_bytes,
+                        "part_s": self.settings.log_part_s,
                     },
                 }
             )
@@ -293,8 +299,7 @@ class Service:
             raise RendezviewError(answer["error"])
         session.worker = worker
         if answer["recording"] is not None:
-            session.recording = Recording.model_validate(answer["recording"])
-            session.log_path = answer["log_path"]
+            session.logs_to(answer["log_path"], Recording.model_validate(answer["recording"]))
         if session.has_waiting:
             worker.wake(session)
 

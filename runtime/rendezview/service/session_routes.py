@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Request
@@ -29,6 +27,7 @@ from rendezview.service.answers import (
     track,
 )
 from rendezview.service.fusion_messages import Marks, Measured
+from rendezview.service.log_repair import join
 from rendezview.service.message_parts import NAME_PATTERN, PoseMessage
 from rendezview.service.messages import (
     Contour,
@@ -38,7 +37,6 @@ from rendezview.service.messages import (
     SessionRequest,
     State,
 )
-from rendezview.service.recording import finished_copy
 from rendezview.service.ros import (
     PoseWithCovarianceStamped,
     TransformStamped,
@@ -69,7 +67,6 @@ _LINES_BODY = {
 _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": _BINARY}}}
 _MCAP: dict[int | str, dict[str, Any]] = {200: {"content": {"application/octet-stream": _BINARY}}}
 Frame = Annotated[int, Query(ge=0, le=2**53)]
-_COPY_BYTES = 1 << 20  # bytes of a log per piece. Source: chosen
 
 
 @router.get("")
@@ -246,26 +243,14 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
 
 @router.get("/{name}/log", responses=_MCAP, response_class=Response)
 async def get_log(request: Request, name: str) -> Response:
-    """The log so far, as a complete MCAP file."""
+    """The log so far, all its parts, as one complete MCAP file."""
     needs(request, Right.READ)
-    session = session_of(request, name)
-    if session.log_path is None:
+    parts = session_of(request, name).log_parts
+    if not parts:
         raise HTTPException(404, "this session is not recorded")
-    path = Path(session.log_path)
-    size = session.recording.size_bytes
-    end, ending = await run_in_threadpool(finished_copy, path, size)
+    joined = await run_in_threadpool(join, [part for part in parts if part.path.exists()])
     headers = {
-        "Content-Disposition": f'attachment; filename="{path.name}"',
-        "Content-Length": str(end + len(ending)),
+        "Content-Disposition": f'attachment; filename="{parts[0].path.name}"',
+        "Content-Length": str(joined.length),
     }
-    return StreamingResponse(
-        _copied(path, end, ending), 200, headers, media_type="application/octet-stream"
-    )
-
-
-def _copied(path: Path, end: int, ending: bytes) -> Iterator[bytes]:
-    with open(path, "rb") as file:
-        while end > 0 and (part := file.read(min(end, _COPY_BYTES))):
-            end -= len(part)
-            yield part
-    yield ending
+    return StreamingResponse(joined.blocks(), 200, headers, media_type="application/octet-stream")

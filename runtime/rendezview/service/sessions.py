@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import secrets
 import time
+from pathlib import Path
 from typing import Any
 
 from pydantic_core import to_json
 
 from rendezview.service.history import Past
 from rendezview.service.inputs import Answer, Full, InputQueue, SessionInput
+from rendezview.service.log_repair import LogPart
 from rendezview.service.message_parts import CAMERA
 from rendezview.service.messages import (
     Phase,
@@ -57,7 +60,9 @@ class Session:
         self.source = source
         self.worker: WorkerHandle[Session] | None = None
         self.created_unix_s = time.time()
-        self.log_path: str | None = None
+        self.log_id = secrets.token_hex(8)
+        self.log_base: Path | None = None  # its first part
+        self._log_paths: list[Path] = []  # all parts, in order
         self.recording = Recording(state=RecordingState.OFF)
         self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
         self.last: bytes | None = None  # the last state, JSON
@@ -68,7 +73,7 @@ class Session:
         self.used_s = time.monotonic()
         self._metrics = metrics.of_session(name)
         self._queue = InputQueue()
-        self._frame_base = 0  # number of frames before the present worker
+        self.frame_base = 0  # number of frames before the present worker
         self._frames = 0
         self._found = 0
         self._drops = 0
@@ -138,7 +143,7 @@ class Session:
             "session": self.id,
             "length": waiting.length,
             "received_unix_s": waiting.received_unix_s,
-            "first_frame": self._frame_base,
+            "first_frame": self.frame_base,
         }
         if waiting.sensor is not None:
             return about | {
@@ -235,7 +240,7 @@ class Session:
     def reopened(self) -> None:
         """Another worker continues the session, with a new tracker and filter."""
         self._others.forget("its filter ended with the worker process; a new one starts")
-        self._frame_base = self._frames
+        self.frame_base = self._frames
         self.watchers.restart()
 
     # The source, and the end
@@ -267,9 +272,25 @@ class Session:
                 "recording",
                 extra={"session": self.id, "state": str(now.state), "reason": now.reason},
             )
-        self.recording = now
-        self.log_path = header["log_path"]
+        self.logs_to(header["log_path"], now)
         self._metrics.recording(now)
+
+    def logs_to(self, path: str | None, recording: Recording) -> None:
+        """The file that is being written, and how it is."""
+        self.recording = recording
+        if path is not None and (not self._log_paths or self._log_paths[-1] != Path(path)):
+            self._log_paths.append(Path(path))
+
+    @property
+    def log_parts(self) -> list[LogPart]:
+        """The files of its log, in order; the last one up to its last frame."""
+        if not self._log_paths:
+            return []
+        *before, last = self._log_paths
+        return [
+            *map(LogPart, before),
+            LogPart(last, self.recording.size_bytes, trusted=True),
+        ]
 
     # Information
 

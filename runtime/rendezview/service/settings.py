@@ -37,6 +37,12 @@ class Settings(BaseSettings):
     record_model: bool = True  # with images: the log can be replayed on its own
     sync: Literal["always", "interval", "never"] = "interval"  # fsync; `interval`: each second
     compression: Literal["", "lz4", "zstd"] = "lz4"
+    log_part_bytes: int = Field(
+        default=1_000_000_000, ge=1_000_000
+    )  # then a log's next part begins
+    log_part_s: float = Field(default=3600.0, ge=1.0)  # the same
+    logs_bytes: int = Field(default=0, ge=0)  # of all logs; the oldest are removed; 0: keep all
+    logs_s: float = Field(default=0.0, ge=0.0)  # logs that are older are removed; 0: keep all
 
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
     sessions: int = Field(default=16, ge=1, le=1024)

@@ -123,6 +123,7 @@ class WorkerProcess:
             options = RecordingOptions(**request["recording"])
             content = path.read_bytes() if request["log_model"] and options.images else None
             notes = session_notes(request["session"], asked, model.name, path)
+            notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
             notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
             writer = LogWriter(place, tracker.camera, notes, content, options)

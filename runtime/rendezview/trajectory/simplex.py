@@ -19,6 +19,13 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.least_squares import (
+    DAMPING_DECAY,
+    DAMPING_GROWTH,
+    FIRST_DAMPING,
+    ROUNDING,
+    damped_step,
+)
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.shapes import places
 
@@ -206,28 +213,27 @@ def gauss_newton(
     p = start.copy()
     place = np.empty((len(weights), 3))
     out = np.empty((len(weights), RESIDUALS))
+    step, lower = np.empty(size), np.empty((size, size))
     here = cost(code, p, data, weights, cut, place, out)
     damping = 1e-6
     for _ in range(most):
         matrix, right = normal_equations(code, p, scales, data, weights, cut)
+        for a in range(size):  # what nothing is known of stays where it is
+            matrix[a, a] += 1e-12 / scales[a] ** 2
         better = False
         there = here
-        step: Array = np.zeros(size)
         for _ in range(6):
-            damped = matrix.copy()
-            for a in range(size):
-                damped[a, a] += damping * matrix[a, a] + 1e-12 / scales[a] ** 2
-            step[:] = np.linalg.solve(damped, right)
-            there = cost(code, p + step, data, weights, cut, place, out)
-            if there <= here:
-                better = True
-                break
-            damping = max(10.0 * damping, 1e-4)
+            if damped_step(matrix, right, damping, lower, step):
+                there = cost(code, p + step, data, weights, cut, place, out)
+                if there <= here * (1.0 + ROUNDING):
+                    better = True
+                    break
+            damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
         if not better:
             break
         gain = here - there
         p, here = p + step, there
-        damping *= 0.1
+        damping *= DAMPING_DECAY
         if gain <= 1e-4:  # of χ²: a hundredth of a σ
             break
     return p, here

@@ -15,6 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from rendezview.estimation.least_squares import (
+    FIRST_DAMPING,
+    Equations,
+    Options,
+    minimise,
+)
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.rotation import rotations
@@ -23,7 +29,12 @@ _LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust weight over the variance of a frame
 _MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom. Source: by construction
 _LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
-_STEPS = 25
+# Its prior's share of itself that keeps the equations regular. Source: by construction
+_HELD = 1e-6
+# A hundred thousandth of χ² is far below a σ. Source: by construction
+_DOWN = Options(
+    iterations=25, trials=5, least_gain=1e-9, relative_gain=1e-5, first_damping=FIRST_DAMPING
+)
 _STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_SpinState``
 _MOST_RATIO = 30.0
 _COMMON = 1.1  # of a frame's σ, what all have in common and what goes with time, as for segments
@@ -295,27 +306,17 @@ def _loose(data: _Data, size: int) -> Array:
 
 
 def _down(data: _Data, state: _SpinState, size: int, cut: float) -> _SpinState:
-    """Levenberg–Marquardt down the robust cost."""
-    here = _cost(data, state, cut)
-    damping = 1e-4
-    for _ in range(_STEPS):
+    """Levenberg–Marquardt down the robust cost; the unobservable stays where it is."""
+    loose = _HELD * _loose(data, size)
+
+    def equations(state: _SpinState) -> Equations:
         matrix, right, _, _ = _normal(data, state, size, cut)
-        improved = False
-        for _ in range(5):
-            damped = matrix + damping * np.diag(np.diag(matrix)) + 1e-6 * _loose(data, size)
-            trial = state.moved(np.asarray(np.linalg.solve(damped, right), np.float64))
-            there = _cost(data, trial, cut)
-            if there <= here:
-                improved = True
-                break
-            damping *= 10.0
-        if not improved:
-            break
-        gain, state, here = here - there, trial, there
-        damping = max(0.1 * damping, 1e-9)
-        if gain <= 1e-5 * here + 1e-9:
-            break
-    return state
+        return _cost(data, state, cut), matrix + loose, right
+
+    found = minimise(
+        equations, _SpinState.moved, state, cost=lambda s: _cost(data, s, cut), options=_DOWN
+    )
+    return state if found is None else found.at
 
 
 def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float) -> Spin | Nothing:

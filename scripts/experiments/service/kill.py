@@ -18,7 +18,7 @@ from experiments.service.serving import Served
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
-from rendezview.service.log_file import mend
+from rendezview.service.log_repair import mend
 from rendezview.service.replay import read_log
 
 
@@ -105,16 +105,16 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                         for f in read_log(paths[0]).frames()
                         if f.state is not None
                     }
-                    cut = mend(paths[0])
+                    mended_log = mend(paths[0])
                     mended = states_of(paths[0])
                 except Exception as error:  # any error of a reader
                     print(f"{paths[0]}: {error}")
                     unreadable += 1
                     lost += len(states)
                     continue
-                if cut is not None:
-                    cut_files += cut > 0
-                    cut_bytes += cut
+                if mended_log is not None:
+                    cut_files += mended_log.cut_bytes > 0
+                    cut_bytes += mended_log.cut_bytes
                 lost += sum(
                     as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in states
                 )

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.linear_algebra import invert, solve
+from rendezview.estimation.least_squares import damped_step
+from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import (
@@ -144,16 +145,9 @@ def _fit(  # type: ignore[no-untyped-def]
             return -1.0
         if converged:
             break
-        damped = normal.copy()
-        for i in range(size):
-            damped[i, i] *= 1.0 + damping
-        damped[3, 3] += 1.0
-        damped[4, 4] += 1.0
-        if not solve(damped, right, lower, step):
+        if not damped_step(normal, right, damping, lower, step):
             return -1.0
         p = p + step
-    for i in range(3, 5):
-        normal[i, i] += 1.0
     inverse = np.empty((size, size))
     if not invert(normal, lower, inverse):
         return -1.0
@@ -193,6 +187,7 @@ def _equations(  # type: ignore[no-untyped-def]
             return False
         slopes[i] = (there - here) / _SLOPE_STEP
     normal[:] = 0.0
+    normal[3, 3] = normal[4, 4] = 1.0  # a turn of the axis by one radian is the prior's σ
     right[:] = 0.0
     for k in range(count):
         r = information[k] @ (shapes[k] - here[k])

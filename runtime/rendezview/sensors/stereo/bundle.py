@@ -12,17 +12,19 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 
 from rendezview.errors import RendezviewError
+from rendezview.estimation.least_squares import FIRST_DAMPING, Equations, Options, minimise
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo.lens import COEFFICIENT_NAMES, Lens
 from rendezview.sensors.stereo.rig import RigCamera
 
 INTRINSICS = ("fx", "fy", "cx", "cy", *COEFFICIENT_NAMES)
 POSE = ("wx", "wy", "wz", "tx", "ty", "tz")
-_ITERATIONS = 100
-_CONVERGED = 1e-14  # of the sum of squares
+# To the rounding of the sum of squares, since a calibration is made once. Source: by construction
+_CONVERGED = Options(
+    iterations=100, trials=16, least_gain=1e-18, relative_gain=1e-14, first_damping=FIRST_DAMPING
+)
 
 Ints = npt.NDArray[np.int64]
 
@@ -91,42 +93,42 @@ def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
     if bundle.responses and not bundle.offsets:
         bundle = replace(bundle, offsets=tuple(np.zeros(c.shape[:2]) for c in bundle.responses))
     columns = _Columns(bundle)
-    damping, current = 1e-4, bundle
-    residual, jacobian = _linearised(current, seen, columns, bundle)
-    cost = float(residual @ residual)
-    if not np.isfinite(cost):
+
+    def at(moved: Bundle) -> _Linearised:
+        return _Linearised(moved, *_linearised(moved, seen, columns, bundle))
+
+    found = minimise(
+        _Linearised.equations,
+        lambda here, step: at(columns.moved(here.bundle, step)),
+        at(bundle),
+        cost=lambda here: here.cost,
+        options=_CONVERGED,
+    )
+    if found is None:
         raise RendezviewError(
             "the calibration starts with points behind a camera or beyond its lens: "
             "check the boards' size and the order of their points"
         )
-    for _ in range(_ITERATIONS):
-        normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        normal /= np.outer(scale, scale)
-        while True:
-            try:
-                step = scipy.linalg.solve(
-                    normal + damping * np.eye(len(normal)), gradient / scale, assume_a="pos"
-                )
-            except (np.linalg.LinAlgError, scipy.linalg.LinAlgWarning):
-                damping = max(10.0 * damping, 1e-12)
-                continue
-            trial = columns.moved(current, step / scale)
-            trial_residual, trial_jacobian = _linearised(trial, seen, columns, bundle)
-            trial_cost = float(trial_residual @ trial_residual)
-            if trial_cost <= cost * (1.0 + 1e-12):
-                break
-            damping = max(10.0 * damping, 1e-9)
-            if damping > 1e12:
-                break
-        if damping > 1e12:
-            break
-        gained = cost - trial_cost
-        current, residual, jacobian, cost = trial, trial_residual, trial_jacobian, trial_cost
-        damping *= 0.1
-        if gained <= _CONVERGED * cost + 1e-18:
-            break
-    return _finished(current, seen, residual, jacobian, columns)
+    return _finished(found.at.bundle, seen, found.at.residual, found.at.jacobian, columns)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """A bundle with its whitened residuals and the Jacobian of its predictions."""
+
+    bundle: Bundle
+    residual: Array
+    jacobian: Array
+
+    @property
+    def cost(self) -> float:
+        return float(self.residual @ self.residual)
+
+    def equations(self) -> Equations:
+        normal = self.jacobian.T @ self.jacobian
+        # p3 has no effect while p1 and p2 are 0: what has none yet stays where it is.
+        normal[np.diag_indices_from(normal)] += np.diag(normal) == 0.0
+        return self.cost, normal, self.jacobian.T @ self.residual
 
 
 def _finished(

@@ -1,0 +1,149 @@
+"""The index of an MCAP log: what its end lists, so that readers can seek."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+MAGIC = b"\x89MCAP0\r\n"
+
+
+@dataclass(slots=True, eq=False)
+class ChunkIndexes:
+    """Chunk indexes in their written form: one per frame, about 130 bytes each."""
+
+    written: bytearray = field(default_factory=bytearray)
+    count: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+
+    def add(self, index: ChunkIndex) -> None:
+        """Add the index of a chunk."""
+        self.written += _written([index])
+        first = self.count == 0
+        self.start_ns = (
+            index.message_start_time if first else min(self.start_ns, index.message_start_time)
+        )
+        self.end_ns = max(self.end_ns, index.message_end_time)
+        self.count += 1
+
+
+@dataclass(slots=True, eq=False)
+class Scan:
+    """The complete part of a log."""
+
+    end: int = len(MAGIC)  # offset after the last complete record of data
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: ChunkIndexes = field(default_factory=ChunkIndexes)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel
+
+    def add(self, record: McapRecord, offset: int, length: int) -> None:
+        """Count a record of the data section, other than chunks and their indexes."""
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, Channel):
+            self.channels[record.id] = record
+        elif isinstance(record, Metadata):
+            self.metadata.append(MetadataIndex(offset=offset, length=length, name=record.name))
+        elif isinstance(record, Attachment):
+            index = AttachmentIndex(
+                offset=offset,
+                length=length,
+                log_time=record.log_time,
+                create_time=record.create_time,
+                data_size=len(record.data),
+                name=record.name,
+                media_type=record.media_type,
+            )
+            self.attachments.append(index)
+        self.end = offset + length
+
+
+def chunk_index(chunk: Chunk, offset: int, length: int) -> ChunkIndex:
+    """The index of a chunk, without the indexes of its messages."""
+    return ChunkIndex(
+        message_start_time=chunk.message_start_time,
+        message_end_time=chunk.message_end_time,
+        chunk_start_offset=offset,
+        chunk_length=length,
+        message_index_offsets={},
+        message_index_length=0,
+        compression=chunk.compression,
+        compressed_size=len(chunk.data),
+        uncompressed_size=chunk.uncompressed_size,
+    )
+
+
+def ending(found: Scan) -> bytes:
+    """The end of a finished log (summary and index), to be written at ``found.end``."""
+    head = _written([DataEnd(0)])
+    start = found.end + len(head)
+    groups: list[tuple[Opcode, bytes | bytearray]] = [
+        (Opcode.SCHEMA, _written(found.schemas.values())),
+        (Opcode.CHANNEL, _written(found.channels.values())),
+        (Opcode.STATISTICS, _written([_statistics(found)])),
+        (Opcode.CHUNK_INDEX, found.chunks.written),
+        (Opcode.ATTACHMENT_INDEX, _written(found.attachments)),
+        (Opcode.METADATA_INDEX, _written(found.metadata)),
+    ]
+    summary, offsets = bytearray(), []
+    for opcode, group in groups:
+        if group:
+            offsets.append(SummaryOffset(opcode, start + len(summary), len(group)))
+        summary += group
+    offsets_start = start + len(summary)
+    summary += _written(offsets)
+    footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
+    checksum = zlib.crc32(footer, zlib.crc32(summary))
+    return head + summary + _written([Footer(start, offsets_start, checksum)]) + MAGIC
+
+
+def taken(builder: RecordBuilder) -> bytes:
+    """The bytes of a builder, which is empty afterwards."""
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _written(records: Iterable[Any]) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return taken(builder)
+
+
+def _statistics(found: Scan) -> Statistics:
+    return Statistics(
+        attachment_count=len(found.attachments),
+        channel_count=len(found.channels),
+        channel_message_counts=dict(found.counts),
+        chunk_count=found.chunks.count,
+        message_count=sum(found.counts.values()),
+        message_start_time=found.chunks.start_ns,
+        message_end_time=found.chunks.end_ns,
+        metadata_count=len(found.metadata),
+        schema_count=len(found.schemas),
+    )

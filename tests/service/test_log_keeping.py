@@ -1,0 +1,231 @@
+"""Logs that nobody may harm: other services, damage, other programs; parts and old logs."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from pydantic_core import to_json
+
+from rendezview.errors import RendezviewError
+from rendezview.service.log_folder import mend_folder, part_path, remove_old
+from rendezview.service.log_lock import folder_lock
+from rendezview.service.log_repair import LogPart, join, mend
+from rendezview.service.messages import SessionRequest
+from rendezview.service.recording import LogWriter, RecordingOptions
+from rendezview.service.replay import model_of, read_log, repeat
+from rendezview.service.tracking import SessionTracker, camera_message
+from rendezview.service.worker import session_notes
+
+FRAMES = 30
+PICTURE = np.random.default_rng(0).integers(0, 256, 400 * 400, np.uint8).tobytes()
+
+
+def _write(writer: LogWriter, first: int, count: int) -> None:
+    for k in range(first, first + count):
+        state = {"frame": k, "time_s": 0.1 * k, "received_unix_s": 1.7e9 + k, "pose": None}
+        assert writer.write(state, json.dumps(state).encode(), PICTURE)
+
+
+def _frames(path: Path) -> list[int]:
+    return [frame.state["frame"] for frame in read_log(path).frames() if frame.state is not None]
+
+
+def _by_other_reader(path: Path) -> list[int]:
+    with open(path, "rb") as file:
+        found = make_reader(file).iter_messages(topics=["/rendezview/state"])
+        return [json.loads(message.data)["frame"] for _, _, message in found]
+
+
+@pytest.fixture
+def written(tmp_path, camera) -> tuple[Path, list[int]]:
+    """A finished log, and where each frame ends in it."""
+    writer = LogWriter(tmp_path / "run.mcap", camera, {}, None)
+    ends = [writer.status.size_bytes]
+    for k in range(FRAMES):
+        _write(writer, k, 1)
+        ends.append(writer.status.size_bytes)
+    writer.close()
+    return tmp_path / "run.mcap", ends
+
+
+def test_a_second_service_harms_no_log_of_a_running_one(start_service, camera, tour, tmp_path):
+    first = start_service("--record", str(tmp_path))
+    acknowledged = []
+    seconds: list = []
+    with first.client() as client:
+        session = client.open(camera, prior=tour[0][1], name="one")
+
+        def track(count: int) -> None:
+            for _ in range(count):
+                k = len(acknowledged)
+                acknowledged.append(session.track(tour[k % len(tour)][2], float(k)))
+
+        track(10)
+        starting = threading.Thread(
+            target=lambda: seconds.append(start_service("--record", str(tmp_path)))
+        )
+        starting.start()
+        while starting.is_alive():
+            track(5)
+        track(20)
+    first.kill()
+    seconds[0].stop()
+    assert all(state["recorded"] for state in acknowledged)
+    (path,) = tmp_path.glob("one-*.mcap")
+    assert [frame.state for frame in read_log(path).frames()] == acknowledged
+
+
+def test_a_flipped_bit_costs_one_frame_at_most_and_the_old_file_stays(written):
+    path, ends = written
+    whole = path.read_bytes()
+    rng = np.random.default_rng(3)
+    for place in map(int, rng.integers(ends[0], ends[-1], 25)):
+        content = bytearray(whole)
+        content[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content)
+        hit = sum(end <= place for end in ends) - 1
+        kept = [k for k in range(FRAMES) if k != hit]
+        assert set(kept) <= set(_frames(path)), place
+        mended = mend(path)
+        if mended is not None:
+            assert mended.path != path
+            assert set(kept) <= set(_by_other_reader(mended.path))
+            mended.path.unlink()
+        assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("field", [1, 4, 8])
+def test_a_damaged_length_costs_its_frame_only(written, field):
+    """Of the fifth frame's chunk: the reader finds the next chunk again."""
+    path, ends = written
+    content = bytearray(path.read_bytes())
+    content[ends[4] + field] ^= 0x40
+    path.write_bytes(content)
+    kept = [k for k in range(FRAMES) if k != 4]
+    assert _frames(path) == kept
+    assert _by_other_reader(mend(path).path) == kept
+
+
+def test_logs_of_other_programs_and_open_logs_are_left_alone(tmp_path, camera):
+    other = tmp_path / "other.mcap"
+    with open(other, "wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        channel = writer.register_channel("/t", "json", writer.register_schema("x", "", b""))
+        for k in range(1000):
+            writer.add_message(channel, k, b"{}", k)
+        writer.finish()
+    os.truncate(other, other.stat().st_size - 40)
+    cut = tmp_path / "cut.mcap"
+    for path in (cut, tmp_path / "open.mcap"):
+        own = LogWriter(path, camera, {}, None)
+        _write(own, 0, 3)
+        if path == cut:
+            left = cut.read_bytes()
+            own.close()
+            cut.write_bytes(left[:-10])
+    before = {path: path.read_bytes() for path in (other, own.path)}
+    with pytest.raises(RendezviewError, match="is being written"):
+        mend(own.path)
+    done = list(mend_folder(tmp_path))
+    assert [one["log"] for one in done if "into" in one] == ["cut.mcap"]
+    assert _by_other_reader(cut) == [0, 1, 2]
+    assert {path: path.read_bytes() for path in before} == before
+    _write(own, 3, 1)
+    own.close()
+    assert _by_other_reader(own.path) == [0, 1, 2, 3]
+
+
+def test_two_writers_of_one_name_have_a_file_each(tmp_path, camera):
+    writers = [LogWriter(tmp_path / "run.mcap", camera, {}, None) for _ in range(3)]
+    assert [w.path.name for w in writers] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
+    for writer in writers:
+        writer.close()
+
+
+def test_a_log_in_parts_is_repeated_whole_and_sent_as_one_file(
+    tmp_path, refining_model, model_path, camera, tour
+):
+    request = SessionRequest.model_validate(
+        {"camera": camera_message(camera).model_dump(), "prior": tour[0][1].as_dict()}
+    )
+    base, paths = tmp_path / "run.mcap", []
+    for first in (0, 12):  # another worker continues from the twelfth frame
+        tracker = SessionTracker("bench", refining_model, request)
+        notes = session_notes("bench", request, "bumpy", model_path)
+        notes |= {"log": "abc", "first_frame": str(first)}
+        size = len(model_path.read_bytes()) + 300_000
+        options = RecordingOptions(part_bytes=size)
+        writer = LogWriter(base, camera, notes, model_path.read_bytes(), options)
+        for time_s, _, image in tour[first : first + 12]:
+            state, _ = tracker.track(image, time_s, 1.7e9 + time_s)
+            state["frame"] += first
+            assert writer.write(state, to_json(state), image.tobytes())
+            if writer.path not in paths:
+                paths.append(writer.path)
+        writer.close()
+    assert len(paths) > 4
+    assert paths == [part_path(base, number) for number in range(1, len(paths) + 1)]
+    joined = join([LogPart(path) for path in paths])
+    one = tmp_path / "aside" / "one.mcap"
+    one.parent.mkdir()
+    one.write_bytes(b"".join(joined.blocks()))
+    assert one.stat().st_size == joined.length < 1.5 * size + 24 * camera.width * camera.height
+    assert mend(one) is None
+    for path in (base, one):
+        assert _frames(path) == list(range(24))
+        *_, (_, so_far) = repeat(read_log(path), model_of(read_log(path), None))
+        assert (so_far.frames, so_far.differing, so_far.gap) == (24, 0, None)
+    assert _by_other_reader(one) == list(range(24))
+    with pytest.raises(RendezviewError, match="middle of a run"):
+        list(repeat(read_log(paths[1]), refining_model))
+    paths[1].unlink()  # as when it was removed for its age
+    *_, (_, so_far) = repeat(read_log(base), refining_model)
+    assert so_far.gap.startswith("frames ")
+    assert so_far.frames > 12  # of the second tracker all
+
+
+def test_old_logs_go_and_open_ones_stay(tmp_path, camera):
+    writers = [LogWriter(tmp_path / f"{k}.mcap", camera, {}, None) for k in range(4)]
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"\x89MCAP0\r\n")
+    for k, writer in enumerate(writers):
+        _write(writer, 0, 2)
+        if k != 0:
+            writer.close()
+        os.utime(writer.path, (time.time() - 1000.0 * (4 - k),) * 2)
+    size = writers[1].path.stat().st_size
+    with folder_lock(tmp_path):
+        assert remove_old(tmp_path, 1, 0.0) == []  # another service looks after it
+    assert remove_old(tmp_path, 0, 0.0) == []
+    assert [path.name for path in remove_old(tmp_path, 0, 2500.0)] == ["1.mcap"]
+    assert [path.name for path in remove_old(tmp_path, 2 * size, 0.0)] == ["2.mcap"]
+    assert sorted(path.name for path in tmp_path.glob("*.mcap")) == [
+        "0.mcap", "3.mcap", "other.mcap"
+    ]  # fmt: skip
+    writers[0].close()
+
+
+def test_the_log_of_a_session_that_a_fault_broke_is_sent_whole(service, client, camera, tour):
+    session = client.open(camera, prior=tour[0][1], name="broken")
+    first = session.track(tour[0][2], 0.0)
+    with service.full_disk():
+        assert not session.track(tour[1][2], 0.1)["recorded"]
+    until_s = time.monotonic() + 20.0
+    k = 2
+    while not (state := session.track(tour[2][2], 0.1 * k))["recorded"]:
+        assert time.monotonic() < until_s
+        time.sleep(0.7)
+        k += 1
+    got = service.folder / "got.mcap.txt"
+    got.write_bytes(session.log())
+    assert _by_other_reader(got) == [first["frame"], state["frame"]]
+    session.close()
