@@ -106,8 +106,9 @@ def reflectors(
         target, *places = places
     if target is None or not places:
         raise RendezviewError(
-            "reflectors: name a target file (or --target) and the pictures: the run of a "
-            "calibration has truth"
+            "reflectors calibrate: name the run: the pictures with their truth"
+            if calibrating
+            else "reflectors: name a target file (or --target) and the pictures"
         )
     check_place(output, "the readings")
     patterns = patterns_of(find_target(target), tuple(group) if group else None)

@@ -116,6 +116,17 @@ def pixel_moments(
     return mean / total, square / total
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _on_pixels(x, y, spread, sigma, box, moment):  # type: ignore[no-untyped-def]
+    """What the pixels make of both first moments; the spread with which they give the second."""
+    ax, axx = pixel_moments(x, spread, sigma, box[0], box[1])
+    ay, ayy = pixel_moments(y, spread, sigma, box[2], box[3])
+    square = sigma * sigma
+    slope = ((square + spread + 1.0 / 12.0) / square) ** 2
+    spread += (moment - 0.5 * (axx + ayy)) * slope
+    return ax, ay, min(max(spread, _LEAST_SPREAD), square)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def centre_spot(
     image: Grey, dark: Grey, plane: tuple[float, float, float], start: tuple[float, float, float],
@@ -161,13 +172,8 @@ def centre_spot(
         error = noise * math.sqrt(lever) * 0.5 * (1.0 / fx + 1.0 / fy) / total
         wide = math.sqrt(2.0 * max(m, 0.0))  # of the window that is as wide as the spot
         if wide < LEAST_WINDOW_PX and sigma == LEAST_WINDOW_PX:
-            ax, axx = pixel_moments(x, spread, sigma, x0, x1)
-            ay, ayy = pixel_moments(y, spread, sigma, y0, y1)
-            mx, my = mx - ax, my - ay
-            all_ = spread + 1.0 / 12.0
-            spread += (m - 0.5 * (axx + ayy)) * ((square + all_) / square) ** 2
-            spread = min(max(spread, _LEAST_SPREAD), square)
-            size = math.sqrt(spread + 1.0 / 12.0)
+            ax, ay, spread = _on_pixels(x, y, spread, sigma, (x0, x1, y0, y1), m)
+            mx, my, size = mx - ax, my - ay, math.sqrt(spread + 1.0 / 12.0)
             amplitude = total * (square + size * size) / (2.0 * math.pi * (square * size * size))
         else:
             size, amplitude = sigma, total / (math.pi * square)  # a Gaussian's peak, at any phase
@@ -207,7 +213,7 @@ def ring_plane(
     level = slope_x = slope_y = 0.0
     limit, scatter, steps = np.inf, 0.0, 0.0
     for _ in range(_CLIPS):
-        n = sv = sx = sy = sxx = syy = svx = svy = svv = sd = nd = 0.0
+        n = sv = sx = sy = sxx = syy = sxy = svx = svy = svv = sd = nd = 0.0
         before, near = 0.0, False
         for k in range(4 * (half_x + half_y)):
             u, v = _on_frame(k, half_x, half_y)
@@ -224,21 +230,23 @@ def ring_plane(
                 continue
             n, sv, sx, sy = n + 1.0, sv + value, sx + dx, sy + dy
             sxx, syy, svv = sxx + dx * dx, syy + dy * dy, svv + value * value
-            svx, svy = svx + value * dx, svy + value * dy
+            svx, svy, sxy = svx + value * dx, svy + value * dy, sxy + dx * dy
             if near:
                 sd, nd = sd + (value - before) ** 2, nd + 1.0
             before, near = value, True
         if n < 8.0:
             return level, 0.0, 0.0, noise
         level = sv / n
-        cx, cy = sxx - sx * sx / n, syy - sy * sy / n  # the frame is round: x and y apart
-        slope_x = (svx - level * sx) / cx if cx > n else 0.0
-        slope_y = (svy - level * sy) / cy if cy > n else 0.0
-        rest = svv - n * level * level - slope_x * slope_x * cx - slope_y * slope_y * cy
+        cx, cy, cxy = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
+        bx, by, slope_x, slope_y = svx - level * sx, svy - level * sy, 0.0, 0.0
+        if cx * cy - cxy * cxy > n * n:
+            slope_x = (bx * cy - by * cxy) / (cx * cy - cxy * cxy)
+            slope_y = (by * cx - bx * cxy) / (cx * cy - cxy * cxy)
+        rest = svv - n * level * level - slope_x * bx - slope_y * by
         scatter, steps = max(rest, 0.0) / max(n - 3.0, 1.0), 0.5 * sd / max(nd, 1.0)
         level -= (slope_x * sx + slope_y * sy) / n
         limit = 2.5 * math.sqrt(max(scatter, noise * noise))
-    white = max(steps, noise * noise)
+    white = steps if steps > _CHANCE * noise * noise else noise * noise
     grain = max(scatter - _CHANCE * white, 0.0)
     return level, slope_x, slope_y, math.sqrt(white + _GRAIN_PX2 * grain)
 

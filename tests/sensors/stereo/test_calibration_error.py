@@ -22,7 +22,7 @@ NAMES = (
     *(f"{c}.{n}" for c in ("left", "right") for n in ("fx", "fy", "cx", "cy", "l1", "p1")),
     *(f"right.{n}" for n in ("wx", "wy", "wz", "tx", "ty", "tz")),
 )
-SIGMA = np.array([0.8, 0.8, 1.2, 1.2, 2e-3, 3e-4] * 2 + [3e-4] * 3 + [4e-4] * 3)
+SIGMA = 0.1 * np.array([0.8, 0.8, 1.2, 1.2, 2e-3, 3e-4] * 2 + [3e-4] * 3 + [4e-4] * 3)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def wrong(rig, errors):
     return replace(rig, cameras=tuple(cameras))
 
 
-def spots(rig, rng, sigma_px=0.05):
+def spots(rig, rng, sigma_px=0.1):
     found = []
     for camera in rig.cameras:
         places = camera.project(POSE.apply(LEDS)) + rng.normal(0.0, sigma_px, (len(LEDS), 2))
@@ -63,14 +63,17 @@ def test_poses_of_wrong_calibrations_are_off_by_what_they_claim(rig):
         taken = wrong(rig, root @ rng.normal(size=len(SIGMA)))
         for chosen, out in ((taken, nees), (replace(taken, covariance=None), without)):
             reading = StereoTracker(chosen, LEDS).update(0.0, spots(rig, rng))
+            if reading.pose is None:  # the cameras contradict each other
+                continue
             truth = chosen.cameras[0].camera_from_rig @ POSE
             off = np.append(
                 between(reading.pose.rotation, truth.rotation),
                 reading.pose.translation_m - truth.translation_m,
             )
             out.append(off @ np.linalg.solve(reading.covariance, off))
+    assert len(nees) > 30
     assert 4.0 < np.mean(nees) < 8.0
-    assert np.mean(without) > 50.0
+    assert np.mean(without) > 2.0 * np.mean(nees)
 
 
 def test_the_covariance_is_kept_while_the_pose_rests_and_made_again_when_it_moves(rig):

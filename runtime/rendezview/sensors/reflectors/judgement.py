@@ -180,15 +180,13 @@ def _hopeless(  # type: ignore[no-untyped-def]
         return True
     s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
     bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
-    reach = math.sqrt(score_limit)
-    if _unlike(
-        chord, s0, s1, s2, bright, pp / bb, reach, 1.0 / least_cosine, size_sigma, peak_sigma
-    ):
+    reach, steep = math.sqrt(score_limit), 1.0 / least_cosine
+    if _unlike(chord, s0, s1, s2, bright, pp / bb, reach, steep, size_sigma, peak_sigma):
         return True
     t, along, across, m, u, v = _base_frame(directions, left, centre, right, chord)
     size = (s0 + s1 + s2) / 3.0
     # First without corrections: a distant candidate needs none.
-    _, z, _, _ = _scaled(bb, pp, bp, area, 2.0 * t, along, across)
+    z = _scaled(bb, pp, bp, area, 2.0 * t, along, across)[1]
     if z < 0.7 * window[0] or z > 1.4 * window[1]:
         return True
     share = blur_px / math.exp(size - _SIZE_REACH)
@@ -208,22 +206,19 @@ def _hopeless(  # type: ignore[no-untyped-def]
         fall = 1.0 - (blur_px / expected) ** 2
         slack = _SLACK + _SLACK_NEAR * bb / (z * z)
         mean = size - math.log(expected) + fall * o1 / 3.0
-        off = max(abs(mean) - slack, 0.0) / mean_sigma
-        chi = off * off
+        chi = (max(abs(mean) - slack, 0.0) / mean_sigma) ** 2
         if chi > score_limit:
             continue
         for i in range(3):
             spot, o = (left, o0) if i == 0 else (centre, o1) if i == 1 else (right, o2)
-            own = log_size[spot] - size + fall * (o - o1 / 3.0)
-            own = max(abs(own) - slack, 0.0) / size_sigma
-            chi += own * own
+            own = abs(log_size[spot] - size + fall * (o - o1 / 3.0)) - slack
+            chi += (max(own, 0.0) / size_sigma) ** 2
+        across_ = log_peak[left] - log_peak[right]
         for law in range(2):  # even light, and light that falls with range²
             rise = 2.0 * (1.0 + law - fall)
-            uneven = log_peak[left] - log_peak[right] + rise * (o0 - o2)
-            middle = bright + rise * o1
-            uneven = max(abs(uneven) - 4.0 * slack, 0.0) / beam_sigma
-            middle = max(abs(middle) - 4.0 * slack, 0.0) / peak_sigma
-            if chi + uneven * uneven + middle * middle <= score_limit:
+            uneven = max(abs(across_ + rise * (o0 - o2)) - 4.0 * slack, 0.0) / beam_sigma
+            middle = max(abs(bright + rise * o1) - 4.0 * slack, 0.0) / peak_sigma
+            if chi + uneven**2 + middle**2 <= score_limit:
                 return False
     return True
 

@@ -25,6 +25,7 @@ from rendezview.sensors.reflectors.spots import SpotTable
 # × the diameter and × the blur: steps of about twice what one acquisition tolerates. Source: by
 # construction, from acquisition_options.py: diameter_sigma, blur_sigma, size_limit
 _DIAMETERS = (1.0, 0.87, 1.15, 0.75, 1.33)
+# Source: by construction, likewise
 _BLURS = (1.0, 1.4, 0.7, 2.0, 2.8, 4.0, 5.5)
 _MOST_SPOTS = 20  # in a crowd chance would fit some size. Source: experiment reflector-tolerance
 _LEAST_SURE = 8.0  # χ² of the triplet at most. Source: as AcquisitionOptions.sparse_limit
@@ -55,15 +56,22 @@ def fit_dots(
     if not 3 <= len(spots) <= _MOST_SPOTS:
         return None
     best: tuple[float, float, float, Acquisition] | None = None
-    for diameter, blur in itertools.product(_DIAMETERS, _BLURS):
-        trial = replace(options, blur_px=blur * options.blur_px)
-        found = Acquirer(camera, scaled(patterns, diameter), trial).acquire(spots)
-        if found.refined is None or found.score > _LEAST_SURE:
-            continue
-        if best is not None and not _agree(best[3], found):
-            return None
-        if best is None or found.score < best[0]:
-            best = found.score, diameter, blur, found
+    # One thing that is different is likelier than two.
+    for trials in (
+        [(diameter, 1.0) for diameter in _DIAMETERS], [(1.0, blur) for blur in _BLURS],
+        list(itertools.product(_DIAMETERS[1:], _BLURS[1:])),
+    ):  # fmt: skip
+        for diameter, blur in trials:
+            trial = replace(options, blur_px=blur * options.blur_px)
+            found = Acquirer(camera, scaled(patterns, diameter), trial).acquire(spots)
+            if found.refined is None or found.score > _LEAST_SURE:
+                continue
+            if best is not None and not _agree(best[3], found):
+                return None
+            if best is None or found.score < best[0]:
+                best = found.score, diameter, blur, found
+        if best is not None:
+            break
     if best is None:
         return None
     _, diameter, blur, found = best

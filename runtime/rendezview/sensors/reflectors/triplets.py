@@ -151,29 +151,24 @@ def search(  # type: ignore[no-untyped-def]
     directions, flat, sizes, peaks, order, glass, base_m, diameters_m, focal_px, blur_px,
     limits, both_ways, out,
 ):  # fmt: skip
-    """Non-redundant triplets that pass the tests, as (left, centre, right) in ``out``.
+    """Number of non-redundant triplets that pass the tests, (left, centre, right) in ``out``.
 
     Args:
         directions: (N, 3) unit; flat: (N, 2) undistorted, pixels about the boresight.
         sizes, peaks: (N,) of the spots; order: (N,) spots by ``flat[:, 0]``.
         glass: (5,) `Hourglass`; base_m: of the triangle; diameters_m: (3,) of its reflectors.
-        limits: shortest and longest base (px), tolerance of sizes and of peaks (ln) and of the
-            blur (ln), largest foreshortening of the base, largest square of another side over
-            the base's.
+        limits: shortest and longest base (px), tolerance of sizes, of peaks and of blur (ln),
+            largest foreshortening of the base, largest square of another side over the base's.
         both_ways: whether left and right are distinguished.
         out: (M, 3). More than M pass: the number is −1.
-
-    Returns:
-        How many.
     """
     count = directions.shape[0]
     shortest, longest, size_tolerance, peak_tolerance, blur_tolerance = limits[:5]
     foreshortened, longest_side = limits[5:]
     # Reflectors of different diameters: small spots look alike, large ones differ by the ratio.
-    unlike = math.log(np.max(diameters_m) / np.min(diameters_m))
-    alike = _ALIKE + unlike
-    peak_tolerance += 4.0 * unlike
-    # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture.
+    alike = _ALIKE + math.log(np.max(diameters_m) / np.min(diameters_m))
+    peak_tolerance += 4.0 * (alike - _ALIKE)
+    # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
     over = 1.1 * min(abs(glass[1]) + glass[2] * glass[3] + glass[4], math.sqrt(longest_side))
     shortest, longest = shortest / focal_px, longest / focal_px
@@ -181,9 +176,8 @@ def search(  # type: ignore[no-untyped-def]
         directions, flat, sizes, peaks, order, base_m, diameters_m, focal_px, blur_px,
         size_tolerance, blur_tolerance, foreshortened,
     )  # fmt: skip
-    firsts, members, left, top, columns, rows = _grid(
-        at, math.hypot(along, over) * shortest * focal_px
-    )
+    widest_px = math.hypot(along, over) * shortest * focal_px
+    firsts, members, left, top, columns, rows = _grid(at, widest_px)
     found = 0
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)

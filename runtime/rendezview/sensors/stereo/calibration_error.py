@@ -31,7 +31,8 @@ class CalibrationError:
             for k, camera in enumerate(rig.cameras)
             for name in (*INTRINSICS, "f", *POSE)
         }
-        kept = [i for i, name in enumerate(rig.covariance_names) if name in known]
+        named = enumerate(rig.covariance_names if rig.covariance is not None else ())
+        kept = [i for i, name in named if name in known]
         self._parameters = [known[rig.covariance_names[i]] for i in kept]
         self._covariance = (
             np.zeros((0, 0)) if rig.covariance is None else rig.covariance[np.ix_(kept, kept)]
