@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from tests.quick_training import REFINING
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -78,17 +79,7 @@ def tiny_options() -> TrainingOptions:
 def refining_model(tmp_path_factory: pytest.TempPathFactory, bumpy_mesh: Mesh) -> ViewModel:
     """The bumpy body with contour points and lit silhouettes, and next to no trees."""
     path = tmp_path_factory.mktemp("refining") / "bumpy.rvm"
-    options = TrainingOptions(
-        order=2,
-        bins=90,
-        smooth_bins=3,
-        resolution_px=128,
-        perturbed_views=100,
-        held_out_views=50,
-        contour_radii=(1.0, 2.0),
-        contour_resolution_px=256,
-    )
-    train(bumpy_mesh, path, name="bumpy", options=options, jobs=1)
+    train(bumpy_mesh, path, name="bumpy", options=REFINING, jobs=1)
     return ViewModel.load(path)
 
 

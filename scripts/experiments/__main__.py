@@ -15,6 +15,8 @@ EXPERIMENTS = {
         "pose-cut": ("pose.accuracy:cut", "poses of targets that the image border cuts"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
+        "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
+        "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
         "pose-speed": ("pose.speed", "time of a pose beside its floors and peers"),
         "visp-tracking": ("pose.visp_tracking", "tracking beside ViSP's model-based tracker"),
     },
@@ -79,6 +81,7 @@ EXPERIMENTS = {
         "fusion-picture": ("pictures:fusion", "errors of sensors and filter over the range"),
         "reflector-picture": ("pictures:reflectors", "spots, triplet, windows and pose"),
         "ring-picture": ("pictures:ring", "the ring as the sensor reads it"),
+        "simulation-picture": ("pictures:simulation", "what photographs have, option by option"),
         "stereo-picture": ("pictures:stereo", "figure 8 of Welch et al. (1991)"),
     },
     "benchmark": {

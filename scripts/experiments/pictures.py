@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from experiments.frame import CLIENT, PICTURES
+from experiments.frame import CLIENT, MODELS_CAD, PICTURES
 from experiments.reflectors.run import CAMERA
 from experiments.stereo.accuracy import (
     AVERAGED,
@@ -41,9 +41,17 @@ from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
 from rendezview.sensors.stereo import MotionOptions, Normalisation
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.simulation import SceneOptions, TrajectoryOptions, render_frame, trajectory
+from rendezview.simulation import (
+    SceneOptions,
+    SensorOptions,
+    TrajectoryOptions,
+    render_frame,
+    sun_at_phase,
+    trajectory,
+)
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview.simulation.led_pictures import PictureOptions, picture_rig
+from rendezview.simulation.mesh_error import deformed
 from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
 from rendezview.training.mesh import load_mesh
 
@@ -64,6 +72,42 @@ def readme(demo: Annotated[Path, "folder that the demo wrote"]) -> None:
     PICTURES.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(PICTURES / "approach.png"), strip)
     print(PICTURES / "approach.png")
+
+
+PHOTOGRAPHS = {
+    "plain": {},
+    "--overexposure 6": {"overexposure": 6.0},
+    "--overexposure 6 --bloom 0.3": {"overexposure": 6.0, "bloom": 0.3},
+    "--sky-level 40": {"sky_level_grey": 40.0},
+    "--dust 100": {"dust": 100},
+    "--mesh-error 0.05": {"mesh_error": 0.05},
+}
+
+
+def simulation(*, seed: int = 4) -> None:
+    """The picture of docs/simulation.md: one frame with each option that photographs need."""
+    target = Target.load(MODELS_CAD / "hubble")
+    mesh = load_mesh(target.mesh_path, target.unit)
+    centre_m, radius_m = mesh.bounding_sphere
+    camera = Camera.from_fov(240, 180, math.radians(50.0))
+    rotation = Pose.from_quat_wxyz([0.62, 0.45, -0.35, 0.54], [0, 0, 0]).rotation
+    pose = Pose(rotation, np.array([0.0, 0.0, 3.0 * radius_m]) - rotation @ centre_m)
+    sun = sun_at_phase(pose.apply(centre_m), math.radians(55.0), math.radians(200.0))
+    tiles = []
+    for caption, options in PHOTOGRAPHS.items():
+        changed = dict(options)
+        bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(seed))
+        sensor = SensorOptions(
+            noise_sigma_grey=1.0,
+            **{k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed},
+        )
+        scene = SceneOptions(sensor=sensor, **changed)
+        tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(seed))
+        cv2.putText(tile, caption, (6, 172), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 255, 1, cv2.LINE_AA)
+        tiles.append(tile)
+    sheet = np.vstack([np.hstack(tiles[:3]), np.hstack(tiles[3:])])
+    cv2.imwrite(str(PICTURES / "simulation.png"), sheet)
+    print(PICTURES / "simulation.png")
 
 
 def ring(output: Path, *, seed: int = 3) -> None:

@@ -12,25 +12,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import trimesh
+from tests.quick_training import REFINING
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.camera_files import save_camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation import SceneOptions, looking_at, simulate
 from rendezview.training.mesh import Mesh
-from rendezview.training.options import TrainingOptions
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-QUICK = TrainingOptions(
-    order=2,
-    bins=90,
-    smooth_bins=3,
-    resolution_px=128,
-    perturbed_views=100,
-    held_out_views=50,
-    contour_radii=(1.0, 2.0),
-    contour_resolution_px=256,
-)
 
 
 def run(example: str, *arguments: object, cwd: Path) -> list[str]:
@@ -61,7 +51,7 @@ def test_train_and_first_pose(
     truth = looking_at(np.array([9.0, 6.0, 5.0]), np.zeros(3), [0.0, 0.0, 1.0])
     cv2.imwrite("frame.png", draw(bumpy_mesh, truth, camera, np.random.default_rng(1)))
     program = runpy.run_path(str(EXAMPLES / "train_and_first_pose.py"))
-    found = program["main"]("bumpy.stl", "mm", "camera.yaml", "frame.png", QUICK)
+    found = program["main"]("bumpy.stl", "mm", "camera.yaml", "frame.png", REFINING)
     assert found.pose is not None, found.reason
     assert np.rad2deg(found.pose.angle_to(truth)) < 2.0
     assert "quaternion wxyz:" in capsys.readouterr().out

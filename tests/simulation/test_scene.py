@@ -208,6 +208,46 @@ def test_a_scene_lit_from_behind_is_exposed_for_its_albedo() -> None:
     assert image.max() < 60
 
 
+def test_the_sky_glows_behind_the_target_and_not_before_it() -> None:
+    fixed = SensorOptions(
+        exposure=200.0, noise_sigma_grey=0.0, black_level_grey=0.0, blur_sigma_px=0.0,
+        overexposure=3.0,
+    )  # fmt: skip
+    plain = frame(SceneOptions(shading=QUICK, sensor=fixed))
+    glowing = frame(SceneOptions(shading=QUICK, sensor=fixed, sky_level_grey=40.0))
+    target = cv2.dilate(plain.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    assert (glowing[~target] == 40).all()
+    inside = cv2.erode((plain > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    np.testing.assert_array_equal(glowing[inside], plain[inside])
+
+
+def test_dust_adds_specks_that_hide_nothing() -> None:
+    plain = frame(SceneOptions(shading=QUICK, sensor=CLEAN))
+    dusty = frame(SceneOptions(shading=QUICK, sensor=CLEAN, dust=12))
+    assert (dusty >= plain).all()
+    assert 5 < np.count_nonzero(dusty > plain + 5) < 400
+
+
+def test_a_scene_with_a_mesh_error_keeps_its_truth_and_moves_its_outline(tmp_path: Path) -> None:
+    for name, share, jobs in (("plain", 0.0, 1), ("bent", 0.05, 1), ("again", 0.05, 2)):
+        options = SceneOptions(shading=QUICK, masks=True, mesh_error=share)
+        simulate(MESH, CAMERA, PATH[:3], options, tmp_path / name, 3, jobs=jobs)
+    plain, bent, again = (files_of(tmp_path / name) for name in ("plain", "bent", "again"))
+    assert bent == again
+    assert bent["scene_gt.json"] == plain["scene_gt.json"]
+    masks = [name for name in plain if name.startswith("mask_visib")]
+    assert all(bent[name] != plain[name] for name in masks)
+
+
+def test_scenes_without_the_effects_of_a_photograph_draw_no_random_numbers_for_them() -> None:
+    """Their pictures are those of the versions before: noise is drawn first."""
+    sensor = SensorOptions(exposure=200.0)
+    away = Pose(np.eye(3), [0.0, 0.0, -20.0])
+    noise = np.random.default_rng(1).standard_normal((48, 64), dtype=np.float32)
+    expected = np.clip(np.rint(5.0 + 3.0 * noise), 0, 255)
+    np.testing.assert_array_equal(frame(SceneOptions(sensor=sensor), pose=away), expected)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -217,6 +257,11 @@ def test_a_scene_lit_from_behind_is_exposed_for_its_albedo() -> None:
         ("sun_azimuth_rad", math.inf),
         ("sun_direction_sky", (0.0, 0.0, 0.0)),
         ("earth_direction_sky", (0.0, math.nan, 0.0)),
+        ("sky_level_grey", 255.0),
+        ("sky_level_grey", -1.0),
+        ("dust", -1),
+        ("mesh_error", 0.9),
+        ("mesh_error", math.nan),
     ],
 )
 def test_impossible_options_are_refused_by_name(name: str, value: Any) -> None:

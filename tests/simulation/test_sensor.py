@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.simulation.sensor import SensorOptions, automatic_exposure, expose
+from rendezview.simulation.sensor import SensorOptions, automatic_exposure, expose, with_aureole
 
 PERFECT = SensorOptions(blur_sigma_px=0.0, noise_sigma_grey=0.0, black_level_grey=0.0)
 
@@ -47,6 +48,36 @@ def test_a_points_picture_has_the_asked_width_and_its_place(sigma_px: float) -> 
 def test_blur_does_not_darken_the_edge_of_the_frame() -> None:
     grey = expose(np.full((9, 9), 0.5, np.float32), 200.0, SensorOptions(noise_sigma_grey=0), rng())
     assert (grey == 105).all()
+
+
+def test_overexposure_multiplies_the_signal_until_it_saturates() -> None:
+    options = replace(PERFECT, overexposure=5.0)
+    grey = expose(np.array([[0.01, 0.1, 0.3]], np.float32), 200.0, options, rng())
+    np.testing.assert_array_equal(grey, [[10, 100, 255]])
+
+
+def test_the_aureole_keeps_the_light_and_falls_with_the_square_of_the_distance() -> None:
+    radiance = np.zeros((513, 513), np.float32)
+    radiance[256, 256] = 1e6
+    spread = with_aureole(radiance, 0.1)
+    assert spread.sum() == pytest.approx(1e6, rel=0.02)
+    assert spread[256, 256] == pytest.approx(0.9e6, rel=0.02)
+    y, x = np.mgrid[:513, :513] - 256
+    distance = np.hypot(x, y)
+    near, far = (spread[np.abs(distance - r) < 1.5].mean() for r in (10.0, 40.0))
+    assert near / far == pytest.approx(16.0, rel=0.3)
+    np.testing.assert_allclose(spread, spread[::-1, ::-1], atol=0.05 * spread[256, 266])
+
+
+def test_bloom_lights_the_sky_beside_a_burnt_out_face() -> None:
+    radiance = np.zeros((60, 80), np.float32)
+    radiance[:, :40] = 10.0
+    plain, bloomed = (
+        expose(radiance, 200.0, replace(PERFECT, bloom=bloom), rng()) for bloom in (0.0, 0.05)
+    )
+    assert not plain[:, 45:].any()
+    assert (bloomed[:, :38] == 255).all()
+    assert bloomed[30, 42] > bloomed[30, 50] > bloomed[30, 70] > 0
 
 
 def test_read_noise_has_the_asked_sigma() -> None:
@@ -103,6 +134,11 @@ def test_automatic_exposure_of_the_dark_is_none() -> None:
     [
         ("exposure", 0.0),
         ("exposure", math.inf),
+        ("overexposure", 0.0),
+        ("overexposure", math.inf),
+        ("bloom", 1.0),
+        ("bloom", -0.1),
+        ("bloom", math.nan),
         ("blur_sigma_px", -1.0),
         ("noise_sigma_grey", math.nan),
         ("black_level_grey", 255.0),

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
+from typer.core import TyperGroup
 
-from rendezview.cli.progress import ProgressBar, say_summary
+from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import load_camera
-from rendezview.io.files import check_place, make_folder
+from rendezview.io.files import atomic_write_text, check_place, make_folder
+from rendezview.io.results import JsonLinesWriter, json_line, read_json_lines
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.images import write_png
@@ -22,10 +26,28 @@ from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingOptions, RingPrior
 from rendezview.sensors.ring.overlay import draw_reading
 from rendezview.sensors.ring.run import follow, record
+from rendezview.sensors.ring.size_run import SizeFrame, measure_pass, read_echoes
 from rendezview.sensors.run import Line, run
 
+_FIND = "find"  # the command of `rendezview ring FRAMES`
 
-def ring(
+
+class _RingGroup(TyperGroup):
+    """`rendezview ring FRAMES` finds rings; `rendezview ring size` has a command of its own."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, args if args[:1] == ["size"] else [_FIND, *args])
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name, command, rest = super().resolve_command(ctx, args)
+        return ("" if name == _FIND else name), command, rest
+
+
+ring = typer.Typer(cls=_RingGroup, rich_markup_mode=None, add_help_option=False)
+
+
+@ring.command(_FIND)
+def find(
     frames: Annotated[
         Path, typer.Argument(help="BOP scene, SPEED folder, folder of images, or video.")
     ],
@@ -64,6 +86,7 @@ def ring(
 
     \b
     Example: rendezview ring frames --camera camera.yaml --radius-m 0.597 -o ring.jsonl
+    A ring of unknown size: rendezview ring size --help
     """
     check_place(output, "the readings")
     known = None if target is None else _ring_of(target)
@@ -95,6 +118,65 @@ def ring(
     found = summary.outcomes[Status.OK]
     what = "rings" if radius is None else "poses"
     say_summary(summary, found, len(sequence), what=what, step="frame")
+
+
+@ring.command("size")
+def size(
+    frames: Annotated[
+        Path, typer.Argument(help="Fly-around: BOP scene, folder of images, or video.")
+    ],
+    ranges: Annotated[
+        Path,
+        typer.Option(
+            help="JSON lines of a laser ranger: range_m to the panel, sigma_m, time_s or im_id."
+        ),
+    ],
+    camera: Annotated[
+        Path | None, typer.Option(help="Camera file; wins over that of the frames.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="JSON; standard output if absent.")
+    ] = None,
+    log: Annotated[Path | None, typer.Option(help="JSON lines: what each frame showed.")] = None,
+    least_contrast: Annotated[
+        float, typer.Option(min=1.0, max=255.0, help="Grey levels of the ring's weakest edge.")
+    ] = 8.0,
+) -> None:
+    """Measure a docking ring of unknown size: its radius and its place over a panel.
+
+    The frames show a rectangular panel of unknown size with the ring before or behind it, in a
+    plane parallel to it. The ranges give the scale.
+
+    \b
+    Example: rendezview ring size flyaround --camera camera.yaml --ranges laser.jsonl -o size.json
+    """
+    check_place(output, "the size")
+    sequence = open_sequence(frames, load_camera(camera) if camera else None)
+    echo_of = read_echoes(read_json_lines(ranges), str(ranges))
+    with ProgressBar() as bar, JsonLinesWriter(log) if log else nullcontext() as writer:
+        done, advance = count(1), bar.stage("frames", len(sequence))
+
+        def each(frame: SizeFrame) -> None:
+            if writer:
+                writer.write(frame.record())
+            advance(next(done))
+
+        result = measure_pass(
+            sequence, echo_of, RingOptions(least_contrast_grey=least_contrast), each
+        )
+    line = json_line(result.record())
+    if output:
+        atomic_write_text(output, line + "\n")
+    else:
+        print(line)
+    if result.size is None:
+        raise RendezviewError(f"{frames}: no size: {result.reason}; --log says it of each frame")
+    found = result.size
+    sigma = 2.0 * math.sqrt(found.covariance[0, 0])
+    say(
+        f"diameter {2.0 * found.radius_m:.4f} ± {sigma:.4f} m from {len(found.used)} of "
+        f"{result.frames} frames"
+    )
 
 
 def _ring_of(target: Path) -> DockingRing:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -19,9 +19,12 @@ from rendezview.io.files import check_place
 from rendezview.io.results import ResultRow
 from rendezview.io.target import Target
 from rendezview.sensors.run import Line, run
+from rendezview.sensors.sensor import Sensor
 from rendezview.sensors.stereo import (
     MotionOptions,
     Rig,
+    Spots,
+    StereoObservation,
     StereoTracker,
     TrackerOptions,
 )
@@ -125,7 +128,9 @@ def track(
         motion = MotionOptions(
             angular_acceleration=float(np.deg2rad(angular)), linear_acceleration=linear
         )
-    tracker = StereoTracker.of_target(loaded, lights, TrackerOptions(motion=motion))
+    tracker: Sensor[Sequence[Spots], StereoObservation] = StereoTracker.of_target(
+        loaded, lights, TrackerOptions(motion=motion)
+    )
     options = SpotOptions(threshold_grey=threshold)
     series = open_readings(readings, loaded, names, rate_hz=rate, options=options)
     if not series:

@@ -56,6 +56,13 @@ def track(
     refine: Annotated[
         bool, typer.Option("--refine/--no-refine", help="Move poses onto the edges of the frame.")
     ] = True,
+    sketch: Annotated[
+        bool,
+        typer.Option(
+            "--sketch/--no-sketch",
+            help="Where grey edges give no pose, search on a network's sketch of the frame.",
+        ),
+    ] = True,
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
@@ -98,6 +105,7 @@ def track(
         silhouette=options,
         sun_camera=light,
         refine=refine,
+        sketch=sketch,
     )
 
     def lines() -> Iterator[Line]:

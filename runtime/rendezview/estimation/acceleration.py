@@ -102,9 +102,10 @@ class AccelerationBank:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def step_filters(  # type: ignore[no-untyped-def]
-    dt, rotations, places, rates, covariances, density, rotation, place, measured, memory, scores
-):
+def step_filters(
+    dt: float, rotations: Array, places: Array, rates: Array, covariances: Array, density: Array,
+    rotation: Array, place: Array, measured: Array, memory: float, scores: Array,
+) -> None:  # fmt: skip
     """Predict B filters by ``dt`` and update them with a pose; all arrays change in place.
 
     Args:

@@ -41,7 +41,7 @@ def step_filters(blur_px: float) -> Array:
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def fit_step(profile, window):  # type: ignore[no-untyped-def]
+def fit_step(profile: Array, window: Array) -> tuple[float, float, float]:
     """Level, contrast and contrast × place of a profile by a window of `step_filters`."""
     level, contrast, shifted = 0.0, 0.0, 0.0
     for k in range(TAPS):
@@ -52,7 +52,7 @@ def fit_step(profile, window):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fit_crowded(profile, inner, outer, blur_px, solved):  # type: ignore[no-untyped-def]
+def fit_crowded(profile: Array, inner: float, outer: float, blur_px: float, solved: Array) -> float:
     """Fit a profile by the edge at 0 together with known ones at ``inner`` and ``outer``, px.
 
     ``solved`` gets level, contrast, contrast × place, and the contrasts of the outer and the inner
@@ -86,11 +86,14 @@ def fit_crowded(profile, inner, outer, blur_px, solved):  # type: ignore[no-unty
     for i in range(5):
         solved[i] = system[i, 5] / system[i, i]
     solved[0] -= solved[4]  # the inner step is written from its far side
-    return system[2, 6] / system[2, 2]
+    return float(system[2, 6] / system[2, 2])
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def residual_square(profile, basis, level, contrast, shifted, inner, outer, blur_px, solved, crowd):  # type: ignore[no-untyped-def]
+def residual_square(
+    profile: Array, basis: Array, level: float, contrast: float, shifted: float, inner: float,
+    outer: float, blur_px: float, solved: Array, crowd: bool,
+) -> float:  # fmt: skip
     """Sum of squared residuals of a profile; with the two known edges where ``crowd``."""
     left = 0.0
     for k in range(TAPS):
@@ -103,14 +106,16 @@ def residual_square(profile, basis, level, contrast, shifted, inner, outer, blur
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def allowed_square(freedom, noise, contrast, place):  # type: ignore[no-untyped-def]
+def allowed_square(freedom: float, noise: float, contrast: float, place: float) -> float:
     """Residual that a step may have: noise, another blur, the model's error where it is far."""
     bend_grey = abs(contrast) * (0.02 + 0.2 * place * place)
     return 1.5 * freedom * (noise * noise + 0.1) + bend_grey * bend_grey
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def narrow_step(profile, filters, basis, noise, contrast, farthest):  # type: ignore[no-untyped-def]
+def narrow_step(
+    profile: Array, filters: Array, basis: Array, noise: float, contrast: float, farthest: float
+) -> tuple[float, float, float, float]:
     """The widest narrower window in which the profile is a step of the same sense.
 
     Returns:

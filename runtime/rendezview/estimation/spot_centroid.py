@@ -117,7 +117,9 @@ def pixel_moments(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _on_pixels(x, y, spread, sigma, box, moment):  # type: ignore[no-untyped-def]
+def _on_pixels(
+    x: float, y: float, spread: float, sigma: float, box: tuple[int, int, int, int], moment: float
+) -> tuple[float, float, float]:
     """What the pixels make of both first moments; the spread with which they give the second."""
     ax, axx = pixel_moments(x, spread, sigma, box[0], box[1])
     ay, ayy = pixel_moments(y, spread, sigma, box[2], box[3])
@@ -252,7 +254,7 @@ def ring_plane(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _on_frame(k, half_x, half_y):  # type: ignore[no-untyped-def]
+def _on_frame(k: int, half_x: int, half_y: int) -> tuple[int, int]:
     """Pixel k of the frame ±half_x, ±half_y, clockwise from its first corner."""
     wide, high = 2 * half_x, 2 * half_y
     if k < wide:

@@ -10,7 +10,8 @@ from rendezview.fusion.kernels import distance
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
-_DECIDED = 7.0  # logarithm of a likelihood ratio at which one of two candidates is the one
+# Logarithm of a likelihood ratio at which one of two candidates is the one.
+_DECIDED = 7.0  # Source: by construction, wrong once in 1100
 # Of another edge than the ring's: σ of its bearing (rad), range (relative) and axis (rad); the same
 # edge is taken again and again, so most of its error is bias.
 _OTHER_BEARING, _OTHER_RANGE, _OTHER_RAD, _OTHER_BIAS_SHARE = 0.005, 0.1, 0.5, 0.9

@@ -132,4 +132,5 @@ def _range(state: FilterState, measurement: RangeMeasurement) -> Expected | str:
     return reason
 
 
+# Source: by construction, the pose stands first
 _POSE_SLOPE = np.hstack([np.eye(6), np.zeros((6, _COLUMNS - 6))])

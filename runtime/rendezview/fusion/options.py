@@ -35,7 +35,8 @@ class MotionOptions:
 
     angular: float = 3e-4  # rad/s² √s, of the target
     linear: float = 1e-3  # m/s² √s, of one craft against the other
-    along: float = 0.0  # m/s² √s, further along the line of sight: a chaser brakes there
+    # m/s² √s, further along the line of sight: a chaser brakes there.
+    along: float = 0.0  # Source: by construction, off
     pointing: float = 1e-4  # rad/s² √s, of the camera: rotates the target and swings its place
     first_rate: float = 0.01  # rad/s, σ of the unknown first rates
     first_velocity: float = 0.5  # m/s, σ of the unknown first velocity
@@ -57,15 +58,17 @@ class SensorOptions:
 
     __pydantic_config__ = _FORBID
 
-    inflation: float = 1.0  # of the variance that the sensor reports
-    floor_rad: float = 0.0  # rad, σ added to its attitude or axis
-    floor_range: float = 0.0  # σ added to its place, over the range
+    # Of the variance that the sensor reports.
+    inflation: float = 1.0  # Source: by construction, neutral
+    floor_rad: float = 0.0  # rad, σ added to its attitude or axis. Source: by construction, off
+    floor_range: float = 0.0  # σ added to its place, over the range. Source: by construction, off
     bias_share: Annotated[float, _key("bias_share")] = 0.8  # of the variance, that is a bias
     bias_s: Annotated[float, _key("bias_s")] = 30.0  # s, correlation time of the bias
     bias_range: Annotated[float, _key("bias_range")] = (
         0.5  # change of ln(range) over which the bias decorrelates
     )
-    gate: float = 1e-4  # probability that a good measurement is rejected
+    # Probability that a good measurement is rejected.
+    gate: float = 1e-4  # Source: by construction, a rate of false alarms
     lock_after: int = 3  # rejected in a row: locked out
     loose_after: int = 8  # edges beside the ring in a row: locked out
     unlock_after: int = 3  # in agreement in a row: unlocked
@@ -103,13 +106,16 @@ class FusionOptions:
     ring: SensorOptions = field(default_factory=SensorOptions)
     range: SensorOptions = field(default_factory=SensorOptions)
     sensors: Mapping[str, SensorOptions] = field(default_factory=dict)  # by name; wins
-    ring_radius_sigma: float = 0.0  # relative, of the ring's radius; 0: it is known
-    ring_depth_sigma_m: float = 0.0  # m, of the ring's place along its axis; 0: it is known
+    # Relative, of the ring's radius; 0: it is known.
+    ring_radius_sigma: float = 0.0  # Source: by construction, off
+    # m, of the ring's place along its axis; 0: it is known.
+    ring_depth_sigma_m: float = 0.0  # Source: by construction, off
     ring_other_edge: float = 0.1  # probability that another edge was taken for the ring's; then
     # only its bearing counts
     start_with: int = 3  # poses that must agree before the state is believed
     history_s: float = 10.0  # s, how late a measurement may be
-    history_most: int = 1000  # measurements kept for late ones
+    # Measurements kept for late ones.
+    history_most: int = 1000  # Source: by construction, a bound of memory
     coasting_after_s: float = 5.0  # s without an accepted measurement
     lost_range_fraction: float = 0.05  # σ of the place over the range at which the state is lost
     lost_rad: float = math.radians(10.0)  # rad, σ of the attitude at which the state is lost

@@ -26,7 +26,8 @@ from rendezview.fusion.update import Rejected, innovation
 from rendezview.geometry.pose import Array
 from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
-_VOTES = 2  # sensors that must agree against the state to overrule it
+# Sensors that must agree against the state to overrule it.
+_VOTES = 2  # Source: by construction, the least number of witnesses that outvote one
 _DOUBT = 2  # times in a row that a sensor was turned away, or not taken whole, to have a vote
 _LOOSE = "another edge than the ring's: for its bearing only"
 _WIDER = 4.0  # variance of the rates that are taken over into a new start

@@ -16,7 +16,7 @@ def lens_vector(camera: Camera) -> Array:
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def distorted(x, y, lens):  # type: ignore[no-untyped-def]
+def distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
     """OpenCV's distortion of normalised coordinates; ``lens`` (≥ 12,) of ``lens_vector``."""
     r2 = x * x + y * y
     radial = (1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))) / (

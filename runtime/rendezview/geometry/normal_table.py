@@ -14,7 +14,7 @@ DENSITY = np.exp(-0.5 * _PLACES**2) / np.sqrt(2.0 * np.pi)  # Source: the normal
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def normal_cdf(z):  # type: ignore[no-untyped-def]
+def normal_cdf(z: float) -> float:
     """The normal distribution function, to 1e-6."""
     place = (z + REACH) * PER_UNIT
     if place <= 0.0:
@@ -22,4 +22,4 @@ def normal_cdf(z):  # type: ignore[no-untyped-def]
     if place >= 2.0 * REACH * PER_UNIT:
         return 1.0
     i = int(place)
-    return PHI[i] + (place - i) * (PHI[i + 1] - PHI[i])
+    return float(PHI[i] + (place - i) * (PHI[i + 1] - PHI[i]))

@@ -262,7 +262,7 @@ def _twice(rotation: Array) -> Array:
 
 
 def tangents(axis: Array) -> Array:
-    """(3, 2) unit vectors e₁, e₂ across an axis n, as in logs of rings (docs/files.md).
+    """(3, 2) unit vectors e₁, e₂ across an axis n, as in logs of rings (docs/files-logs.md).
 
     e₁ is camera x less its part along n, normalised (camera y where n is along x); e₂ = n × e₁.
     """

@@ -1,12 +1,17 @@
-"""The contract that every sensor keeps."""
+"""The contract that every sensor keeps.
+
+The run loops and the service name a sensor by these protocols, so that the type checker holds each
+to the contract.
+"""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 from rendezview.sensors.observation import Observation
 
 FrameT = TypeVar("FrameT", contravariant=True)
+KnownT = TypeVar("KnownT", contravariant=True)
 ObservationT = TypeVar("ObservationT", bound=Observation, covariant=True)
 
 
@@ -17,11 +22,22 @@ class Sensor(Protocol[FrameT, ObservationT]):
     An instance belongs to one sequence. Two threads may share it: calls run one after the other.
     """
 
-    def update(self, time_s: float, frame: FrameT, /, *arguments: Any) -> ObservationT:
+    def update(self, time_s: float, frame: FrameT, /) -> ObservationT:
         """Look at the next frame.
 
         Raises:
             ValueError: the time is not finite, or not later than that of the frame before.
             RendezviewError: the frame is not one of this sensor's camera.
         """
+        ...
+
+
+class AidedSensor(Protocol[FrameT, KnownT, ObservationT]):
+    """A `Sensor` that uses what others know of the frame.
+
+    That is the direction to the Sun, a prior of the ring, or the control system's acceleration.
+    """
+
+    def update(self, time_s: float, frame: FrameT, known: KnownT | None = None, /) -> ObservationT:
+        """As `Sensor.update`."""
         ...

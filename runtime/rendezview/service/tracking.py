@@ -19,6 +19,7 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tra
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.sky import Sky
+from rendezview.sensors.sensor import AidedSensor
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
 from rendezview.service.messages import CameraMessage, Contour, Fit, Phase, SessionRequest
 from rendezview.service.session_filter import SessionFilter
@@ -124,7 +125,8 @@ class SessionTracker:
                 "beyond 1e10: send frames in order of time"
             )
         start = time.perf_counter()
-        observation = self.tracker.update(time_s, image, self.sun_camera)
+        sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = self.tracker
+        observation = sensor.update(time_s, image, self.sun_camera)
         track_ms = 1e3 * (time.perf_counter() - start)
         self._last_s = time_s
         if observation.pose is not None:

@@ -26,7 +26,8 @@ _DEFAULT_SEGMENT_S = 100.0  # where neither a turn nor a time is given
 class FollowerOptions:
     """The plan or shape to follow, and how far back observations count."""
 
-    turn_rad: float | None = 1.0  # of a segment: the paper's one radian …
+    # Of a segment: the paper's one radian ….
+    turn_rad: float | None = 1.0  # Source: Cleghorn & Sternberg 1991
     segment_s: float | None = None  # … or its time, where that is given
     reach: float = 1.0  # of a segment: how far ahead a correction meets the plan
     poses: bool = True  # refined poses where there are; False: active nodes only
@@ -305,7 +306,7 @@ class PathFollower:
 
 
 def record(report: Report) -> dict[str, Any]:
-    """A report as a log of JSON lines stores it, docs/files.md."""
+    """A report as a log of JSON lines stores it, docs/files-logs.md."""
     line: dict[str, Any] = {"number": report.number, "ended": report.ended}
     segment = report.segment
     if isinstance(segment, Segment):

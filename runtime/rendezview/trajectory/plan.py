@@ -22,7 +22,8 @@ from rendezview.io.files import StrPath, checked, read_text
 from rendezview.trajectory.relative_orbit import transition
 from rendezview.trajectory.shapes import Shape, frame_of
 
-_SLOPE_S = 1e-3  # half a step of the difference that gives a velocity, seconds
+# Half a step of the difference that gives a velocity, seconds.
+_SLOPE_S = 1e-3  # Source: by construction, between rounding and curvature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +186,7 @@ _FITTED = {
 
 
 def load_plan(path: StrPath) -> Plan:
-    """Read a plan file (TOML, docs/files.md).
+    """Read a plan file (TOML, docs/files-plan.md).
 
     Raises:
         RendezviewError: missing, not TOML, an unknown or wrong key, no path or more than one,

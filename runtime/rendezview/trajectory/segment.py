@@ -37,7 +37,7 @@ Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
 _LEAST_FRAMES = 6
 _CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
 _MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom. Source: by construction
-_NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ
+_NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Source: by construction
 _HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
 _MOST_CORRELATED = 0.9
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
@@ -51,7 +51,7 @@ _COMMON = (0.35, 1.1)
 class FitOptions:
     """How a segment is fitted."""
 
-    most_evaluations: int = 600
+    most_evaluations: int = 600  # Source: by construction, a bound only
     simplex: bool = True  # False: Gauss–Newton's answer only
     hops: bool = True  # look for hops of a V-bar approach
     least_turn_sigma: float = 3.0  # of circular and spiral: a less certain rate is rejected

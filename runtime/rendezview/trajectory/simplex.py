@@ -140,7 +140,7 @@ def downhill_simplex(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _mean(corners):  # type: ignore[no-untyped-def]
+def _mean(corners: Array) -> Array:
     """(P,) the mean of points (N, P)."""
     middle = np.zeros(corners.shape[1])
     for k in range(len(corners)):
@@ -149,7 +149,10 @@ def _mean(corners):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _fill_costs(code, corners, data, weights, cut, place, out, costs, first):  # type: ignore[no-untyped-def]
+def _fill_costs(
+    code: int, corners: Array, data: Data, weights: Array, cut: float, place: Array, out: Array,
+    costs: Array, first: int,
+) -> None:  # fmt: skip
     """The costs of the simplex's corners from number ``first`` on."""
     for k in range(first, len(costs)):
         costs[k] = cost(code, corners[k], data, weights, cut, place, out)

@@ -9,8 +9,9 @@ from rendezview.geometry.pose import Array
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
 
-_PERIODS = 24  # of hops that are tried, from an eighth of the segment to twice it
-_PHASES = 8
+# Of hops that are tried, from an eighth of the segment to twice it.
+_PERIODS = 24  # Source: by construction, a grid
+_PHASES = 8  # Source: by construction, a grid
 
 
 def first_guess(

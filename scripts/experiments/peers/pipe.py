@@ -6,7 +6,6 @@ import os
 import struct
 import subprocess
 import tempfile
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -33,16 +32,11 @@ class Pipe:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         self._process.communicate()
         said = self._said()
         self._errors.close()
-        if error is None:
+        if kind is None:
             assert self._process.returncode == 0, (self._process.returncode, said)
 
     def send(self, *parts: bytes) -> None:

@@ -130,7 +130,8 @@ def degraded(lit: np.ndarray, known: np.ndarray) -> None:
         errors["this one"].append(off[near])
         claimed.append(off[near] / spots.sigma_px[near] / np.sqrt(2.0))
         for name, sigma in (("SExtractor's", 2.0 * radius / 2.355), ("window 1.2 px", 1.2)):
-            found = windowed(lit - sky, *spots.centroids_px[near], sigma)
+            at = spots.centroids_px[near]
+            found = windowed(lit - sky, float(at[0]), float(at[1]), sigma)
             errors[name].append(float(np.hypot(found[0] - x, found[1] - y)))
     table = table_of(
         f"{bright} stars above 5 σ, {listed} found ({100.0 * listed / max(bright, 1):.0f} %)",

@@ -12,7 +12,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.ring.circle_pose import shape_of_circle
 from rendezview.sensors.ring.ellipse import Ellipse
-from rendezview.sensors.ring.ring_size import RingSight, RingSize, ring_size, ring_size_of_pass
+from rendezview.sensors.ring.ring_pass import PassSize, ring_size_of_pass
+from rendezview.sensors.ring.ring_size import RingSight, RingSize, ring_size
 
 RADIUS_M, DISTANCE_M = 0.597, 1.68
 PANEL_M = (8.0, 2.4)  # the method does not know it
@@ -48,7 +49,7 @@ def sight(pose: Pose, level: tuple[float, float, float], rng: np.random.Generato
     return RingSight(measured, ellipse, true_range + rng.normal(0.0, range_m), corner_px, range_m)
 
 
-def error_of(size: RingSize) -> np.ndarray:
+def error_of(size: RingSize | PassSize) -> np.ndarray:
     """Errors of R and D_f, metres."""
     return np.array([size.radius_m - RADIUS_M, size.distance_m - DISTANCE_M])
 
@@ -88,7 +89,7 @@ def run(
             if size is None:
                 raise SystemExit("a pass gave no answer")
             whole.append(error_of(size))
-            odd_whole.append(nees(whole[-1], size.covariance) / 2.0)
+            odd_whole.append(nees(whole[-1], size.covariance[:2, :2]) / 2.0)
         share = 100.0 / np.array([RADIUS_M, DISTANCE_M])
         worst = np.abs(whole).max(axis=0) * share
         rows.add_row(

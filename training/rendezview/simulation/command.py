@@ -66,6 +66,25 @@ def simulate(
     stars: Annotated[bool, typer.Option("--stars", help="A field of stars.")] = False,
     noise: Annotated[float, typer.Option(help="Noise, grey levels (one σ).")] = 3.0,
     blur: Annotated[float, typer.Option(help="Blur of the optics, pixels (one σ).")] = 0.7,
+    overexposure: Annotated[
+        float, typer.Option(help="Times the automatic exposure: 5 burns out the sunlit faces.")
+    ] = 1.0,
+    bloom: Annotated[
+        float, typer.Option(help="Share of the light in a halo around bright faces, 0 to 1.")
+    ] = 0.0,
+    black_level: Annotated[
+        float, typer.Option(help="Grey level of the detector in the dark.")
+    ] = 5.0,
+    sky_level: Annotated[
+        float, typer.Option(help="Glow of the sky behind the target, grey levels.")
+    ] = 0.0,
+    dust: Annotated[
+        int, typer.Option(help="Specks of dust before the camera, like stars, in each frame.")
+    ] = 0,
+    mesh_error: Annotated[
+        float,
+        typer.Option(help="Smooth error of the mesh: RMS displacement, share of its radius."),
+    ] = 0.0,
     bearing: Annotated[
         float, typer.Option(help="Random trajectory: largest angle off the boresight, degrees.")
     ] = 0.0,
@@ -97,7 +116,16 @@ def simulate(
         stars=Stars() if stars else None,
         shading=ShadingOptions(),
         mitsuba=MitsubaOptions() if mitsuba else None,
-        sensor=SensorOptions(noise_sigma_grey=noise, blur_sigma_px=blur),
+        sensor=SensorOptions(
+            noise_sigma_grey=noise,
+            blur_sigma_px=blur,
+            overexposure=overexposure,
+            bloom=bloom,
+            black_level_grey=black_level,
+        ),
+        sky_level_grey=sky_level,
+        dust=dust,
+        mesh_error=mesh_error,
         masks=masks,
     )
     path = trajectory(

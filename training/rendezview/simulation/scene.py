@@ -24,6 +24,8 @@ from rendezview.simulation.background import (
     ground_rotation,
     star_radiance,
 )
+from rendezview.simulation.dust import add_dust
+from rendezview.simulation.mesh_error import MOST_MESH_ERROR, deformed
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions, render_mitsuba
 from rendezview.simulation.sensor import SensorOptions, UInt8s, automatic_exposure, expose
 from rendezview.simulation.shading import (
@@ -40,6 +42,8 @@ Picture = tuple[Float32s, Float32s]  # radiance, premultiplied by coverage, and 
 
 _METERED_FRAMES = 5  # frames rendered for the automatic exposure of a scene
 _MASK_COVERAGE = 0.5  # least coverage of a pixel in the mask
+_MOST_DUST = 10_000  # specks a frame
+_MESH_STREAM = 1  # random numbers of the deformed mesh, beside those of the frames
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,6 +69,9 @@ class SceneOptions:
     shading: ShadingOptions = field(default_factory=ShadingOptions)
     mitsuba: MitsubaOptions | None = None  # render with Mitsuba instead of our own renderer
     sensor: SensorOptions = field(default_factory=SensorOptions)
+    sky_level_grey: float = 0.0  # glow of the sky: grey levels behind the target, not before it
+    dust: int = 0  # specks before the camera, each frame anew
+    mesh_error: float = 0.0  # RMS displacement of the surface, share of the target's radius
     masks: bool = False  # write mask_visib/ too
 
     def __post_init__(self) -> None:
@@ -74,6 +81,14 @@ class SceneOptions:
             raise RendezviewError(f"sun_phase_rad must be 0 to π, not {self.sun_phase_rad}")
         if self.sun_azimuth_rad is not None and not math.isfinite(self.sun_azimuth_rad):
             raise RendezviewError(f"sun_azimuth_rad must be finite, not {self.sun_azimuth_rad}")
+        if not 0.0 <= self.sky_level_grey < 255.0:
+            raise RendezviewError(f"sky_level_grey must be 0 to 255, not {self.sky_level_grey}")
+        if not 0 <= self.dust <= _MOST_DUST:
+            raise RendezviewError(f"dust must be 0 to {_MOST_DUST} specks, not {self.dust}")
+        if not 0.0 <= self.mesh_error <= MOST_MESH_ERROR:
+            raise RendezviewError(
+                f"mesh_error must be 0 to {MOST_MESH_ERROR}, not {self.mesh_error}"
+            )
         for name in ("sun_direction_sky", "earth_direction_sky"):
             value = getattr(self, name)
             if value is not None:
@@ -118,7 +133,10 @@ def render_frame(
     rng: np.random.Generator,
     time_s: float = 0.0,
 ) -> UInt8s:
-    """One 8-bit picture (H, W). An automatic exposure uses this frame only."""
+    """One 8-bit picture (H, W). An automatic exposure uses this frame only.
+
+    The mesh is drawn as it is: ``mesh_error`` belongs to scenes.
+    """
     return _frame(
         mesh, camera, camera_from_target, unit(sun_direction_camera, "sun"), options, rng, time_s
     )[0]
@@ -152,6 +170,8 @@ def simulate(
         raise RendezviewError("the times of a trajectory must rise from frame to frame")
     if jobs == 0:
         raise RendezviewError("jobs must be a number of threads, or −1 for all cores, not 0")
+    if options.mesh_error > 0.0:  # after the trajectory, which is planned with the CAD model
+        mesh = deformed(mesh, options.mesh_error, np.random.default_rng([seed, _MESH_STREAM]))
     scene_seed, *frame_seeds = np.random.SeedSequence(seed).spawn(len(poses) + 1)
     scene_azimuth = float(np.random.default_rng(scene_seed).uniform(0.0, 2.0 * math.pi))
     suns = []
@@ -220,6 +240,7 @@ def _frame(
     exposure = options.sensor.exposure
     if exposure is None:
         exposure = _exposure(mesh, [(radiance, coverage)], options)
+    radiance_per_grey = 1.0 / (exposure * options.sensor.overexposure)
     if options.stars is not None or options.earth is not None:
         behind = np.zeros_like(radiance)
         if options.stars is not None:
@@ -231,6 +252,12 @@ def _frame(
             )
             behind = behind * clear + ground
         radiance = radiance + (1.0 - coverage) * behind
+    if options.sky_level_grey > 0.0:
+        radiance = radiance + (1.0 - coverage) * (options.sky_level_grey * radiance_per_grey)
+    if options.dust:
+        specks = np.zeros_like(radiance)
+        add_dust(specks, options.dust, rng)
+        radiance = radiance + specks * np.float32(radiance_per_grey)
     return expose(radiance, exposure, options.sensor, rng), coverage
 
 

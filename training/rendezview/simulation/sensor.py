@@ -18,6 +18,9 @@ UInt8s = npt.NDArray[np.uint8]
 _TARGET_GREY = 200.0  # grey level of the brightest tenth of the sunlit target
 _SUNLIT_SHARE = 0.1  # of the brightest pixels; sunlit pixels are brighter
 _SUNLIT_RADIANCE = 0.03  # sunlit pixels are brighter; dark sides in ambient light are not
+_MOST_OVEREXPOSURE = 1000.0  # a dark side in ambient light saturates there too
+_OCTAVES = 6  # of the aureole: σ 2, 4 … 64 px
+_OCTAVE_SIGMA_PX = 2.0  # px, of the first octave; σ of every one in its own halved pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,7 +28,9 @@ class SensorOptions:
     """Optics and detector. Grey levels are those of the 8-bit picture."""
 
     exposure: float | None = None  # grey levels per unit of radiance; None: automatic
+    overexposure: float = 1.0  # times that exposure; sunlit faces saturate above 1
     blur_sigma_px: float = 0.7  # Gaussian optics
+    bloom: float = 0.0  # share of the light in the aureole around bright places
     noise_sigma_grey: float = 3.0  # additive Gaussian read noise
     black_level_grey: float = 5.0  # a detector's offset, so that noise is not cut off at 0
     electrons_per_grey: float | None = None  # photon (shot) noise; None: no shot noise
@@ -39,6 +44,13 @@ class SensorOptions:
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise RendezviewError(f"{name} must not be negative, not {value}")
+        if not 0.0 < self.overexposure <= _MOST_OVEREXPOSURE:
+            raise RendezviewError(
+                f"overexposure must be positive, at most {_MOST_OVEREXPOSURE:g}, "
+                f"not {self.overexposure}"
+            )
+        if not 0.0 <= self.bloom < 1.0:
+            raise RendezviewError(f"bloom must be at least 0 and less than 1, not {self.bloom}")
         if not 0.0 <= self.black_level_grey < 255.0:
             raise RendezviewError(f"black_level_grey must be 0 to 255, not {self.black_level_grey}")
 
@@ -72,10 +84,28 @@ def with_shot_noise(
     return (rng.poisson(electrons) / electrons_per_grey).astype(np.float32)
 
 
+def with_aureole(signal: Float32s, share: float) -> Float32s:
+    """The picture (H, W) with a share of its light spread widely, by scattering in the optics.
+
+    The aureole of a point falls with the square of the distance (King, PASP 83, 1971), from 2 px to
+    64 px: it is a sum of Gaussians, each twice as wide as the one before, all of the same light.
+    """
+    height, width = signal.shape
+    spread = np.zeros_like(signal)
+    halved = signal
+    for _ in range(_OCTAVES):
+        soft = cv2.GaussianBlur(halved, (0, 0), _OCTAVE_SIGMA_PX, borderType=cv2.BORDER_REPLICATE)
+        spread += cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
+        rows, columns = halved.shape
+        size = max(1, columns // 2), max(1, rows // 2)
+        halved = np.asarray(cv2.resize(halved, size, interpolation=cv2.INTER_AREA))
+    return np.asarray((1.0 - share) * signal + share / _OCTAVES * spread, dtype=np.float32)
+
+
 def expose(
     radiance: Float32s, exposure: float, options: SensorOptions, rng: np.random.Generator
 ) -> UInt8s:
-    """The 8-bit picture of a radiance image (H, W): blur, gain, noise, rounding, saturation.
+    """The 8-bit picture of a radiance image (H, W): optics, gain, noise, rounding, saturation.
 
     ``exposure`` replaces that of the options, which may be automatic.
     """
@@ -88,7 +118,9 @@ def expose(
             ),
             dtype=np.float32,
         )
-    grey = signal * np.float32(exposure)
+    if options.bloom > 0.0:
+        signal = with_aureole(signal, options.bloom)
+    grey = signal * np.float32(exposure * options.overexposure)
     if options.electrons_per_grey is not None:
         grey = with_shot_noise(grey, options.electrons_per_grey, rng)
     grey = grey + np.float32(options.black_level_grey)

@@ -119,6 +119,7 @@ def _train(
     contours = stages.contours()
     silhouettes = stages.shadowed_silhouettes()
     surface = stages.surface()
+    sketches = stages.sketches()
     samples = Samples(options.order, lattice, perturbed)
     trees = stages.trees(samples)
     sphere = Geodesic.of_order(options.order)
@@ -160,6 +161,7 @@ def _train(
         symmetries=symmetries,
         shape_error=shape_error,
         surface=surface,
+        sketches=sketches,
         error_model=None if contours is None else ErrorModel.packaged(),
     )
     if held_out is not None:

@@ -56,6 +56,7 @@ class TrainingOptions:
     shadowed_silhouettes: bool = (
         True  # sunlit parts per Sun direction, for first poses in hard light
     )
+    sketches: bool = True  # of the nodes' views, for frames in which no threshold finds the target
     surface_points: int = 4096  # with visibility per direction, for shading checks; 0: none
     min_samples_split: int = 4  # samples; the paper's rule "too few samples"
     min_gain: float = 1e-3  # nats per sample of the tree; the paper's least entropy gain
@@ -112,6 +113,7 @@ class TrainingOptions:
             label_edges=1.0,
             contour_points=0,
             shadowed_silhouettes=False,
+            sketches=False,
             surface_points=0,
         )
 

@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSil
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.signature import Readings
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.sketch.views import ViewSketches
 from rendezview.training.calibrate import prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
 from rendezview.training.learn import Samples, TreeSet, learn_trees
@@ -25,6 +26,7 @@ from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.projection import SilhouetteRenderer
 from rendezview.training.shadowed_silhouettes import SunMaps, shadowed_silhouettes, sun_maps
 from rendezview.training.shard_executor import ShardExecutor, Shared, Task
+from rendezview.training.sketch_maps import sketched_view
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
 from rendezview.training.surface_points import (
@@ -134,6 +136,17 @@ class TrainingStages:
         visible = np.concatenate([a["visible"] for a in shards])
         return chosen_surface(self.mesh, self.geometry, points, faces, visible, self.options)
 
+    def sketches(self) -> ViewSketches | None:
+        """Every node's view as the sketch network would draw it."""
+        if not self.options.sketches or self.options.contour_points == 0:
+            return None
+        directions = Geodesic.of_order(self.options.order).nodes
+        parts = [
+            (directions[p.start : p.stop],) for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
+        ]
+        shards = self._run("sketches", _sketch_arrays, (self.mesh, self.geometry), parts)
+        return ViewSketches(**{n: np.concatenate([a[n] for a in shards]) for n in shards[0]})
+
     def trees(self, samples: Samples) -> TreeSet:
         """Trees of all nodes."""
         nodes = len(Geodesic.of_order(self.options.order).nodes)
@@ -195,6 +208,11 @@ def _surface_arrays(
 ) -> Arrays:
     views = [visible_points(mesh, geometry, points, faces, d, options) for d in directions]
     return {"visible": np.stack(views)}
+
+
+def _sketch_arrays(mesh: Mesh, geometry: ViewGeometry, directions: Array) -> Arrays:
+    views = [sketched_view(mesh, geometry, direction) for direction in directions]
+    return {name: np.stack([view[name] for view in views]) for name in views[0]}
 
 
 def _tree_arrays(samples: Samples, options: TrainingOptions, nodes: range) -> Arrays:

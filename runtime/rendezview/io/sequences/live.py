@@ -68,7 +68,15 @@ def _frames(capture: cv2.VideoCapture, source: str, camera: Camera) -> Iterator[
             missed, time_s = 0, max(time.monotonic() - start_s, last_s + 1e-6)
             last_s = time_s
             grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-            yield Frame(number, f"{source}, frame {number}", time_s, camera, None, 1, _Taken(grey))
+            yield Frame(
+                number,
+                f"{source}, frame {number}",
+                time_s,
+                camera,
+                None,
+                1,
+                _Taken(np.asarray(grey, dtype=np.uint8)),
+            )
             number += 1
     finally:
         capture.release()
@@ -78,7 +86,7 @@ class _Taken:
     """A picture that is there already."""
 
     def __init__(self, grey: GreyImage) -> None:
-        self._grey = np.asarray(grey, dtype=np.uint8)
+        self._grey = grey
 
     def __call__(self) -> GreyImage:
         return self._grey

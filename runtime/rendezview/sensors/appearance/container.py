@@ -30,7 +30,7 @@ VERSION = 1  # of the format. Source: by construction
 _PREFIX = struct.Struct("<4sIQ")
 _ALIGN = 64  # bytes; each array starts at a multiple. Source: by construction
 _DIGEST_BYTES = hashlib.sha256().digest_size
-_READ_AT_ONCE = 1 << 20  # bytes
+_READ_AT_ONCE = 1 << 20  # bytes. Source: by construction, a buffer of 1 MiB
 _DTYPES = ("|u1", "|i1", "<u2", "<i2", "<i4", "<i8", "<f4", "<f8")
 
 

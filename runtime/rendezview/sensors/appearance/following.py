@@ -18,6 +18,7 @@ from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.tracker import Tracker, TrackerOptions
 from rendezview.sensors.run import observe
+from rendezview.sensors.sensor import AidedSensor
 
 
 def follow(
@@ -30,6 +31,7 @@ def follow(
     options: TrackerOptions | None = None,
     sun_camera: npt.ArrayLike | None = None,
     refine: bool = True,
+    sketch: bool = True,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
 
@@ -43,6 +45,7 @@ def follow(
         options: of the tracker.
         sun_camera: (3,) towards the Sun, camera frame, if it is known.
         refine: move poses onto the edges, if the model has contour points.
+        sketch: search on a sketch of the frame where the edges give no pose, see ``Recognizer``.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
 
@@ -55,13 +58,16 @@ def follow(
     def look(frame: Frame, time_s: float, image: GreyImage) -> AppearanceObservation:
         nonlocal tracker
         if frame.camera not in recognizers:
-            recognizers[frame.camera] = Recognizer(model, frame.camera, silhouette, refine=refine)
+            recognizers[frame.camera] = Recognizer(
+                model, frame.camera, silhouette, refine=refine, sketch=sketch
+            )
         recognizer = recognizers[frame.camera]
         if independent:
             return recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
         tracker = tracker or Tracker(recognizer, prior, options)
         tracker.recognizer = recognizer
-        return tracker.update(time_s, image, sun_camera)
+        sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = tracker
+        return sensor.update(time_s, image, sun_camera)
 
     for frame, _, observation in observe(
         sequence, look, AppearanceObservation, ordered=not independent

@@ -20,11 +20,13 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.sketch.views import ViewSketches
 
 _Part = TypeVar("_Part")
 
 FAR_RADII = 4.0  # sphere radii, range of the far readings: perspective is weak there
-FAR_UNIT = 5.0  # thousandths, unit of the stored change from near to far readings
+# Thousandths, unit of the stored change from near to far readings.
+FAR_UNIT = 5.0  # Source: by construction, format of the model file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +99,7 @@ class ViewModel:
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
     surface: Surface | None = None  # points and albedo, for shading; None: trained without
+    sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
 
     @property
@@ -133,6 +136,10 @@ class ViewModel:
             }
         if self.surface is not None:
             arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
+        if self.sketches is not None:
+            arrays |= {
+                f"sketches.{f.name}": getattr(self.sketches, f.name) for f in fields(ViewSketches)
+            }
         header = {
             "name": self.name,
             "order": self.order,
@@ -179,6 +186,7 @@ class ViewModel:
                 contours=_part(arrays, "contours", Contours),
                 lit=_part(arrays, "lit", ShadowedSilhouettes),
                 surface=_part(arrays, "surface", Surface),
+                sketches=_part(arrays, "sketches", ViewSketches),
                 symmetries=tuple(
                     Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
                     for s in header.get("symmetries", [])
@@ -219,6 +227,8 @@ class ViewModel:
             self.lit.check(count)
         if self.surface is not None:
             self.surface.check()
+        if self.sketches is not None:
+            self.sketches.check()
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")

@@ -22,6 +22,8 @@ from rendezview.sensors.appearance.observation import (
 from rendezview.sensors.appearance.outline.recognition import OutlineRecognition
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
+from rendezview.sensors.appearance.sketch.found import SketchFound
+from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 
@@ -43,6 +45,7 @@ class Recognizer:
         *,
         refine: bool = True,
         trees: bool = True,
+        sketch: bool = True,
         least_confidence: float = 0.6,
     ) -> None:
         """A recognizer of one model in the frames of one camera.
@@ -55,6 +58,8 @@ class Recognizer:
             refine: move poses onto the edges of the frame, if the model has contour points.
             trees: find the active nodes even where refinement from the prior is confident;
                 without them such frames take half the time.
+            sketch: where the grey edges give no confident pose, search on a sketch that a network
+                draws of the frame, if the model has sketches of its views.
             least_confidence: a refined pose of less confidence is not given.
         """
         self.model = model
@@ -62,6 +67,9 @@ class Recognizer:
         self.trees = trees
         self.least_confidence = least_confidence
         self.search = PoseSearch(model, camera) if refine and model.contours is not None else None
+        self.sketch = None
+        if sketch and self.search is not None and model.sketches is not None:
+            self.sketch = SketchSearch(model, camera, self.search.refiner.views)
         if silhouette is None and self.search is not None:
             # Shadow cuts a body into pieces; refinement decides whether they are the target's.
             silhouette = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
@@ -133,7 +141,21 @@ class Recognizer:
             clock.lap("refine")
         if found is not None and self._confident(found):
             return _given(seen, found)
+        if self.sketch is not None:
+            sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
+            clock.lap("sketch")
+            if sketched is not None and self._confident(sketched):
+                return _given(seen, sketched)
+            if sketched is not None and (found is None or sketched.confidence > found.confidence):
+                found = sketched
         return _refused(seen, found)
+
+    def _sketched(
+        self, search: SketchSearch, frame: Picture, sky: Sky, prior: Pose | None, error_rad: float
+    ) -> SketchFound | None:
+        """The best pose on a sketch of the frame."""
+        choice = search.anywhere(frame) if prior is None else search.near(frame, prior, error_rad)
+        return None if choice is None else SketchFound.of(choice, dark=sky.dark)
 
     def _confident(self, found: Found) -> bool:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""

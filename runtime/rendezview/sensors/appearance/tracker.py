@@ -12,6 +12,7 @@ from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
+from rendezview.sensors.appearance.sketch.found import SketchFound
 from rendezview.sensors.observation import Status
 
 _SAME_RAD = np.deg2rad(3.0)  # rad; rivals nearer than this are the same answer
@@ -214,7 +215,7 @@ class Tracker:
         self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
         self._misses, self._rivals = 0, []
         found = observation.found
-        if found is None:
+        if found is None or isinstance(found, SketchFound):  # its inlier ratio is another
             self._confirmed = (0.0, 0)
         elif found.single:  # no search: the confirmation grows older
             self._confirmed = (self._confirmed[0], self._confirmed[1] + 1)

@@ -29,7 +29,7 @@ from rendezview.sensors.reflectors.spots import (
 )
 from rendezview.sensors.reflectors.triplets import hourglass_of, search
 
-_MOST_TRIPLETS = 20_000
+_MOST_TRIPLETS = 20_000  # Source: by construction, a bound of memory
 _NO_RANGE = np.array([0.0, np.inf])  # m. Source: by construction
 
 

@@ -34,7 +34,8 @@ from rendezview.sensors.reflectors.pattern import (
     attitude_angles,
 )
 
-_LEAST_READINGS = 12  # of a calibration: three unknowns a regression
+# Of a calibration: three unknowns a regression.
+_LEAST_READINGS = 12  # Source: by construction, four times the unknowns
 
 
 @checked_dataclass(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))

@@ -171,7 +171,7 @@ def noise_grey(frames: LitDark) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _count_steps(lit, dark, counts):  # type: ignore[no-untyped-def]
+def _count_steps(lit: Grey, dark: Grey, counts: npt.NDArray[np.int64]) -> None:
     """How often neighbours in a row differ by so many grey levels; the difference's where dark."""
     for v in range(0, lit.shape[0], _NOISE_STEP):
         if dark.shape[0] > 0:
@@ -223,7 +223,7 @@ def faint_mask(lit: Grey, behind: Grey, noise: float, factor: float) -> Grey:
     difference = cv2.subtract(lit, behind, dtype=cv2.CV_32F)
     soft = cv2.GaussianBlur(difference, (0, 0), _FILTER_PX)
     level = factor * max(noise, _LEAST_NOISE) / (2.0 * math.sqrt(math.pi) * _FILTER_PX)
-    return np.asarray(cv2.compare(soft, level, cv2.CMP_GT), dtype=np.uint8)
+    return np.asarray(cv2.threshold(soft, level, 255.0, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
 def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:

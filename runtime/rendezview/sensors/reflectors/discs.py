@@ -48,7 +48,9 @@ def predict_spots(
 
 
 @njit(cache=True, nogil=True)
-def project_disc(lens, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+def project_disc(
+    lens: Array, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float
+) -> tuple[float, float]:
     """Pixel of the middle of a disc's spot; disc at (x, y, z), unit normal n, camera frame."""
     a2 = radius * radius
     r2 = x * x + y * y + z * z
@@ -69,7 +71,9 @@ def project_disc(lens, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True, inline="always")
-def disc_radius(focal_px, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyped-def]
+def disc_radius(
+    focal_px: float, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float
+) -> float:
     """Root mean square of the two half axes of a disc's ellipse, px: its extent in a round window.
 
     Of the disc's plane (I − n nᵀ) under the projection's derivative; off the boresight the
@@ -81,9 +85,10 @@ def disc_radius(focal_px, x, y, z, nx, ny, nz, radius):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def _project_all(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, rotation, shift, out
-):
+def _project_all(
+    lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
+    out: Array,
+) -> None:  # fmt: skip
     for i in range(arms.shape[0]):
         px, py, pz = turned(rotation, arms, i)
         nx, ny, nz = turned(rotation, normals, i)
@@ -93,7 +98,9 @@ def _project_all(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def placed(rotation, translation, points, i):  # type: ignore[no-untyped-def]
+def placed(
+    rotation: Array, translation: Array, points: Array, i: int
+) -> tuple[float, float, float]:
     """Point i of the target in the camera frame."""
     p, q, r = points[i, 0], points[i, 1], points[i, 2]
     return (
@@ -104,7 +111,7 @@ def placed(rotation, translation, points, i):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def turned(rotation, vectors, i):  # type: ignore[no-untyped-def]
+def turned(rotation: Array, vectors: Array, i: int) -> tuple[float, float, float]:
     """Vector i of the target on the camera's axes."""
     p, q, r = vectors[i, 0], vectors[i, 1], vectors[i, 2]
     return (

@@ -9,11 +9,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.reflectors.discs import disc_radius, placed, turned
 from rendezview.sensors.reflectors.p3p import MAX_ROOTS, p3p_roots
 from rendezview.sensors.reflectors.triplets import expected_size
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+Vector = tuple[float, float, float]
+Tolerances = tuple[float, float, float, float, float, float]
 
 _CORRECTIONS = 2
 # Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
@@ -25,10 +31,11 @@ _SIZE_REACH = 0.3
 
 
 @njit(cache=True, nogil=True)
-def judge(  # type: ignore[no-untyped-def]
-    triplets, directions, sizes, peaks, points, normals, diameters, focal_px, blur_px,
-    tolerances, window, score_limit, quick, scores, poses,
-):  # fmt: skip
+def judge(
+    triplets: Ints, directions: Array, sizes: Array, peaks: Array, points: Array, normals: Array,
+    diameters: Array, focal_px: float, blur_px: float, tolerances: Tolerances, window: Array,
+    score_limit: float, quick: bool, scores: Array, poses: Array,
+) -> None:  # fmt: skip
     """χ² of every pose of every triplet: sizes at its ranges, brightnesses among themselves.
 
     Every pose whose reflectors all face the camera is kept. A post leaves one (Bales); three
@@ -76,10 +83,11 @@ def judge(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _score(  # type: ignore[no-untyped-def]
-    rotation, translation, points, normals, diameters, triplet, log_size, log_peak, focal_px,
-    blur_px, tolerances, window, score_limit,
-):  # fmt: skip
+def _score(
+    rotation: Array, translation: Array, points: Array, normals: Array, diameters: Array,
+    triplet: Ints, log_size: Array, log_peak: Array, focal_px: float, blur_px: float,
+    tolerances: Tolerances, window: Array, score_limit: float,
+) -> float:  # fmt: skip
     """χ² of sizes and brightnesses of a triplet at a pose; ∞ where the pose is refused."""
     size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine = tolerances
     errors, shine, fall, mean, common = np.empty(3), np.empty(3), np.empty(3), 0.0, 0.0
@@ -114,11 +122,11 @@ def _score(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         uneven, bright = (left - right) / beam_sigma, (middle - 0.5 * (left + right)) / peak_sigma
         least = min(least, uneven * uneven + bright * bright)
-    return chi + least
+    return float(chi + least)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def common_variance(share, diameter_sigma, blur_sigma):  # type: ignore[no-untyped-def]
+def common_variance(share: float, diameter_sigma: float, blur_sigma: float) -> float:
     """Variance of ln(size) that an error of diameter and of blur makes in all spots alike.
 
     ``share``: blur over size; of a small spot the blur is most of its size.
@@ -128,7 +136,7 @@ def common_variance(share, diameter_sigma, blur_sigma):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True)
-def _model(points, normals, diameters, out):  # type: ignore[no-untyped-def]
+def _model(points: Array, normals: Array, diameters: Array, out: Array) -> bool:
     """Constants of a triangle for the quick pose; false where its discs differ too much for it.
 
     With B from left to right and P from their middle to the centre: B², P², B·P, |B × P|², the
@@ -161,10 +169,11 @@ def _model(points, normals, diameters, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _hopeless(  # type: ignore[no-untyped-def]
-    model, left, centre, right, directions, log_size, log_peak, focal_px, blur_px,
-    tolerances, window, score_limit,
-):  # fmt: skip
+def _hopeless(
+    model: Array, left: int, centre: int, right: int, directions: Array, log_size: Array,
+    log_peak: Array, focal_px: float, blur_px: float, tolerances: Tolerances, window: Array,
+    score_limit: float,
+) -> bool:  # fmt: skip
     """Whether neither of the two poses in weak perspective comes near the score that is needed.
 
     On the plane across the middle m of the base's two rays, in units of the range Z to the base's
@@ -224,7 +233,10 @@ def _hopeless(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _size_off(radius_px, cosine, size, limit, least_facing, blur_px):  # type: ignore[no-untyped-def]
+def _size_off(
+    radius_px: float, cosine: float, size: float, limit: float, least_facing: float,
+    blur_px: float,
+) -> bool:  # fmt: skip
     """Whether ln(size) is further than ``limit`` from that of every tilt; cosine: off boresight."""
     largest = radius_px / (cosine * cosine)
     least = 0.97 * math.sqrt(0.5 + 0.5 * least_facing * least_facing) * cosine * largest
@@ -235,7 +247,7 @@ def _size_off(radius_px, cosine, size, limit, least_facing, blur_px):  # type: i
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _chord(directions, left, right):  # type: ignore[no-untyped-def]
+def _chord(directions: Array, left: int, right: int) -> tuple[float, float, float]:
     return (
         directions[right, 0] - directions[left, 0],
         directions[right, 1] - directions[left, 1],
@@ -244,7 +256,10 @@ def _chord(directions, left, right):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _unlike(chord, s0, s1, s2, bright, ratio, reach, steep, size_sigma, peak_sigma):  # type: ignore[no-untyped-def]
+def _unlike(
+    chord: float, s0: float, s1: float, s2: float, bright: float, ratio: float, reach: float,
+    steep: float, size_sigma: float, peak_sigma: float,
+) -> bool:  # fmt: skip
     """Whether sizes and brightnesses differ by more than the score and any tilt allow.
 
     Tilt explains differences of no more than ``steep`` of the base.
@@ -259,7 +274,9 @@ def _unlike(chord, s0, s1, s2, bright, ratio, reach, steep, size_sigma, peak_sig
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _base_frame(directions, left, centre, right, chord):  # type: ignore[no-untyped-def]
+def _base_frame(
+    directions: Array, left: int, centre: int, right: int, chord: float
+) -> tuple[float, float, float, Vector, Vector, Vector]:
     """Three spots on the plane across the middle m of the base's two rays.
 
     Returns half the length t of the base on the plane, the centre spot along and across the base,
@@ -282,7 +299,10 @@ def _base_frame(directions, left, centre, right, chord):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _weak_pose(model, sign, t, along, across, m, u, v, focal_px, window):  # type: ignore[no-untyped-def]
+def _weak_pose(
+    model: Array, sign: float, t: float, along: float, across: float, m: Vector, u: Vector,
+    v: Vector, focal_px: float, window: Array,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
     """One of the two poses in weak perspective, corrected for the depths that it finds.
 
     Returns:
@@ -321,7 +341,9 @@ def _weak_pose(model, sign, t, along, across, m, u, v, focal_px, window):  # typ
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _scaled(bb, pp, bp, area, wide, along, across):  # type: ignore[no-untyped-def]
+def _scaled(
+    bb: float, pp: float, bp: float, area: float, wide: float, along: float, across: float
+) -> tuple[float, float, float, float]:
     """Square of the base as seen (m²), range, and the centre in lengths of the base."""
     x, y = along / wide, across / wide
     h = bb * (x * x + y * y) + pp - 2.0 * bp * x
@@ -330,18 +352,20 @@ def _scaled(bb, pp, bp, area, wide, along, across):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, nogil=True)
-def least_facing(rotation, translation, points, normals):  # type: ignore[no-untyped-def]
+def least_facing(rotation: Array, translation: Array, points: Array, normals: Array) -> float:
     """Least cosine between a reflector's normal and its line of sight; below 0 one faces away."""
     least = 1.0
     for i in range(points.shape[0]):
         x, y, z = placed(rotation, translation, points, i)
         nx, ny, nz = turned(rotation, normals, i)
         least = min(least, -(nx * x + ny * y + nz * z) / math.sqrt(x * x + y * y + z * z))
-    return least
+    return float(least)
 
 
 @njit(cache=True, nogil=True)
-def facing_root(rotations, translations, count, points, normals):  # type: ignore[no-untyped-def]
+def facing_root(
+    rotations: Array, translations: Array, count: int, points: Array, normals: Array
+) -> int:
     """Of the roots the one whose least-facing reflector faces the camera most; −1 if none does.
 
     With a post (Bales) it is the only one; of reflectors in a plane there may be others.

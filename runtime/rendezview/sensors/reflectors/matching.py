@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.reflectors.discs import disc_radius, placed, project_disc, turned
@@ -12,11 +13,15 @@ from rendezview.sensors.reflectors.judgement import common_variance
 from rendezview.sensors.reflectors.spots import SIZE
 from rendezview.sensors.reflectors.triplets import expected_size
 
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
 
 @njit(cache=True, nogil=True)
-def expect_spots(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, out
-):
+def expect_spots(
+    lens: Array, points: Array, normals: Array, diameters: Array, rotation: Array,
+    translation: Array, focal_px: float, blur_px: float, out: Array,
+) -> None:  # fmt: skip
     """(N, 3) place and size of every reflector at a pose; NaN where it faces away or is behind."""
     for i in range(points.shape[0]):
         x, y, z = placed(rotation, translation, points, i)
@@ -33,10 +38,11 @@ def expect_spots(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def match_spots(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, rotation, translation, focal_px, blur_px, order, table,
-    usable, three, limits, which, where,
-):  # fmt: skip
+def match_spots(
+    lens: Array, points: Array, normals: Array, diameters: Array, rotation: Array,
+    translation: Array, focal_px: float, blur_px: float, order: Ints, table: Array, usable: Ints,
+    three: Ints, limits: tuple[float, float], which: Ints, where: Ints,
+) -> int:  # fmt: skip
     """Reflectors and the spots that agree with a pose in place and size."""
     match_px, size_limit = limits
     expected = np.empty((points.shape[0], 3))
@@ -69,10 +75,11 @@ def match_spots(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def match_all(  # type: ignore[no-untyped-def]
-    lens, points, normals, diameters, poses, focal_px, blur_px, orders, table, usable, triplets,
-    limits, counts, which, where,
-):  # fmt: skip
+def match_all(
+    lens: Array, points: Array, normals: Array, diameters: Array, poses: Array, focal_px: float,
+    blur_px: float, orders: Ints, table: Array, usable: Ints, triplets: Ints,
+    limits: tuple[float, float], counts: Ints, which: Ints, where: Ints,
+) -> None:  # fmt: skip
     """`match_spots` of K poses (K, 12); fills counts (K,), which and where (K, N)."""
     for k in range(poses.shape[0]):
         counts[k] = match_spots(
@@ -86,9 +93,10 @@ def match_all(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def size_score(  # type: ignore[no-untyped-def]
-    points, normals, diameters, rotation, translation, focal_px, blur_px, sizes, sigmas
-):
+def size_score(
+    points: Array, normals: Array, diameters: Array, rotation: Array, translation: Array,
+    focal_px: float, blur_px: float, sizes: Array, sigmas: tuple[float, float, float],
+) -> float:  # fmt: skip
     """χ² of the sizes of spots (N,) at a pose; ``sigmas`` of one, of ln diameter and of ln blur."""
     size_sigma, diameter_sigma, blur_sigma = sigmas
     count, mean, squares, common = points.shape[0], 0.0, 0.0, 0.0
@@ -103,4 +111,4 @@ def size_score(  # type: ignore[no-untyped-def]
         squares += error * error
         common += common_variance(blur_px / expected, diameter_sigma, blur_sigma) / count
     own = max(squares - count * mean * mean, 0.0) / (size_sigma * size_sigma)
-    return own + mean * mean / (size_sigma * size_sigma / count + common)
+    return float(own + mean * mean / (size_sigma * size_sigma / count + common))

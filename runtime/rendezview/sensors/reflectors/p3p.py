@@ -34,6 +34,9 @@ from rendezview.sensors.reflectors.conic_pencil import (
     unit_conic,
 )
 
+_Axes = tuple[float, float, float, float, float, float, float, float, float]
+_Root = tuple[float, float, float, float]  # k, X, Y, error
+
 Counts = npt.NDArray[np.int64]
 
 MAX_ROOTS = 4  # poses. Source: Persson & Nordberg 2018, two conics meet in four points
@@ -104,14 +107,19 @@ def _checked(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _batch(rays, points, residual, rotations, translations, counts):  # type: ignore[no-untyped-def]
+def _batch(
+    rays: Array, points: Array, residual: float, rotations: Array, translations: Array,
+    counts: Counts,
+) -> None:  # fmt: skip
     for n in range(rays.shape[0]):
         model = points[n] if points.shape[0] > 1 else points[0]
         counts[n] = p3p_roots(rays[n], model, residual, rotations[n], translations[n])
 
 
 @njit(cache=True, nogil=True)
-def p3p_roots(rays, points, residual, rotations, translations):  # type: ignore[no-untyped-def]
+def p3p_roots(
+    rays: Array, points: Array, residual: float, rotations: Array, translations: Array
+) -> int:
     """`solve_p3p` for other compiled code: fills (4, 3, 3) and (4, 3), returns the number."""
     n0 = math.sqrt(rays[0, 0] ** 2 + rays[0, 1] ** 2 + rays[0, 2] ** 2)
     n1 = math.sqrt(rays[1, 0] ** 2 + rays[1, 1] ** 2 + rays[1, 2] ** 2)
@@ -169,12 +177,12 @@ def p3p_roots(rays, points, residual, rotations, translations):  # type: ignore[
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _minus(points, i, j):  # type: ignore[no-untyped-def]
+def _minus(points: Array, i: int, j: int) -> tuple[float, float, float]:
     return points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
 
 
 @njit(cache=True, nogil=True)
-def _frame(ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
+def _frame(ux: float, uy: float, uz: float, vx: float, vy: float, vz: float) -> _Axes:
     """Right-handed frame of two sides of a triangle, axis by axis; (2, 0, …) where it has none."""
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     u, n = math.sqrt(ux * ux + uy * uy + uz * uz), math.sqrt(nx * nx + ny * ny + nz * nz)
@@ -185,7 +193,9 @@ def _frame(ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _ratios(sides, angles, s):  # type: ignore[no-untyped-def]
+def _ratios(
+    sides: tuple[float, float, float], angles: tuple[float, float, float], s: float
+) -> tuple[_Root, _Root, _Root, _Root]:
     """Four candidates (k, X, Y, error), polished; k = s² r1² over the longest side squared.
 
     ``k (X² + (1 + s X) Q12) = D12²``, ``k (Y² + (1 + s Y) Q13) = D13²`` and
@@ -245,7 +255,10 @@ def _ratios(sides, angles, s):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _polish(point, sides, angles, s):  # type: ignore[no-untyped-def]
+def _polish(
+    point: tuple[float, float], sides: tuple[float, float, float],
+    angles: tuple[float, float, float], s: float,
+) -> _Root:  # fmt: skip
     """Newton on the three equations in (k, X, Y) for as long as the error falls."""
     x, y = point
     if not (math.isfinite(x) and math.isfinite(y)):

@@ -215,7 +215,7 @@ class Face:
 
 
 @njit(cache=True, nogil=True)
-def _six(rotation, translation, face, origin, out):  # type: ignore[no-untyped-def]
+def _six(rotation: Array, translation: Array, face: Array, origin: Array, out: Array) -> None:
     place, turn = np.empty(3), np.empty((3, 3))
     for i in range(3):
         place[i] = translation[i]

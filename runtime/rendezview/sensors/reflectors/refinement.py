@@ -25,8 +25,9 @@ from rendezview.sensors.reflectors.pattern import ReflectorPattern
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
-_ITERATIONS = 30
-_TRIALS = 8  # of damping, before the last pose is taken as the minimum
+_ITERATIONS = 30  # Source: by construction, a bound only
+# Of damping, before the last pose is taken as the minimum.
+_TRIALS = 8  # Source: by construction, a bound only
 _STEP = 1e-12  # rad and share of the range: the end. Source: by construction, rounding
 # rad + share of the range: after so small a step the cost may rise by rounding.
 # Source: by construction, root of rounding
@@ -115,9 +116,10 @@ def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def adjust(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, spots, sigma, prior, rotation, shift, covariance, residuals
-):
+def adjust(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    prior: Array, rotation: Array, shift: Array, covariance: Array, residuals: Array,
+) -> int:  # fmt: skip
     """Levenberg–Marquardt on the spots; changes ``rotation`` and ``shift`` (of the arms' origin).
 
     ``prior`` is the information (6, 6) of the start, zero for none. Returns the number of
@@ -176,9 +178,10 @@ def adjust(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _doubt_light(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, sigma, rotation, shift, covariance
-):
+def _doubt_light(
+    lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
+    shift: Array, covariance: Array,
+) -> None:  # fmt: skip
     """Add what the law of light, which may be even, moves the pose by: one number for all spots."""
     even, jacobian, pull = lens.copy(), np.empty((2, 6)), np.zeros(6)
     even[13] = 0.0
@@ -199,9 +202,10 @@ def _doubt_light(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _equations(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, sigma, rotation, shift, residuals, prior, offset, normal, right
-):
+def _equations(
+    lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
+    shift: Array, residuals: Array, prior: Array, offset: Array, normal: Array, right: Array,
+) -> None:  # fmt: skip
     """Normal equations (6, 6) and (6,) of the spots and of a prior ``offset`` (6,) away."""
     jacobian = np.empty((2, 6))
     for a in range(6):
@@ -226,7 +230,9 @@ def _equations(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _difference(rotation, shift, from_r, from_t, wanted, out):  # type: ignore[no-untyped-def]
+def _difference(
+    rotation: Array, shift: Array, from_r: Array, from_t: Array, wanted: bool, out: Array
+) -> None:
     """Left perturbation (6,) that leads from one pose to another; untouched where not wanted."""
     if wanted:
         out[:3] = between(rotation, from_r)
@@ -234,10 +240,11 @@ def _difference(rotation, shift, from_r, from_t, wanted, out):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def solve_spots(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, centre, table, seen, floor_px,
-    rotation, translation_before, translation, covariance, residuals,
-):  # fmt: skip
+def solve_spots(
+    lens: Array, arms: Array, normals: Array, diameters: Array, centre: Array, table: Array,
+    seen: Ints, floor_px: float, rotation: Array, translation_before: Array, translation: Array,
+    covariance: Array, residuals: Array,
+) -> int:  # fmt: skip
     """`adjust` on the rows ``seen`` of a spot table; pose and covariance at the target's origin.
 
     ``rotation`` is that of the start and becomes the result's. Returns the iterations, or −1
@@ -273,7 +280,7 @@ def solve_spots(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _spans(arms):  # type: ignore[no-untyped-def]
+def _spans(arms: Array) -> bool:
     """Whether reflectors are not all on one line."""
     longest, widest = 0.0, 0.0
     for i in range(1, arms.shape[0]):
@@ -287,7 +294,7 @@ def _spans(arms):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _prior_cost(prior, offset):  # type: ignore[no-untyped-def]
+def _prior_cost(prior: Array, offset: Array) -> float:
     total = 0.0
     for a in range(6):
         for b in range(6):
@@ -296,9 +303,10 @@ def _prior_cost(prior, offset):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _cost(  # type: ignore[no-untyped-def]
-    lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals
-):
+def _cost(
+    lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
+    rotation: Array, shift: Array, residuals: Array,
+) -> float:  # fmt: skip
     total = 0.0
     for i in range(arms.shape[0]):
         px, py, pz = turned(rotation, arms, i)
@@ -312,7 +320,10 @@ def _cost(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _jacobian(lens, arms, normals, diameters, rotation, shift, i, out):  # type: ignore[no-untyped-def]
+def _jacobian(
+    lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
+    i: int, out: Array,
+) -> None:  # fmt: skip
     """(2, 6) of spot i by central differences: a turn moves arm and normal, a shift the centre."""
     arm = turned(rotation, arms, i)
     n = turned(rotation, normals, i)
@@ -336,7 +347,7 @@ def _jacobian(lens, arms, normals, diameters, rotation, shift, i, out):  # type:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _cross_axis(k, v):  # type: ignore[no-untyped-def]
+def _cross_axis(k: int, v: tuple[float, float, float]) -> tuple[float, float, float]:
     if k == 0:
         return 0.0, -v[2], v[1]
     if k == 1:

@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -28,6 +29,7 @@ from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.spots import find_spots
 from rendezview.sensors.reflectors.track import TrackingOptions
 from rendezview.sensors.run import observe
+from rendezview.sensors.sensor import AidedSensor
 
 
 class Mode(StrEnum):
@@ -176,7 +178,7 @@ def follow(
     """
     if independent:
         tracking = TrackingOptions(confirm=False)
-    sensors: dict[Camera, ReflectorSensor] = {}
+    sensors: dict[Camera, AidedSensor[LitDark, npt.ArrayLike, ReflectorObservation]] = {}
 
     def look(pair: FramePair, time_s: float, frames: LitDark) -> ReflectorObservation:
         camera = pair.lit.camera

@@ -160,6 +160,7 @@ class ReflectorSensor:
             )  # fmt: skip
         ambiguous = found.roll_ambiguous
         if prior is not None and self._track is not None:  # it stays as well known as it was
+            assert found.reflectors is not None
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
 

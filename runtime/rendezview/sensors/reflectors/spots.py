@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.spot_centroid import centre_spot, ring_plane, saturated_error
@@ -147,7 +148,10 @@ def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int
 
 
 @njit(cache=True, nogil=True)
-def _label_loop(mask, words, lit, dark, level, stack, table):  # type: ignore[no-untyped-def]
+def _label_loop(
+    mask: Grey, words: npt.NDArray[np.uint64], lit: Grey, dark: Grey, level: float,
+    stack: npt.NDArray[np.int32], table: Array,
+) -> int:  # fmt: skip
     height, width = mask.shape
     flat = mask.reshape(-1)
     count = 0
@@ -165,7 +169,10 @@ def _label_loop(mask, words, lit, dark, level, stack, table):  # type: ignore[no
 
 
 @njit(cache=True, nogil=True)
-def gather(flat, width, height, start, lit, dark, level, stack, row):  # type: ignore[no-untyped-def]
+def gather(
+    flat: Grey, width: int, height: int, start: int, lit: Grey, dark: Grey, level: float,
+    stack: npt.NDArray[np.int32], row: Array,
+) -> None:  # fmt: skip
     """Zero a spot out of the mask, layer by layer, and fill its row (8-connected)."""
     has_dark = dark.shape[0] > 0
     area = saturated = 0
@@ -225,7 +232,7 @@ def gather(flat, width, height, start, lit, dark, level, stack, row):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
+def place(lit: Grey, dark: Grey, table: Array, noise: float, method: int) -> None:
     """Fill place, size and error of every spot; method 0 binary, 1 weighted, 2 windowed."""
     columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
     for i in range(table.shape[0]):
@@ -242,7 +249,9 @@ def place(lit, dark, table, noise, method):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def window_centroid(lit, dark, row, noise, columns, rows):  # type: ignore[no-untyped-def]
+def window_centroid(
+    lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
+) -> None:
     """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size."""
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))

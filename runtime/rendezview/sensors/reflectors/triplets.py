@@ -18,6 +18,8 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
+Ints = npt.NDArray[np.int64]
+
 Table = npt.NDArray[np.float64]
 
 _ALIKE = 0.3  # ln of the sizes of two spots of equal reflectors, at most
@@ -135,7 +137,7 @@ def paper_tests(spots_px: npt.ArrayLike, hourglass: Hourglass = PAPER_HOURGLASS)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def expected_size(blur_px, radius_px):  # type: ignore[no-untyped-def]
+def expected_size(blur_px: float, radius_px: float) -> float:
     """σ of the window that settles on a disc of some radius under a Gaussian blur, px.
 
     A small disc adds its second moment, radius²/4; a large one makes the window settle at 0.631
@@ -147,10 +149,11 @@ def expected_size(blur_px, radius_px):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def search(  # type: ignore[no-untyped-def]
-    directions, flat, sizes, peaks, order, glass, base_m, diameters_m, focal_px, blur_px,
-    limits, both_ways, out,
-):  # fmt: skip
+def search(
+    directions: Array, flat: Array, sizes: Array, peaks: Array, order: Ints, glass: Array,
+    base_m: float, diameters_m: Array, focal_px: float, blur_px: float,
+    limits: tuple[float, ...], both_ways: bool, out: Ints,
+) -> int:  # fmt: skip
     """Number of non-redundant triplets that pass the tests, (left, centre, right) in ``out``.
 
     Args:
@@ -209,10 +212,11 @@ def search(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _by_column(  # type: ignore[no-untyped-def]
-    directions, flat, sizes, peaks, order, base_m, diameters_m, focal_px, blur_px, size_tolerance,
-    blur_tolerance, foreshortened,
-):  # fmt: skip
+def _by_column(
+    directions: Array, flat: Array, sizes: Array, peaks: Array, order: Ints, base_m: float,
+    diameters_m: Array, focal_px: float, blur_px: float, size_tolerance: float,
+    blur_tolerance: float, foreshortened: float,
+) -> tuple[Array, Array, Array, Array, Array, Array, float]:  # fmt: skip
     """The spots by rising x: least and most base by size (chords), ln size, ln peak, places, rays.
 
     Then by how much the flat picture is stretched off the boresight: as much as 1 / cos².
@@ -241,10 +245,12 @@ def _by_column(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _centres(  # type: ignore[no-untyped-def]
-    i, j, chord, ray, at, log_size, log_peak, low, high, order, glass, limits, columns, rows,
-    firsts, members, both_ways, found, out,
-):  # fmt: skip
+def _centres(
+    i: int, j: int, chord: float, ray: Array, at: Array, log_size: Array, log_peak: Array,
+    low: Array, high: Array, order: Ints, glass: Array,
+    limits: tuple[float, float, float, float, float, float, float], columns: tuple[float, float],
+    rows: tuple[float, float], firsts: Ints, members: Ints, both_ways: bool, found: int, out: Ints,
+) -> int:  # fmt: skip
     """Write the triplets of the base i, j; the number found so far, −1 where ``out`` is full."""
     along, over, left, top, alike, peak_tolerance, longest_side = limits
     square = chord * chord
@@ -300,7 +306,9 @@ def _centres(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _grid(at, least):  # type: ignore[no-untyped-def]
+def _grid(
+    at: Array, least: float
+) -> tuple[Ints, Ints, float, float, tuple[float, float], tuple[float, float]]:
     """Spots (N, 2) sorted into square cells, row by row: where each cell begins, and its spots.
 
     Then left and top edge, and (number, cells a pixel) of columns and of rows.
@@ -327,13 +335,13 @@ def _grid(at, least):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _within(glass, x, y):  # type: ignore[no-untyped-def]
+def _within(glass: Array, x: float, y: float) -> bool:
     dx = abs(x - glass[0])
-    return (dx <= glass[3]) & (abs(y - glass[1]) <= glass[2] * dx + glass[4])
+    return bool((dx <= glass[3]) & (abs(y - glass[1]) <= glass[2] * dx + glass[4]))
 
 
 @njit(cache=True, nogil=True)
-def _radius(size, blur_px):  # type: ignore[no-untyped-def]
+def _radius(size: float, blur_px: float) -> float:
     """Radius of the disc whose `expected_size` this is; 0 below the blur."""
     if size <= blur_px:
         return 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.reflectors.spots import (
@@ -23,13 +24,20 @@ from rendezview.sensors.reflectors.spots import (
     window_centroid,
 )
 
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+Ints = npt.NDArray[np.int64]
+
+_Options = tuple[float, float, float, float, float, float]  # see `place_windows`
+
 _NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 
 
 @njit(cache=True, nogil=True)
-def read_windows(  # type: ignore[no-untyped-def]
-    lit, dark, expected, half, level, noise, limits, table, outcome
-):
+def read_windows(
+    lit: Grey, dark: Grey, expected: Array, half: Array, level: Array, noise: float,
+    limits: tuple[float, float], table: Array, outcome: Ints,
+) -> None:  # fmt: skip
     """Look for one spot in each window.
 
     Args:
@@ -63,9 +71,11 @@ def read_windows(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _search_window(  # type: ignore[no-untyped-def]
-    lit, dark, expected, half, level, noise, limits, box, columns, rows, best_row
-):
+def _search_window(
+    lit: Grey, dark: Grey, expected: Array, half: float, level: float, noise: float,
+    limits: tuple[float, float], box: tuple[int, int, int, int], columns: Array, rows: Array,
+    best_row: Array,
+) -> int:  # fmt: skip
     """Outcome of one window; the row of the spot nearest in place and size into ``best_row``."""
     height, width = lit.shape
     size_limit, least_shape = limits
@@ -109,7 +119,7 @@ def _search_window(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _threshold(part, part_dark, level, flat):  # type: ignore[no-untyped-def]
+def _threshold(part: Grey, part_dark: Grey, level: float, flat: Grey) -> float:
     """Mark the pixels of a window above its threshold in ``flat``; the threshold, grey."""
     h, w = part.shape
     floor = level
@@ -130,7 +140,7 @@ def _threshold(part, part_dark, level, flat):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
+def window_noise(lit: Grey, dark: Grey, expected: Array, half: Array) -> float:
     """Noise of one pixel of the difference from the windows' rims, grey levels.
 
     From neighbours along the upper and lower rim, where no spot is; the mean absolute step
@@ -160,9 +170,10 @@ def window_noise(lit, dark, expected, half):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def place_windows(  # type: ignore[no-untyped-def]
-    expected, places, before, brightness, unseen, ratio, misses, options, half, level
-):
+def place_windows(
+    expected: Array, places: Array, before: Array, brightness: Array, unseen: Ints, ratio: float,
+    misses: int, options: _Options, half: Array, level: Array,
+) -> None:  # fmt: skip
     """Move the places that a pose predicts by the last motion; set half widths and thresholds.
 
     Book et al.: the centroid plus its last step. A reflector that was not visible twice takes the
@@ -177,8 +188,7 @@ def place_windows(  # type: ignore[no-untyped-def]
         options: window_sizes, window_px, coasting_px, window_share, apart_sizes, least_grey.
         half, level: (N,) results.
     """
-    sizes, extra, coasting, share, apart, least = options
-    count = expected.shape[0]
+    (sizes, extra, coasting, share, apart, least), count = options, expected.shape[0]
     mean_x = mean_y = usual = 0.0
     moving = shining = 0
     for i in range(count):
@@ -223,7 +233,7 @@ def place_windows(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def carry(table, brightness, since, bright, unseen):  # type: ignore[no-untyped-def]
+def carry(table: Array, brightness: Array, since: Ints, bright: Array, unseen: Ints) -> None:
     """Brightness (N,) and readings without a spot (N,) after a reading; NaN: not visible."""
     for i in range(table.shape[0]):
         visible = math.isfinite(table[i, X])

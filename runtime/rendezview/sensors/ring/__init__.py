@@ -8,7 +8,7 @@ from rendezview.sensors.ring.circle_pose import (
     tangent_basis,
 )
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
-from rendezview.sensors.ring.ellipse import Ellipse, fit_hyper, fit_paper
+from rendezview.sensors.ring.ellipse import Ellipse, fit_hyper
 from rendezview.sensors.ring.observation import RingObservation
 from rendezview.sensors.ring.sensor import RingPrior, RingSensor
 
@@ -28,7 +28,6 @@ __all__ = [
     "by_point",
     "circle_poses",
     "fit_hyper",
-    "fit_paper",
     "shape_of_circle",
     "tangent_basis",
 ]

@@ -8,9 +8,14 @@ together: its normal equations are the sum of theirs, so a pair costs one 3 × 3
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int32]
+Bools = npt.NDArray[np.bool_]
 
 # Columns of the table of arcs
 FIRST, LAST, TURN, LENGTH = 0, 1, 2, 3
@@ -30,7 +35,7 @@ _FAR_PX = 12.0  # an arc further from a well determined ellipse is not tried
 
 
 @njit(cache=True, nogil=True)
-def _polygon(points, first, last, keep):  # type: ignore[no-untyped-def]
+def _polygon(points: Array, first: int, last: int, keep: Bools) -> None:
     """Mark the corners of the polygon of points first … last."""
     keep[first] = True
     keep[last] = True
@@ -58,7 +63,7 @@ def _polygon(points, first, last, keep):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def find_arcs(points, starts, closed):  # type: ignore[no-untyped-def]
+def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
     """Arcs of all chains, the longest first: (M, COLUMNS); FIRST … LAST - 1 are their points."""
     total = points.shape[0]
     keep = np.zeros(total, dtype=np.bool_)
@@ -113,7 +118,7 @@ def find_arcs(points, starts, closed):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _arc(points, first, end, row):  # type: ignore[no-untyped-def]
+def _arc(points: Array, first: int, end: int, row: Array) -> int:
     """Describe the points first … end - 1 in a row of the table; 0 where they do not bend."""
     n = end - first
     if n < 10:
@@ -160,7 +165,7 @@ def _arc(points, first, end, row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _faces(a, b, slack):  # type: ignore[no-untyped-def]
+def _faces(a: Array, b: Array, slack: float) -> bool:
     """Whether arc b lies on the inner side of arc a's tangent at its middle."""
     for k in range(3):
         x, y = b[X0 + 2 * k] - a[XM], b[Y0 + 2 * k] - a[YM]
@@ -170,7 +175,7 @@ def _faces(a, b, slack):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _misfit(ellipse, points, arc):  # type: ignore[no-untyped-def]
+def _misfit(ellipse: Array, points: Array, arc: Array) -> float:
     """Root mean square distance of an arc's points from an ellipse, px."""
     first, end = int(arc[FIRST]), int(arc[LAST])
     step = max(1, (end - first) // _SAMPLED)
@@ -179,11 +184,14 @@ def _misfit(ellipse, points, arc):  # type: ignore[no-untyped-def]
         d = sampson(ellipse, points[i, 0], points[i, 1])
         total += d * d
         count += 1
-    return np.sqrt(total / count)
+    return float(np.sqrt(total / count))
 
 
 @njit(cache=True, nogil=True)
-def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limits):  # type: ignore[no-untyped-def]
+def group_arcs(
+    points: Array, arcs: Array, scale: float, centre_x: float, centre_y: float,
+    tolerance_px: float, most: int, limits: Array,
+) -> tuple[Array, Array]:  # fmt: skip
     """Ellipses through arcs: (K, 5) x, y, a, b, angle, and the summed length of their arcs (K,).
 
     Every arc starts a group, the longest first; the other arcs join it, best first, as long as
@@ -243,10 +251,11 @@ def group_arcs(points, arcs, scale, centre_x, centre_y, tolerance_px, most, limi
 
 
 @njit(cache=True, nogil=True)
-def _best_arc(  # type: ignore[no-untyped-def]
-    points, arcs, sums, total, frame, limits, tolerance_px, seed, check_sides, known, ellipse,
-    member, tried,
-):  # fmt: skip
+def _best_arc(
+    points: Array, arcs: Array, sums: Array, total: Array, frame: tuple[float, float, float],
+    limits: Array, tolerance_px: float, seed: int, check_sides: bool, known: bool, ellipse: Array,
+    member: Bools, tried: Bools,
+) -> int:  # fmt: skip
     """Number of the arc that fits a group best, -1 for none; marks those that never will."""
     count = sums.shape[0]
     conic, trial = np.empty(6), np.empty(5)
@@ -278,7 +287,7 @@ def _best_arc(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _usable(conic, frame, ellipse, limits):  # type: ignore[no-untyped-def]
+def _usable(conic: Array, frame: tuple[float, float, float], ellipse: Array, limits: Array) -> bool:
     scale, centre_x, centre_y = frame
     if not ellipse_of_conic(conic, ellipse):
         return False
@@ -286,6 +295,6 @@ def _usable(conic, frame, ellipse, limits):  # type: ignore[no-untyped-def]
     ellipse[1] = ellipse[1] * scale + centre_y
     ellipse[2] *= scale
     ellipse[3] *= scale
-    return (
+    return bool(
         ellipse[3] >= limits[0] and ellipse[2] <= limits[1] and ellipse[3] >= limits[2] * ellipse[2]
     )

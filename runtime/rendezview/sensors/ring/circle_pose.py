@@ -21,7 +21,7 @@ from rendezview.sensors.ring.ellipse import Ellipse
 Array = npt.NDArray[np.float64]
 
 RADIUS_SHARE = 3e-4  # σ of a known radius: facets of a CAD ring, warmth, tolerances
-_FIXED_POINT_STEPS = 12
+_FIXED_POINT_STEPS = 12  # Source: by construction, a bound only
 _LARGEST_ANGLE_RAD = 1.0  # of an axis' standard deviation: beyond it nothing is known
 
 
@@ -75,7 +75,7 @@ def shape_of_circle(
 
 
 @njit(cache=True, nogil=True)
-def picture_of_circle(camera, c, n, radius, shape):  # type: ignore[no-untyped-def]
+def picture_of_circle(camera: Array, c: Array, n: Array, radius: float, shape: Array) -> bool:
     """`shape_of_circle` for compiled loops; False where there is no ellipse."""
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     r2 = radius * radius
@@ -102,7 +102,9 @@ def picture_of_circle(camera, c, n, radius, shape):  # type: ignore[no-untyped-d
 
 
 @njit(cache=True, nogil=True)
-def circles_of_picture(camera, shape, radius, centres, axes):  # type: ignore[no-untyped-def]
+def circles_of_picture(
+    camera: Array, shape: Array, radius: float, centres: Array, axes: Array
+) -> int:
     """Centres (2, 3) and axes (2, 3) of both circles; 2, 1 where they are one, 0 for no ellipse."""
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     # The cone over the ellipse in ray coordinates: |A⁻¹ (p - c)|² = 1.
@@ -210,7 +212,10 @@ def _covariance_at(camera: Camera, pose: CirclePose, axis: Array, shape_covarian
 
 
 @njit(cache=True, nogil=True)
-def _propagate(camera, centre, axis, basis, radius, shape_covariance, out):  # type: ignore[no-untyped-def]
+def _propagate(
+    camera: Array, centre: Array, axis: Array, basis: Array, radius: float,
+    shape_covariance: Array, out: Array,
+) -> bool:  # fmt: skip
     """Covariance of the pose from that of the shape, slopes and bends taken at ``axis``."""
     base, ahead, behind = np.empty(5), np.empty(5), np.empty(5)
     if not picture_of_circle(camera, centre, axis, radius, base):

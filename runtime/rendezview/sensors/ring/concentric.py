@@ -31,9 +31,10 @@ from rendezview.sensors.ring.ellipse import Ellipse
 Array = npt.NDArray[np.float64]
 
 PLANE_SHARE = 0.004  # σ of an edge's height over the ring's plane, as a share of the radius
-_STEPS = 15  # Gauss–Newton iterations at most
+_STEPS = 15  # Gauss–Newton iterations at most. Source: by construction, a bound only
 _LEAST_GAIN = 1e-4  # χ², a hundredth of a standard deviation: the end. Source: by construction
-_SLOPE_STEP = 1e-5  # of a parameter, for numerical slopes
+# Of a parameter, for numerical slopes.
+_SLOPE_STEP = 1e-5  # Source: by construction, between rounding and curvature
 _MOST = 5
 _MISFIT = 4.0  # χ² over its degrees of freedom, of edges that are not of one plane
 
@@ -67,11 +68,11 @@ def fit_joint(
     used = ellipses[:_MOST]
     shapes = np.array([ellipse.shape for ellipse in used])
     covariances = np.array([ellipse.shape_covariance for ellipse in used], dtype=np.float64)
-    information = np.linalg.inv(covariances)
+    information = np.asarray(np.linalg.inv(covariances), dtype=np.float64)
     size = np.sqrt(shapes[:, 2] * shapes[:, 4] - shapes[:, 3] ** 2)
     centre, axis = start.centre_m.copy(), start.axis.copy()
     covariance = np.empty((5, 5))
-    ratios = size / size[0]
+    ratios = np.asarray(size / size[0], dtype=np.float64)
     chi2 = _fit(
         lens_vector(camera), shapes, information, start.radius_m, plane_share, centre, axis,
         tangent_basis(axis), ratios, covariance,
@@ -97,7 +98,10 @@ def fit_joint(
 
 
 @njit(cache=True, nogil=True)
-def _predict(camera, centre, axis, basis, radius, parameters, count, out):  # type: ignore[no-untyped-def]
+def _predict(
+    camera: Array, centre: Array, axis: Array, basis: Array, radius: float, parameters: Array,
+    count: int, out: Array,
+) -> bool:  # fmt: skip
     """Shapes (count, 5) of all edges; parameters are steps of the pose, then ratio and height."""
     c = centre + parameters[:3] * radius
     n = axis + basis[:, 0] * parameters[3] + basis[:, 1] * parameters[4]
@@ -112,9 +116,10 @@ def _predict(camera, centre, axis, basis, radius, parameters, count, out):  # ty
 
 
 @njit(cache=True, nogil=True)
-def _fit(  # type: ignore[no-untyped-def]
-    camera, shapes, information, radius, plane_share, centre, axis, basis, ratios, covariance
-):
+def _fit(
+    camera: Array, shapes: Array, information: Array, radius: float, plane_share: float,
+    centre: Array, axis: Array, basis: Array, ratios: Array, covariance: Array,
+) -> float:  # fmt: skip
     """Gauss–Newton from ``centre``, ``axis`` (3,), in place; χ², negative where it fails."""
     count = shapes.shape[0]
     size = 5 + 2 * (count - 1)
@@ -162,7 +167,9 @@ def _fit(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _misfit(shapes, predicted, information, p, plane_share):  # type: ignore[no-untyped-def]
+def _misfit(
+    shapes: Array, predicted: Array, information: Array, p: Array, plane_share: float
+) -> float:
     """χ² of the shapes and of the edges' heights over the plane."""
     total = 0.0
     for k in range(shapes.shape[0]):
@@ -174,9 +181,11 @@ def _misfit(shapes, predicted, information, p, plane_share):  # type: ignore[no-
 
 
 @njit(cache=True, nogil=True)
-def _equations(  # type: ignore[no-untyped-def]
-    camera, shapes, here, information, radius, plane_share, centre, axis, basis, p, normal, right
-):
+def _equations(
+    camera: Array, shapes: Array, here: Array, information: Array, radius: float,
+    plane_share: float, centre: Array, axis: Array, basis: Array, p: Array, normal: Array,
+    right: Array,
+) -> bool:  # fmt: skip
     """Normal equations at the parameters ``p``; False where a slope cannot be formed."""
     count, size = shapes.shape[0], p.shape[0]
     there, slopes = np.empty((count, 5)), np.empty((size, count, 5))

@@ -54,7 +54,7 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
 
 
 @njit(cache=True, nogil=True)
-def _group(camera, shapes, size):  # type: ignore[no-untyped-def]
+def _group(camera: Array, shapes: Array, size: Array) -> Ints:
     count = shapes.shape[0]
     group = np.full(count, -1)
     order = np.argsort(-size)

@@ -8,13 +8,16 @@ start of `ellipse.fit_geometric`.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
+
+Array = npt.NDArray[np.float64]
 
 SCATTER = 15  # moments x^i y^j, i + j <= 4. Source: by construction
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def add_point(sums, x, y):  # type: ignore[no-untyped-def]
+def add_point(sums: Array, x: float, y: float) -> None:
     """Add a point to the moments: x⁴ x³y x²y² xy³ y⁴, x³ x²y xy² y³, x² xy y², x y, 1."""
     xx, xy, yy = x * x, x * y, y * y
     sums[0] += xx * xx
@@ -35,7 +38,7 @@ def add_point(sums, x, y):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def conic_of(sums, conic):  # type: ignore[no-untyped-def]
+def conic_of(sums: Array, conic: Array) -> bool:
     """The direct fit's conic (6,) A x² + B xy + C y² + D x + E y + F; False where there is none."""
     s = sums
     # S3 of (x, y, 1), its inverse
@@ -72,7 +75,9 @@ def conic_of(sums, conic):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _quadratic_part(r00, r01, r02, r11, r12, r22):  # type: ignore[no-untyped-def]
+def _quadratic_part(
+    r00: float, r01: float, r02: float, r11: float, r12: float, r22: float
+) -> tuple[bool, float, float, float]:
     """Whether there is a q with R q = λ C q and 4 q0 q2 - q1² = 1, and its unit vector.
 
     With R = L Lᵀ it belongs to the largest eigenvalue of L⁻¹ C L⁻ᵀ, its only positive one.
@@ -118,7 +123,9 @@ def _quadratic_part(r00, r01, r02, r11, r12, r22):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def _eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped-def]
+def _eigenvector(
+    a00: float, a01: float, a02: float, a11: float, a12: float, a22: float, value: float
+) -> tuple[float, float, float, float]:
     """Squared length and components of an eigenvector of a symmetric 3 × 3 matrix A.
 
     It is the largest cross product of two rows of A - value I.
@@ -139,7 +146,7 @@ def _eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untype
 
 
 @njit(cache=True, nogil=True)
-def _largest(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untyped-def]
+def _largest(a00: float, a01: float, a02: float, a11: float, a12: float, a22: float) -> float:
     """Largest eigenvalue of a symmetric 3 × 3 matrix."""
     mean = (a00 + a11 + a22) / 3.0
     off = a01 * a01 + a02 * a02 + a12 * a12
@@ -153,11 +160,11 @@ def _largest(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untyped-def]
         b00 * (b11 * b22 - b12 * b12) - b01 * (b01 * b22 - b12 * b02)
         + b02 * (b01 * b12 - b11 * b02)
     )  # fmt: skip
-    return mean + 2.0 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3.0)
+    return float(mean + 2.0 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3.0))
 
 
 @njit(cache=True, nogil=True)
-def ellipse_of_conic(conic, ellipse):  # type: ignore[no-untyped-def]
+def ellipse_of_conic(conic: Array, ellipse: Array) -> bool:
     """Centre, semi-axes a ≥ b, angle of the long one (5,); False where the conic is no ellipse."""
     a, b, c, d, e, f = conic[0], conic[1], conic[2], conic[3], conic[4], conic[5]
     discriminant = 4.0 * a * c - b * b
@@ -176,11 +183,11 @@ def ellipse_of_conic(conic, ellipse):  # type: ignore[no-untyped-def]
     ellipse[0], ellipse[1] = x, y
     ellipse[2], ellipse[3] = np.sqrt(level / small), np.sqrt(level / large)
     ellipse[4] = 0.5 * np.arctan2(-b, c - a) if root > 0.0 else 0.0
-    return np.isfinite(ellipse[2]) and np.isfinite(x) and np.isfinite(y)
+    return bool(np.isfinite(ellipse[2]) and np.isfinite(x) and np.isfinite(y))
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def sampson(ellipse, x, y):  # type: ignore[no-untyped-def]
+def sampson(ellipse: Array, x: float, y: float) -> float:
     """Distance of a point from an ellipse to first order (Sampson), outside positive, px."""
     c, s = np.cos(ellipse[4]), np.sin(ellipse[4])
     dx, dy = x - ellipse[0], y - ellipse[1]
@@ -188,4 +195,4 @@ def sampson(ellipse, x, y):  # type: ignore[no-untyped-def]
     u, v = (c * dx + s * dy) / a, (c * dy - s * dx) / b
     square = u * u + v * v
     slope = 2.0 * np.sqrt((u / a) ** 2 + (v / b) ** 2)
-    return (square - 1.0) / (slope + 1e-12)
+    return float((square - 1.0) / (slope + 1e-12))

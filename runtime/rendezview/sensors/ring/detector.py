@@ -24,7 +24,7 @@ from rendezview.sensors.ring.verify import verify
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 
-_MOST_ARCS = 120
+_MOST_ARCS = 120  # Source: by construction, a bound of time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +41,7 @@ class RingOptions:
     blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
     sample_px: float = 1.5  # between samples of the final fit
     floor_px: float = 0.03  # σ added to an ellipse's numbers: errors of the edge model
-    most: int = 12  # ellipses kept
+    most: int = 12  # ellipses kept. Source: by construction, a bound of time
 
 
 @dataclass(frozen=True, slots=True, eq=False)

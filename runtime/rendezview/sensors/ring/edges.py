@@ -18,6 +18,9 @@ from numba import njit
 
 from rendezview.io.grey_frame import grain
 
+Bools = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float32]
+
 Grey = npt.NDArray[np.uint8]  # (H, W)
 Gradient = npt.NDArray[np.int16]  # (H, W), Sobel's sum: 8 × grey levels a pixel
 Array = npt.NDArray[np.float64]
@@ -61,7 +64,7 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _powers(dx, dy, line):  # type: ignore[no-untyped-def]
+def _powers(dx: Gradient, dy: Gradient, line: Floats) -> None:
     """Squared gradients of a row."""
     for column in range(line.shape[0]):
         a, b = np.float32(dx[column]), np.float32(dy[column])
@@ -69,7 +72,10 @@ def _powers(dx, dy, line):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _crest(dx, dy, power, row, column, here, out, k):  # type: ignore[no-untyped-def]
+def _crest(
+    dx: Gradient, dy: Gradient, power: Floats, row: int, column: int, here: float, out: Array,
+    k: int,
+) -> bool:  # fmt: skip
     """Place x, y, direction and size of the crest at a pixel, into row k of ``out``."""
     gx, gy = np.float32(dx[row, column]), np.float32(dy[row, column])
     # Two neighbours on the gradient's line, each between two pixels.
@@ -101,7 +107,9 @@ def _crest(dx, dy, power, row, column, here, out, k):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _crests(dx, dy, low, number, power):  # type: ignore[no-untyped-def]
+def _crests(
+    dx: Gradient, dy: Gradient, low: float, number: Ints, power: Floats
+) -> tuple[Array, Ints]:
     """All crests (N, 5) and their pixels (N, 2); ``number`` gets 1 + their index."""
     height, width = dx.shape
     room = 8192
@@ -137,7 +145,9 @@ def _crests(dx, dy, low, number, power):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def link(dx, dy, low, high, number, power):  # type: ignore[no-untyped-def]
+def link(
+    dx: Gradient, dy: Gradient, low: float, high: float, number: Ints, power: Floats
+) -> tuple[Array, Ints, Bools]:
     """Crests of the gradient as chains.
 
     Args:
@@ -158,7 +168,7 @@ def link(dx, dy, low, high, number, power):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _successors(found, place, number):  # type: ignore[no-untyped-def]
+def _successors(found: Array, place: Ints, number: Ints) -> tuple[Ints, Ints]:
     """The crest that follows each one along its edge, and the one before; -1 for none."""
     total = found.shape[0]
     follower = np.full(total, -1, dtype=np.int32)
@@ -201,7 +211,7 @@ def _successors(found, place, number):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _chains(found, follower, leader, high):  # type: ignore[no-untyped-def]
+def _chains(found: Array, follower: Ints, leader: Ints, high: float) -> tuple[Array, Ints, Bools]:
     """Points, starts and whether closed of all chains that are long and strong enough."""
     total = found.shape[0]
     points = np.empty((total, 4))

@@ -19,7 +19,7 @@ from rendezview.sensors.ring.conic import sampson
 
 Array = npt.NDArray[np.float64]
 
-_GEOMETRIC_STEPS = 12
+_GEOMETRIC_STEPS = 12  # Source: by construction, a bound only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +77,12 @@ class Ellipse:
         row = self._row()
         return np.array([sampson(row, x, y) for x, y in points])
 
+    def holds(self, point_px: npt.ArrayLike) -> bool:
+        """Whether a point (2,) px lies within."""
+        x, y, a, b, c = self.shape
+        away = np.linalg.solve([[a, b], [b, c]], np.asarray(point_px, np.float64) - (x, y))
+        return bool(away @ away < 1.0)
+
     def points(self, count: int = 180) -> Array:
         """(count, 2) points on it, px."""
         angles = np.linspace(0.0, 2.0 * math.pi, count, endpoint=False)
@@ -87,41 +93,6 @@ class Ellipse:
 
     def _row(self) -> Array:
         return np.array([*self.centre_px, *self.semi_axes_px, self.angle_rad])
-
-
-def fit_paper(points_px: npt.ArrayLike) -> Ellipse | None:
-    """Zhai et al., eq. 4–8: least squares of ``x² + A xy + B y² + C x + D y + E``.
-
-    Points (N, 2) px, N ≥ 5. None where that is no ellipse. Biased on arcs. Eq. 8 loses the sign
-    of φ, which is that of -A.
-    """
-    points = _points(points_px)
-    if len(points) < 5:
-        return None
-    origin, scale = points.mean(axis=0), float(points.std()) or 1.0
-    x, y = ((points - origin) / scale).T
-    solution, _, rank, _ = np.linalg.lstsq(
-        np.column_stack([x * y, y * y, x, y, np.ones_like(x)]), -x * x, rcond=None
-    )
-    if rank < 5:
-        return None
-    big_a, big_b, c, d, e = solution
-    divisor = big_a**2 - 4.0 * big_b
-    if divisor >= 0.0:
-        return None
-    u = (2.0 * big_b * c - big_a * d) / divisor  # eq. 4
-    v = (2.0 * d - big_a * c) / divisor  # eq. 5
-    top = 2.0 * (big_a * c * d - big_b * c**2 - d**2 + 4.0 * big_b * e - big_a**2 * e)
-    root = math.hypot(big_a, 1.0 - big_b)
-    square_a = top / (divisor * (big_b - root + 1.0))  # eq. 6
-    square_b = top / (divisor * (big_b + root + 1.0))  # eq. 7
-    if not (square_a > 0.0 and square_b > 0.0):
-        return None
-    upper, lower = square_a - big_b * square_b, big_b * square_a - square_b
-    phi = math.atan2(math.sqrt(max(upper, 0.0)), math.sqrt(max(lower, 0.0)))  # eq. 8
-    phi = math.copysign(phi, -big_a)
-    long, short = math.sqrt(square_a), math.sqrt(square_b)
-    return Ellipse(origin + scale * np.array([u, v]), (scale * long, scale * short), _wrapped(phi))
 
 
 def fit_hyper(points_px: npt.ArrayLike) -> Ellipse | None:
@@ -193,7 +164,7 @@ def _of_conic(conic: Array, origin: Array, scale: float) -> Ellipse | None:
 
 
 @njit(cache=True, nogil=True)
-def shape_of_axes(row):  # type: ignore[no-untyped-def]
+def shape_of_axes(row: Array) -> Array:
     """Shape vector (5,) of x, y, a, b, angle (5,)."""
     c, s = np.cos(row[4]), np.sin(row[4])
     a, b = row[2], row[3]
@@ -205,7 +176,7 @@ def shape_of_axes(row):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def axes_of_shape(shape):  # type: ignore[no-untyped-def]
+def axes_of_shape(shape: Array) -> Array:
     """x, y, a, b, angle (5,) of a shape vector (5,)."""
     half, diff = 0.5 * (shape[2] + shape[4]), 0.5 * (shape[2] - shape[4])
     root = np.sqrt(diff * diff + shape[3] * shape[3])
@@ -216,7 +187,7 @@ def axes_of_shape(shape):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fit_geometric(points, shape, covariance):  # type: ignore[no-untyped-def]
+def fit_geometric(points: Array, shape: Array, covariance: Array) -> bool:
     """Gauss–Newton on the distances of points (N, 2); False where it fails. In place."""
     n = points.shape[0]
     normal, lower = np.empty((5, 5)), np.empty((5, 5))
@@ -259,7 +230,9 @@ def fit_geometric(points, shape, covariance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _foot(a, b, c, determinant, dx, dy):  # type: ignore[no-untyped-def]
+def _foot(
+    a: float, b: float, c: float, determinant: float, dx: float, dy: float
+) -> tuple[float, float, float, float, float]:
     """The point A u nearest to (dx, dy), |u| = 1, of an ellipse about 0 with A = ((a, b), (b, c)).
 
     Returns u, the outward unit normal there, and the distance.

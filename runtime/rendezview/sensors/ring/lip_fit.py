@@ -9,6 +9,7 @@ their ratio is free, and each edge has its own sense of contrast.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.least_squares import tukey_weight
@@ -27,16 +28,20 @@ from rendezview.sensors.ring.samples import (
 from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spread_of, trim
 from rendezview.sensors.ring.steps import sample_steps
 
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+
 LEAST_ARC = 0.5  # rad of either sense, below which no second edge is looked for
 _GAP_PX = (0.4, 6.0)  # least and most, between the two
 _SIGMAS = 3.0
 
 
 @njit(cache=True, nogil=True)
-def fit_lip(  # type: ignore[no-untyped-def]
-    image, lens, shape, step_px, noise, filters, basis, blur, others, samples, used,
-    edges, covariances, facts,
-):  # fmt: skip
+def fit_lip(
+    image: Grey, lens: Array, shape: Array, step_px: float, noise: float, filters: Array,
+    basis: Array, blur: float, others: Array, samples: Array, used: int, edges: Array,
+    covariances: Array, facts: Array,
+) -> bool:  # fmt: skip
     """Split an ellipse fitted to two edges into both, the larger one first; false if there is one.
 
     Args:
@@ -92,7 +97,11 @@ def fit_lip(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _separate(pair, whole, arcs, found, edges, covariances, facts):  # type: ignore[no-untyped-def]
+def _separate(
+    pair: Array, whole: Array, arcs: tuple[float, float],
+    found: tuple[tuple[int, float, float], tuple[int, float, float]], edges: Array,
+    covariances: Array, facts: Array,
+) -> None:  # fmt: skip
     """Shapes, covariances and facts of both edges, the larger one first, from those of the pair."""
     slope = np.zeros((5, 6))
     for k in range(2):
@@ -107,7 +116,7 @@ def _separate(pair, whole, arcs, found, edges, covariances, facts):  # type: ign
 
 
 @njit(cache=True, nogil=True)
-def arcs_of_senses(samples, n, scale):  # type: ignore[no-untyped-def]
+def arcs_of_senses(samples: Array, n: int, scale: float) -> tuple[float, float]:
     """Angles of the circle confirmed by edges that get brighter, and darker, outwards; rad."""
     brighter, darker = 0.0, 0.0
     for i in range(n):
@@ -120,7 +129,7 @@ def arcs_of_senses(samples, n, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
+def _update(samples: Array, n: int, scale: float, shape: Array, normal: Array) -> float:
     """One robust Gauss–Newton step of a pair (6,); ``normal`` (6, 6) gets the normal equations.
 
     The pair is a shape (5,) and ε: the edge that gets brighter outwards is larger than the shape by
@@ -150,7 +159,7 @@ def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
     if not solve_equations(normal, right, 1e-9, step):
         return -1.0
     size = 0.5 * (shape[2] + shape[4])
-    largest = max(np.max(np.abs(step[:5])), size * abs(step[5]))
+    largest = float(max(np.max(np.abs(step[:5])), size * abs(step[5])))
     if not largest < 0.25 * size:
         return -1.0
     shape += step
@@ -160,7 +169,7 @@ def _update(samples, n, scale, shape, normal):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _edge(pair, sense, shape):  # type: ignore[no-untyped-def]
+def _edge(pair: Array, sense: float, shape: Array) -> None:
     """Shape (5,) of the edge of a sense (±1)."""
     shape[0], shape[1] = pair[0], pair[1]
     for j in range(2, 5):

@@ -6,7 +6,7 @@ changes nothing but the order of the numbers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,18 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 
 Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beam:
+    """A laser ranger's beam in the camera frame; as default the camera's boresight."""
+
+    origin_m: Array = field(default_factory=lambda: np.zeros(3))  # (3,)
+    direction: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))  # (3,) unit
+
+    def end(self, range_m: float) -> Array:
+        """(3,) where an echo of this range is from, camera frame."""
+        return np.asarray(self.origin_m + range_m * self.direction)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,25 +77,24 @@ def rectangle_pose(
     camera: Camera,
     corners_px: npt.ArrayLike,
     range_m: float,
-    beam: npt.ArrayLike = (0.0, 0.0, 1.0),
+    beam: Beam | None = None,
 ) -> tuple[Pose, float] | None:
     """Pose of the rectangle's middle and the skew (rad) of its sides; None where there is none.
 
     Args:
         camera: lens distortion included.
         corners_px: (4, 2); see `rectangle_attitude`.
-        range_m: from the camera along ``beam`` to the plane of the rectangle.
-        beam: (3,) direction of the laser from the camera's centre, camera frame.
+        range_m: along ``beam`` to the plane of the rectangle.
+        beam: of the laser; None: the boresight.
     """
     sight = rectangle_attitude(camera, corners_px)
     if sight is None:
         return None
-    direction = np.asarray(beam, dtype=np.float64)
     normal = sight.rotation[:, 0]
     across = float(normal @ sight.rays[0])
     if abs(across) < 1e-9:
         return None
-    first = range_m * float(normal @ direction) / float(np.linalg.norm(direction)) / across
+    first = float(normal @ (beam or Beam()).end(range_m)) / across
     corners = first * sight.depth_ratios[:, None] * sight.rays
     if first <= 0.0:
         return None

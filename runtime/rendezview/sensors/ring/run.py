@@ -13,6 +13,7 @@ from rendezview.sensors.ring.detector import RingOptions
 from rendezview.sensors.ring.observation import RingObservation
 from rendezview.sensors.ring.sensor import RingPrior, RingSensor
 from rendezview.sensors.run import observe
+from rendezview.sensors.sensor import AidedSensor
 
 
 def follow(
@@ -41,9 +42,9 @@ def follow(
     def look(frame: Frame, _: float, image: GreyImage) -> RingObservation:
         if frame.camera not in sensors:
             sensors[frame.camera] = RingSensor(frame.camera, radius_m, options)
-        sensor = sensors[frame.camera]
         if independent:
-            sensor.reset()
+            sensors[frame.camera].reset()
+        sensor: AidedSensor[GreyImage, RingPrior, RingObservation] = sensors[frame.camera]
         known = prior(frame) if prior else None
         return replace(sensor.update(float(next(clock)), image, known), time_s=frame.time_s)
 

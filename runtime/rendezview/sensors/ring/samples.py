@@ -16,6 +16,8 @@ from rendezview.estimation.least_squares import tukey_weight
 from rendezview.estimation.linear_algebra import solve
 from rendezview.geometry.lens import distorted
 
+Gradient = npt.NDArray[np.int16]  # Sobel's sum: 8 × grey levels a pixel
+
 Array = npt.NDArray[np.float64]
 
 # Columns of samples
@@ -25,7 +27,7 @@ _ALIGNED = 0.9  # cosine between gradient and normal
 
 
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
-def bend(x, y, lens):  # type: ignore[no-untyped-def]
+def bend(x: float, y: float, lens: Array) -> tuple[float, float]:
     """Pixel of an undistorted pixel; ``lens``: of ``lens_vector``, then whether it bends."""
     if lens[12] == 0.0:
         return x, y
@@ -34,7 +36,7 @@ def bend(x, y, lens):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def frame_at(shape, u0, u1):  # type: ignore[no-untyped-def]
+def frame_at(shape: Array, u0: float, u1: float) -> tuple[float, float, float, float]:
     """Point and outward unit normal of the ellipse at u."""
     a, b, c = shape[2], shape[3], shape[4]
     n0, n1 = c * u0 - b * u1, a * u1 - b * u0
@@ -43,7 +45,7 @@ def frame_at(shape, u0, u1):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def distance(shape, x, y):  # type: ignore[no-untyped-def]
+def distance(shape: Array, x: float, y: float) -> float:
     """Distance of a point from an ellipse, outside positive; exact for circles."""
     a, b, c = shape[2], shape[3], shape[4]
     ex, ey = x - shape[0], y - shape[1]
@@ -51,11 +53,14 @@ def distance(shape, x, y):  # type: ignore[no-untyped-def]
     v0, v1 = (c * ex - b * ey) / determinant, (a * ey - b * ex) / determinant
     g0, g1 = (c * v0 - b * v1) / determinant, (a * v1 - b * v0) / determinant
     size = np.sqrt(v0 * v0 + v1 * v1)
-    return (size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300)
+    return float((size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300))
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def begin_sample(row, shape, lens, angle, u0, u1, room_px, width, height):  # type: ignore[no-untyped-def]
+def begin_sample(
+    row: Array, shape: Array, lens: Array, angle: float, u0: float, u1: float, room_px: float,
+    width: int, height: int,
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
     """Place and normal of a sample at an angle of the circle, u its cosine and sine.
 
     WEIGHT is 0 where it has so much room in the picture, else -1. Returns the point and its outward
@@ -74,7 +79,10 @@ def begin_sample(row, shape, lens, angle, u0, u1, room_px, width, height):  # ty
 
 
 @njit(cache=True, nogil=True)
-def sample_gradients(dx, dy, low, lens, shape, count, band, samples):  # type: ignore[no-untyped-def]
+def sample_gradients(
+    dx: Gradient, dy: Gradient, low: float, lens: Array, shape: Array, count: int, band: float,
+    samples: Array,
+) -> int:  # fmt: skip
     """Edges near an ellipse at ``count`` even angles of its circle; returns how many there are.
 
     Fills OFFSET (px outwards), CONTRAST (signed slope, Sobel units) and WEIGHT (1 or 0; -1 outside
@@ -124,7 +132,7 @@ def sample_gradients(dx, dy, low, lens, shape, count, band, samples):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def add_equation(row, weight, value, normal, right):  # type: ignore[no-untyped-def]
+def add_equation(row: Array, weight: float, value: float, normal: Array, right: Array) -> None:
     """Add ``row · x = value`` to the lower half of normal equations (N, N) and right side (N,)."""
     for j in range(row.shape[0]):
         right[j] += weight * row[j] * value
@@ -133,7 +141,7 @@ def add_equation(row, weight, value, normal, right):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, nogil=True)
-def solve_equations(normal, right, damping, step):  # type: ignore[no-untyped-def]
+def solve_equations(normal: Array, right: Array, damping: float, step: Array) -> bool:
     """Fill in the upper half and solve, damped by a share of the trace; False: no equations."""
     count = right.shape[0]
     trace = 0.0
@@ -150,7 +158,7 @@ def solve_equations(normal, right, damping, step):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, nogil=True)
-def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-untyped-def]
+def update_shape(samples: Array, count: int, scale_px: float, shape: Array, normal: Array) -> float:
     """One robust Gauss–Newton step to the offsets; ``normal`` (5, 5) gets the normal equations.
 
     Weights are WEIGHT times Tukey's of OFFSET / ``scale_px``. Returns the largest change, px;
@@ -172,7 +180,7 @@ def update_shape(samples, count, scale_px, shape, normal):  # type: ignore[no-un
         add_equation(row, w, s[OFFSET], normal, right)
     if not solve_equations(normal, right, 1e-7, step):
         return -1.0
-    largest = np.max(np.abs(step))
+    largest = float(np.max(np.abs(step)))
     limit = 0.25 * (shape[2] + shape[4])
     if not largest < limit:
         return -1.0

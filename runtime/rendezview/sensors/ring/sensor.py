@@ -20,7 +20,7 @@ from rendezview.sensors.ring.observation import RingObservation
 
 Array = npt.NDArray[np.float64]
 
-_MOST_COMPANIONS = 5
+_MOST_COMPANIONS = 5  # Source: by construction, a bound of time
 # Of the ring's radius, or its inverse: other edges are a nozzle's rim or a flange, not in its plane
 _LEAST_COMPANION = 0.8
 _FORGET_FRAMES = 5  # frames without a pose, after which the last one is forgotten

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.linear_algebra import invert
 from rendezview.sensors.ring.samples import ANGLE, ARC, CONTRAST, OFFSET, WEIGHT
 
+Array = npt.NDArray[np.float64]
+
 _SINGULAR = 1e-12  # of the trace, added to the diagonal. Source: by construction, rounding
 
 
 @njit(cache=True, nogil=True)
-def scale_of(samples, n):  # type: ignore[no-untyped-def]
+def scale_of(samples: Array, n: int) -> float:
     """Where offsets stop counting, px: five σ of them, from their median size."""
     size = np.empty(n)
     count = 0
@@ -26,7 +29,7 @@ def scale_of(samples, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def covered(samples, n, scale):  # type: ignore[no-untyped-def]
+def covered(samples: Array, n: int, scale: float) -> float:
     """Angle of the circle that samples within ``scale`` px confirm, rad."""
     total = 0.0
     for i in range(n):
@@ -36,7 +39,7 @@ def covered(samples, n, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def trim(samples, n, scale):  # type: ignore[no-untyped-def]
+def trim(samples: Array, n: int, scale: float) -> tuple[int, float, float]:
     """Leave out samples beyond ``scale`` px. Returns number, mean contrast and r.m.s. (px)."""
     used, contrast, square = 0, 0.0, 0.0
     for i in range(n):
@@ -53,7 +56,7 @@ def trim(samples, n, scale):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def spread_of(samples, n):  # type: ignore[no-untyped-def]
+def spread_of(samples: Array, n: int) -> float:
     """Factor on the covariance by the weights of trimmed samples, from their scatter."""
     chi, used = 0.0, 0
     for i in range(n):
@@ -65,7 +68,7 @@ def spread_of(samples, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def covariance_of(normal, spread, covariance):  # type: ignore[no-untyped-def]
+def covariance_of(normal: Array, spread: float, covariance: Array) -> bool:
     """Fill ``covariance`` (N, N) from normal equations, times ``spread``; False: not determined."""
     count = normal.shape[0]
     trace = 0.0
@@ -80,7 +83,7 @@ def covariance_of(normal, spread, covariance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _waviness_factor(samples, count):  # type: ignore[no-untyped-def]
+def _waviness_factor(samples: Array, count: int) -> float:
     """How much more the means of 36 stretches scatter than independent samples' would, ≥ 1.
 
     Facets of a CAD ring, shadows, or an edge that is none show here: their errors go together over
@@ -102,7 +105,7 @@ def _waviness_factor(samples, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _correlation_factor(samples, count):  # type: ignore[no-untyped-def]
+def _correlation_factor(samples: Array, count: int) -> float:
     """Sum of the correlations between a sample's error and its neighbours' (1 for none), ≥ 1."""
     power, pairs = 0.0, 0
     for i in range(count):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.ring.ellipse import axes_of_shape
@@ -12,13 +13,18 @@ from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spr
 from rendezview.sensors.ring.steps import sample_steps
 from rendezview.sensors.ring.verify import one_sense, twins
 
-_MOST_SAMPLES = 640  # along one ellipse
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+Ints = npt.NDArray[np.int64]
+
+_MOST_SAMPLES = 640  # along one ellipse. Source: by construction, a bound of memory
 
 
 @njit(cache=True, nogil=True)
-def fit_steps(  # type: ignore[no-untyped-def]
-    image, lens, shapes, spacing, noise, filters, basis, blur, least_arc, floor
-):
+def fit_steps(
+    image: Grey, lens: Array, shapes: Array, spacing: float, noise: float, filters: Array,
+    basis: Array, blur: float, least_arc: float, floor: float,
+) -> tuple[Array, Array, Array, Ints]:  # fmt: skip
     """Blurred-step fits of the edges that rough ellipses (K, 5) lie on, or the pairs of edges.
 
     Returns:
@@ -78,7 +84,7 @@ def fit_steps(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _meet(a, b, near):  # type: ignore[no-untyped-def]
+def _meet(a: Array, b: Array, near: float) -> bool:
     """Whether ellipse a comes within ``near`` px of some of 24 points of ellipse b."""
     for k in range(24):
         u0, u1 = np.cos(np.pi * k / 12.0), np.sin(np.pi * k / 12.0)
@@ -89,18 +95,19 @@ def _meet(a, b, near):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _step_px(shape, spacing):  # type: ignore[no-untyped-def]
+def _step_px(shape: Array, spacing: float) -> float:
     """Between samples: as wanted, or as many samples as there is room for."""
     row = axes_of_shape(shape)
     around = np.pi * (3.0 * (row[2] + row[3])
                       - np.sqrt((3.0 * row[2] + row[3]) * (row[2] + 3.0 * row[3])))  # fmt: skip
-    return max(spacing, around / (0.8 * _MOST_SAMPLES))
+    return float(max(spacing, around / (0.8 * _MOST_SAMPLES)))
 
 
 @njit(cache=True, nogil=True)
-def _settle(  # type: ignore[no-untyped-def]
-    image, lens, shape, step_px, noise, filters, basis, blur, others, samples, least_arc
-):
+def _settle(
+    image: Grey, lens: Array, shape: Array, step_px: float, noise: float, filters: Array,
+    basis: Array, blur: float, others: Array, samples: Array, least_arc: float,
+) -> tuple[int, float]:  # fmt: skip
     """Bring a shape onto its edge; number of samples, 0 where there is none, and their scale."""
     n = 0
     for step in range(4):
@@ -121,7 +128,10 @@ def _settle(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _fit_single(samples, n, scale, least_arc, shape, covariance, facts):  # type: ignore[no-untyped-def]
+def _fit_single(
+    samples: Array, n: int, scale: float, least_arc: float, shape: Array, covariance: Array,
+    facts: Array,
+) -> bool:  # fmt: skip
     """The last step of one edge, its covariance and facts; whether enough samples confirm it."""
     used, contrast, rms = trim(samples, n, scale)
     arc = covered(samples, n, scale)
@@ -135,7 +145,7 @@ def _fit_single(samples, n, scale, least_arc, shape, covariance, facts):  # type
 
 
 @njit(cache=True, nogil=True)
-def _known(fitted, count, shape):  # type: ignore[no-untyped-def]
+def _known(fitted: Array, count: int, shape: Array) -> bool:
     """Whether an ellipse is there already."""
     known = False
     for j in range(count):

@@ -7,6 +7,7 @@ where they are known, and narrower windows leave them out where they are not.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.edge_profile import (
@@ -29,15 +30,19 @@ from rendezview.sensors.ring.samples import (
     distance,
 )
 
+Array = npt.NDArray[np.float64]
+Grey = npt.NDArray[np.uint8]
+
 LEAST_GAP = 2.2  # px between two edges that can still be resolved
 _FARTHEST_PX = 1.6  # from the ellipse, of an edge that the linear model places
 _FLOOR_PX2 = 4e-4  # px², variance of a place beside the noise: (0.02 px)²
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def sample_steps(  # type: ignore[no-untyped-def]
-    image, lens, shape, spacing_px, sense, noise, filters, basis, blur_px, others, samples,
-):  # fmt: skip
+def sample_steps(
+    image: Grey, lens: Array, shape: Array, spacing_px: float, sense: float, noise: float,
+    filters: Array, basis: Array, blur_px: float, others: Array, samples: Array,
+) -> int:  # fmt: skip
     """Blurred steps along the normals of an ellipse; returns the number of samples filled.
 
     Args:
@@ -93,7 +98,7 @@ def sample_steps(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _neighbours(others, x, y, nx, ny):  # type: ignore[no-untyped-def]
+def _neighbours(others: Array, x: float, y: float, nx: float, ny: float) -> tuple[float, float]:
     """How far along a normal the nearest other edge lies inwards (negative) and outwards, px."""
     inner, outer = -FAR, FAR
     for k in range(others.shape[0]):
@@ -109,7 +114,10 @@ def _neighbours(others, x, y, nx, ny):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _read_profile(image, lens, x, y, nx, ny, rx, ry, profile):  # type: ignore[no-untyped-def]
+def _read_profile(
+    image: Grey, lens: Array, x: float, y: float, nx: float, ny: float, rx: float, ry: float,
+    profile: Array,
+) -> None:  # fmt: skip
     """Grey levels along a normal, by bilinear interpolation."""
     bent = lens[12] != 0.0
     for k in range(TAPS):
@@ -125,9 +133,10 @@ def _read_profile(image, lens, x, y, nx, ny, rx, ry, profile):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
-def _place_step(  # type: ignore[no-untyped-def]
-    profile, inner, outer, sense, noise, filters, basis, blur_px, spread, solved
-):
+def _place_step(
+    profile: Array, inner: float, outer: float, sense: float, noise: float, filters: Array,
+    basis: Array, blur_px: float, spread: float, solved: Array,
+) -> tuple[float, float, float, float]:  # fmt: skip
     """Contrast of the whole profile; contrast and place of the step; variance of their product.
 
     The variance is for unit noise, negative where there is no step.

@@ -7,6 +7,7 @@ on the edges of better ellipses is dropped.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.ring.ellipse import axes_of_shape, shape_of_axes
@@ -21,11 +22,17 @@ from rendezview.sensors.ring.samples import (
     update_shape,
 )
 
+Array = npt.NDArray[np.float64]
+Gradient = npt.NDArray[np.int16]  # Sobel's sum: 8 × grey levels a pixel
+
 _SUPPORT_SAMPLES = 120
 
 
 @njit(cache=True, nogil=True)
-def verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # type: ignore[no-untyped-def]
+def verify(
+    dx: Gradient, dy: Gradient, low: float, lens: Array, rough: Array, least_arc: float,
+    least_share: float, limits: Array, most: int,
+) -> Array:  # fmt: skip
     """The rough ellipses (K, 5) that the gradients confirm, moved onto them: shapes (M, 5)."""
     kept = np.empty((most, 5))
     value = np.empty(most)
@@ -82,7 +89,9 @@ def verify(dx, dy, low, lens, rough, least_arc, least_share, limits, most):  # t
 
 
 @njit(cache=True, nogil=True)
-def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped-def]
+def _exclusive(
+    dx: Gradient, dy: Gradient, low: float, lens: Array, shapes: Array, least_arc: float
+) -> Array:
     """Shapes (M, 5), best first, less those that live on the edges of better ones."""
     n = _SUPPORT_SAMPLES
     samples = np.zeros((n, COLUMNS))
@@ -107,7 +116,7 @@ def _exclusive(dx, dy, low, lens, shapes, least_arc):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def one_sense(samples, n):  # type: ignore[no-untyped-def]
+def one_sense(samples: Array, n: int) -> None:
     """Leave out edges against the sense of their neighbourhood: a ring's edge keeps it for long."""
     half = n // 20
     keep = np.ones(n, dtype=np.bool_)
@@ -129,7 +138,7 @@ def one_sense(samples, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _runs(samples, n):  # type: ignore[no-untyped-def]
+def _runs(samples: Array, n: int) -> tuple[int, int]:
     """How many samples found an edge, and the longest run of them (gaps of two allowed)."""
     found, longest, run, gap = 0, 0, 0, 9
     for i in range(2 * n):
@@ -148,6 +157,6 @@ def _runs(samples, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def twins(a, b, near):  # type: ignore[no-untyped-def]
+def twins(a: Array, b: Array, near: float) -> bool:
     """Whether two shapes are one ellipse, to ``near`` px."""
     return bool(np.max(np.abs(a - b)) <= near)

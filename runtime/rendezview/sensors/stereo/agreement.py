@@ -21,15 +21,16 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.stereo.collinearity import count_lights, solve
 from rendezview.sensors.stereo.rig import Rig, Sights
 
-_FALSE_ALARM = 1e-5  # of a reading without fault
+_FALSE_ALARM = 1e-5  # of a reading without fault. Source: by construction, a rate of false alarms
+# Source: χ² distribution
 LIMITS = np.concatenate([[np.inf], chdtri(np.arange(1, 2001), _FALSE_ALARM)])
 TOLERANCE = 0.3  # of a standard deviation: the step after one so short is a twentieth of it
-ITERATIONS = 15
+ITERATIONS = 15  # Source: by construction, a bound only
 _LIKE = 9.0  # sums of squares closer than this do not distinguish two explanations
 _APART = 30.0  # squared distance of two poses, in standard deviations, that matters
-_FEWEST_SPARE = 2  # equations left over: with none, anything agrees
+_FEWEST_SPARE = 2  # equations left over: with none, anything agrees. Source: by construction
 _ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
-_MOST_TRIED = 1500
+_MOST_TRIED = 1500  # Source: by construction, a bound of time
 UNKNOWNS = 6  # Source: by construction
 FEWEST_LIGHTS = 3  # two leave a turn about the line between them. Source: by construction
 _NOTHING, _IDENTITY, _ORIGIN = np.zeros((6, 6)), np.eye(3), np.zeros(3)
@@ -146,26 +147,26 @@ def _mended(
 ) -> Iterator[tuple[Sights, tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]]:
     """Sights without a fault, for every fault; with the lights left out and those exchanged."""
     cameras = range(len(sights.weight))
-    seen = sights.seen
-    lights = np.flatnonzero(seen.any(axis=0)).tolist()
+    visible = sights.visible
+    lights = np.flatnonzero(visible.any(axis=0)).tolist()
     for a, b in itertools.combinations(lights, 2):
         everywhere: list[list[int]] = [list(cameras)]
-        for which in everywhere + [[k] for k in cameras if len(seen) > 1]:
-            if any(seen[k, a] or seen[k, b] for k in which):
+        for which in everywhere + [[k] for k in cameras if len(visible) > 1]:
+            if any(visible[k, a] or visible[k, b] for k in which):
                 xy, weight = sights.xy.copy(), sights.weight.copy()
                 for k in which:
                     xy[k, [a, b]], weight[k, [a, b]] = xy[k, [b, a]], weight[k, [b, a]]
                 yield Sights(xy, weight), (), ((a, b),)
-    for left_out in _ways_to_leave_out(seen):
+    for left_out in _ways_to_leave_out(visible):
         weight = sights.weight.copy()
         for camera, light in left_out:
             weight[camera, light] = 0.0
         yield Sights(sights.xy, weight), left_out, ()
 
 
-def _ways_to_leave_out(seen: npt.NDArray[np.bool_]) -> Iterator[tuple[tuple[int, int], ...]]:
+def _ways_to_leave_out(visible: npt.NDArray[np.bool_]) -> Iterator[tuple[tuple[int, int], ...]]:
     """Sets of (camera, light) to leave out: a spot, a light, two of either, a camera."""
-    spots = [(int(k), int(j)) for k, j in zip(*np.nonzero(seen), strict=True)]
+    spots = [(int(k), int(j)) for k, j in zip(*np.nonzero(visible), strict=True)]
     by_light = [
         tuple(spot for spot in spots if spot[1] == j) for j in sorted({j for _, j in spots})
     ]
@@ -173,7 +174,9 @@ def _ways_to_leave_out(seen: npt.NDArray[np.bool_]) -> Iterator[tuple[tuple[int,
     yield from (light for light in by_light if len(light) > 1)
     yield from itertools.combinations(spots, 2)
     yield from (a + b for a, b in itertools.combinations(by_light, 2) if len(a + b) > 2)
-    if len(seen) > 1:
+    if len(visible) > 1:
         yield from (
-            tuple(spot for spot in spots if spot[0] == k) for k in range(len(seen)) if seen[k].any()
+            tuple(spot for spot in spots if spot[0] == k)
+            for k in range(len(visible))
+            if visible[k].any()
         )

@@ -24,7 +24,7 @@ from rendezview.sensors.stereo.detectors import read_currents
 from rendezview.sensors.stereo.rig import Sights, ideal_spot
 from rendezview.sensors.stereo.tracker import StereoTracker
 
-_PIECE = 1024
+_PIECE = 1024  # Source: by construction, a bound of memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,12 +120,14 @@ def _sights(
 ) -> None:
     lights = currents.shape[2]
     places, sigma = np.empty((lights, 2)), np.empty((lights, 2))
-    seen = np.empty(lights, np.bool_)
+    visible = np.empty(lights, np.bool_)
     for n in range(currents.shape[0]):
-        read_currents(currents[n, camera], noise, total, response, half_width, places, sigma, seen)
+        read_currents(
+            currents[n, camera], noise, total, response, half_width, places, sigma, visible
+        )
         for j in range(lights):
             xy[n, camera, j], weight[n, camera, j] = 0.0, 0.0
-            if not seen[j]:
+            if not visible[j]:
                 continue
             x, y, sx, sy = ideal_spot(
                 places[j, 0], places[j, 1], sigma[j, 0], sigma[j, 1], intrinsics, lens, corrects

@@ -19,9 +19,9 @@ from rendezview.sensors.stereo.lens import Lens
 from rendezview.sensors.stereo.rig import Rig, RigCamera
 
 OPENCV_FIVE = ("fx", "fy", "cx", "cy", "l1", "l2", "l3", "p1", "p2")  # as cv2.calibrateCamera
-_FEWEST_VIEWS = 3
+_FEWEST_VIEWS = 3  # Source: Zhang 2000, three views for all intrinsics
 _WINDOW_PX = 5  # half-width; a wider one takes in the neighbouring corners of small squares
-_CORNER_PX = 1.0  # initial σ; the residuals give the true one
+_CORNER_PX = 1.0  # initial σ; the residuals give the true one. Source: by construction
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,7 +84,7 @@ class Adjusted:
         return replace(self, covariance=self.covariance * scale, sigma=sigma)
 
 
-def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
+def adjust(bundle: Bundle, observed: Observations) -> Adjusted:
     """Least squares over all free parameters.
 
     Raises:
@@ -95,7 +95,7 @@ def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
     columns = _Columns(bundle)
 
     def at(moved: Bundle) -> _Linearised:
-        return _Linearised(moved, *_linearised(moved, seen, columns, bundle))
+        return _Linearised(moved, *_linearised(moved, observed, columns, bundle))
 
     found = minimise(
         _Linearised.equations,
@@ -109,7 +109,7 @@ def adjust(bundle: Bundle, seen: Observations) -> Adjusted:
             "the calibration starts with points behind a camera or beyond its lens: "
             "check the boards' size and the order of their points"
         )
-    return _finished(found.at.bundle, seen, found.at.residual, found.at.jacobian, columns)
+    return _finished(found.at.bundle, observed, found.at.residual, found.at.jacobian, columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +132,7 @@ class _Linearised:
 
 
 def _finished(
-    bundle: Bundle, seen: Observations, residual: Array, jacobian: Array, columns: _Columns
+    bundle: Bundle, observed: Observations, residual: Array, jacobian: Array, columns: _Columns
 ) -> Adjusted:
     scale = np.sqrt((jacobian**2).sum(axis=0))
     if not (scale > 0.0).all():
@@ -145,11 +145,11 @@ def _finished(
         )
     normal = (jacobian / scale).T @ (jacobian / scale)
     covariance = np.linalg.inv(normal) / np.outer(scale, scale)
-    count = len(seen.camera)
-    raw = residual[: 2 * count].reshape(-1, 2) * seen.sigma
+    count = len(observed.camera)
+    raw = residual[: 2 * count].reshape(-1, 2) * observed.sigma
     sigma = dict(zip(columns.names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
     return Adjusted(
-        bundle, raw, seen.camera, columns.names, covariance, float(residual @ residual),
+        bundle, raw, observed.camera, columns.names, covariance, float(residual @ residual),
         len(residual) - len(columns.names), sigma,
     )  # fmt: skip
 
@@ -231,17 +231,17 @@ def with_intrinsics(camera: RigCamera, values: Array, pose: Pose) -> RigCamera:
 
 
 def _linearised(
-    bundle: Bundle, seen: Observations, columns: _Columns, given: Bundle
+    bundle: Bundle, observed: Observations, columns: _Columns, given: Bundle
 ) -> tuple[Array, Array]:
     """Whitened residuals (observed less predicted) and the Jacobian of the predictions."""
-    count = len(seen.camera)
+    count = len(observed.camera)
     jacobian = np.zeros((2 * count, len(columns.names)))
     residual = np.empty((count, 2))
     for k, camera in enumerate(bundle.cameras):
-        rows = np.flatnonzero(seen.camera == k)
+        rows = np.flatnonzero(observed.camera == k)
         if not len(rows):
             continue
-        views, points = seen.view[rows], seen.point[rows]
+        views, points = observed.view[rows], observed.point[rows]
         turn = np.stack([view.rotation for view in bundle.views])[views]
         place = np.stack([view.translation_m for view in bundle.views])[views]
         board = bundle.points[points]
@@ -255,8 +255,8 @@ def _linearised(
         ideal = np.column_stack([x / z, y / z])
         measured, by_ideal, by_lens = camera.lens.derivatives(ideal)
         focal = np.array([camera.fx, camera.fy])
-        residual[rows] = (seen.positions[rows] - measured * focal - (camera.cx, camera.cy)) / (
-            seen.sigma[rows]
+        residual[rows] = (observed.positions[rows] - measured * focal - (camera.cx, camera.cy)) / (
+            observed.sigma[rows]
         )
         by_point = np.zeros((len(rows), 2, 3))  # ∂ ideal / ∂ p_camera
         by_point[:, 0, 0] = by_point[:, 1, 1] = 1.0 / z
@@ -289,12 +289,12 @@ def _linearised(
                 at = columns.points + 3 * int(point)
                 block[i, :, at : at + 3] = by_board[i]
         if columns.responses:
-            assert seen.terms is not None
-            at, width = columns.responses[k], seen.terms.shape[1]
-            residual[rows] += (seen.terms[rows] @ bundle.offsets[k].T) / seen.sigma[rows]
-            block[:, 0, at : at + width] = -seen.terms[rows]
-            block[:, 1, at + width : at + 2 * width] = -seen.terms[rows]
-        block /= seen.sigma[rows][:, :, None]
+            assert observed.terms is not None
+            at, width = columns.responses[k], observed.terms.shape[1]
+            residual[rows] += (observed.terms[rows] @ bundle.offsets[k].T) / observed.sigma[rows]
+            block[:, 0, at : at + width] = -observed.terms[rows]
+            block[:, 1, at + width : at + 2 * width] = -observed.terms[rows]
+        block /= observed.sigma[rows][:, :, None]
         jacobian.reshape(count, 2, -1)[rows] = block
     extra_r, extra_j = _priors(bundle, columns, given)
     return np.concatenate([residual.ravel(), *extra_r]), np.concatenate([jacobian, *extra_j])

@@ -9,6 +9,7 @@ with the rig (GUM, JCGM 102:2011, section 6: propagation of a vector's covarianc
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo.bundle import INTRINSICS, POSE, intrinsics_of, with_intrinsics
@@ -50,7 +51,7 @@ class CalibrationError:
             rig_from_target: the pose.
             weight: (C, L, 2) 1/σ of the ideal places, 0 where not visible.
         """
-        seen = (weight > 0.0).all(axis=2)
+        seen = np.asarray((weight > 0.0).all(axis=2))
         key = seen.tobytes()
         if self._last is not None:
             pose, before, covariance = self._last
@@ -63,7 +64,7 @@ class CalibrationError:
         self._last = rig_from_target, key, covariance
         return covariance
 
-    def _pose_by_parameters(self, pose: Pose, weight: Array, seen: Array) -> Array:
+    def _pose_by_parameters(self, pose: Pose, weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
         """(6, P) how a pose follows the parameters of the calibration."""
         cameras = self.rig.cameras
         lit = [np.flatnonzero(row) for row in seen]

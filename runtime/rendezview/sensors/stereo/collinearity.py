@@ -21,7 +21,7 @@ from rendezview.geometry import so3
 
 Array = npt.NDArray[np.float64]
 
-_NEAREST = 1e-9  # metres in front of a camera
+_NEAREST = 1e-9  # metres in front of a camera. Source: by construction, no division by 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "arcp"}, forceinline=True)
@@ -86,7 +86,10 @@ def normal_equations(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _fill(right, gradient, lower, information):  # type: ignore[no-untyped-def]
+def _fill(
+    right: tuple[float, float, float, float, float, float], gradient: Array,
+    lower: tuple[float, ...], information: Array,
+) -> None:  # fmt: skip
     """Put the sums into their arrays; ``lower`` is the triangle, row by row."""
     for i in range(6):
         gradient[i] = right[i]

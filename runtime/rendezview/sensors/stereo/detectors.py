@@ -105,12 +105,12 @@ class Photodiode:
         if given.ndim != 2 or given.shape[1] != 4:
             raise ValueError(f"currents must be (lights, 4), not {given.shape}")
         positions, sigma = np.empty((len(given), 2)), np.empty((len(given), 2))
-        seen = np.empty(len(given), np.bool_)
+        visible = np.empty(len(given), np.bool_)
         noise, total, curve, half_width = self.kernel_arguments
-        count = read_currents(given, noise, total, curve, half_width, positions, sigma, seen)
+        count = read_currents(given, noise, total, curve, half_width, positions, sigma, visible)
         if count == len(given):
             return Spots._of_photodiode(positions, sigma, np.arange(len(given)))
-        led = np.flatnonzero(seen)
+        led = np.flatnonzero(visible)
         return Spots._of_photodiode(positions[led], sigma[led], led)
 
 
@@ -123,20 +123,20 @@ def read_currents(
     half_width: float,
     positions: Array,
     sigma: Array,
-    seen: npt.NDArray[np.bool_],
+    visible: npt.NDArray[np.bool_],
 ) -> int:
     """Fill places and standard deviations, metres, of (L, 4) currents; how many are visible."""
     count = 0
     for i in range(currents.shape[0]):
         x1, x2, y1, y2 = currents[i, 0], currents[i, 1], currents[i, 2], currents[i, 3]
         # NaN fails both comparisons
-        seen[i] = min(x1 + x2, y1 + y2) > 30.0 * noise and x1 + x2 + y1 + y2 < np.inf
-        if not seen[i]:
+        visible[i] = min(x1 + x2, y1 + y2) > 30.0 * noise and x1 + x2 + y1 + y2 < np.inf
+        if not visible[i]:
             continue
         x, y, sx, sy = place_light(x1, x2, y1, y2, noise, total, coefficients)
-        seen[i] = abs(x) <= 1.05 * half_width and abs(y) <= 1.05 * half_width
+        visible[i] = abs(x) <= 1.05 * half_width and abs(y) <= 1.05 * half_width
         positions[i, 0], positions[i, 1], sigma[i, 0], sigma[i, 1] = x, y, sx, sy
-        count += seen[i]
+        count += visible[i]
     return count
 
 

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-_GIMBAL = 1e-7  # cosine of the pitch below which yaw and roll are one angle
+# Cosine of the pitch below which yaw and roll are one angle.
+_GIMBAL = 1e-7  # Source: by construction, rounding
 
 
 class YawPitchRoll(NamedTuple):

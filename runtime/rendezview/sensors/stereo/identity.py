@@ -22,12 +22,12 @@ from rendezview.sensors.stereo.rig import Rig, Sights
 from rendezview.sensors.stereo.start import CAP, Retrieval, p3p, widest
 
 _MOST_SPOTS = 40  # a camera that sees more sees no target
-_MOST_ASSIGNMENTS = 12_000
+_MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
 _ROUGH_TIMES = 6.0  # as for a start: three lights place the others so many σ worse
 _FEWEST_SPOTS = 5  # over all cameras: four spots and four lights fit in too many ways
 _DISTINCT_RAD = np.deg2rad(3.0)
-_TRIPLES = 12  # of spots that are tried, the widest first
-_KEPT = 8
+_TRIPLES = 12  # of spots that are tried, the widest first. Source: by construction, a bound of time
+_KEPT = 8  # Source: by construction, a bound of time
 
 
 def nearest_lights(
@@ -140,7 +140,7 @@ def _explain(
         for _ in range(3):
             numbered = nearest_lights(rig, leds, normals, spots, pose, gate)
             sights = rig.sights(numbered, len(leds))
-            if sights.seen.sum() < _FEWEST_SPOTS:
+            if sights.visible.sum() < _FEWEST_SPOTS:
                 fit = None
                 break
             fit = agree(rig, leds, sights, pose.rotation, pose.translation_m)
@@ -148,12 +148,12 @@ def _explain(
                 break
             pose, gate = Pose(fit.rotation, fit.translation), 0.25 * coarse
         if isinstance(fit, LightsFit) and not _shines_away(rig, leds, normals, sights, fit):
-            explained = int(sights.seen.sum()) - len(fit.left_out)
+            explained = int(sights.visible.sum()) - len(fit.left_out)
             answers.append((explained, fit.cost, numbered, fit))
 
 
 def _shines_away(rig: Rig, leds: Array, normals: Array, sights: Sights, fit: LightsFit) -> bool:
-    each = np.empty(sights.seen.shape)
+    each = np.empty(sights.visible.shape)
     squares(
         fit.rotation, fit.translation, leds, normals, rig.rotations, rig.translations,
         sights.xy, sights.weight, each,

@@ -124,14 +124,14 @@ def calibrate_laboratory(
         view.rig_from_plate or _unsurveyed(cameras, k, record)
         for k, view in enumerate(record.views)
     )
-    seen = _observations(cameras, record, range(len(cameras)), range(len(views)))
+    observed = _observations(cameras, record, range(len(cameras)), range(len(views)))
     bundle = Bundle(
         tuple(cameras), views, record.plate_m, (EVERYTHING,) * len(cameras),
         (True,) * len(cameras), tuple(view.rig_from_plate is None for view in record.views),
         record.plate_sigma_m, tuple(priors), tuple(fit.covariance for fit in responses),
     )  # fmt: skip
     before = _apart(Rig(tuple(cameras)), record)
-    together = adjust(bundle, seen)
+    together = adjust(bundle, observed)
     rig = _with_responses(rig_of(together), together)
     steps.append(Step("all: triangulated lights, in space", before, _apart(rig, record)))
     return LaboratoryCalibration(rig, tuple(responses), together, tuple(steps))
@@ -188,10 +188,10 @@ def _with_lens(camera: RigCamera, k: int, record: LaboratoryRecord) -> tuple[Rig
             f"camera {camera.name!r}: no view without rig_from_plate, for its lens"
         )
     poses = tuple(_start(camera, record, k, v) for v in mine)
-    seen = _observations([camera], record, [k], mine)
+    observed = _observations([camera], record, [k], mine)
     plain = Bundle((camera,), poses, record.plate_m, ((),), (False,), (True,) * len(mine))
-    before = adjust(plain, seen).rms
-    fitted = adjust(replace(plain, free_intrinsics=(_LENS,)), seen)
+    before = adjust(plain, observed).rms
+    fitted = adjust(replace(plain, free_intrinsics=(_LENS,)), observed)
     return fitted.bundle.cameras[0], Step(f"{camera.name}: lens", before, fitted.rms)
 
 
@@ -207,13 +207,13 @@ def _resected(camera: RigCamera, k: int, record: LaboratoryRecord) -> tuple[RigC
     assert surveyed[0] is not None
     start = _start(camera, record, k, mine[0]) @ surveyed[0].inverse()
     placed = replace(camera, camera_from_rig=start)
-    seen = _observations([camera], record, [k], mine)
+    observed = _observations([camera], record, [k], mine)
     bundle = Bundle(
         (placed,), tuple(pose for pose in surveyed if pose is not None), record.plate_m, ((),),
         (True,), (False,) * len(mine),
     )  # fmt: skip
-    before = adjust(bundle, seen).rms
-    fitted = adjust(replace(bundle, free_intrinsics=(("f",),)), seen)
+    before = adjust(bundle, observed).rms
+    fitted = adjust(replace(bundle, free_intrinsics=(("f",),)), observed)
     return fitted.bundle.cameras[0], Step(f"{camera.name}: resection", before, fitted.rms)
 
 

@@ -14,7 +14,7 @@ from rendezview.io.files import StrPath, atomic_write_text, checked, parse_json,
 from rendezview.sensors.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
 from rendezview.sensors.stereo.rig_files import PoseTable
 
-_DIGITS = 9  # of a current or a length; far below any noise
+_DIGITS = 9  # of a current or a length; far below any noise. Source: by construction
 
 _Numbers = list[FiniteFloat]
 _Rows = list[_Numbers]

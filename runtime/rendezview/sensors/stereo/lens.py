@@ -26,8 +26,9 @@ from rendezview.errors import RendezviewError
 Array = npt.NDArray[np.float64]
 
 COEFFICIENT_NAMES = ("l1", "l2", "l3", "p1", "p2", "p3", "ox", "oy")
-_NEWTON_STEPS = 30
-_FIELD_SAMPLES = 21  # a side, of the grid on which models are compared
+_NEWTON_STEPS = 30  # Source: by construction, a bound only
+# A side, of the grid on which models are compared.
+_FIELD_SAMPLES = 21  # Source: by construction, a grid
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.stereo.collinearity import solve
 from rendezview.sensors.stereo.rig import Rig
 
-_ITERATIONS = 15
+_ITERATIONS = 15  # Source: by construction, a bound only
 _TOLERANCE = 0.1
 _BREAK = 80.0  # squared distance of reading and forecast, in σ, at which the forecast is wrong
 

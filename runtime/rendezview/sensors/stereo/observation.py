@@ -97,7 +97,7 @@ class StereoObservation(Observation):
         return sum(int((found.led >= 0).sum()) for found in self.spots) - len(self.left_out)
 
     def record(self) -> dict[str, Any]:
-        """The observation as its line of JSON (docs/files.md)."""
+        """The observation as its line of JSON (docs/files-logs.md)."""
         angles, fit, names = self.yaw_pitch_roll, self.fit, self.names
         line = Observation.record(self)  # slots: no super() without arguments
         stage_ms = line.pop("stage_ms")

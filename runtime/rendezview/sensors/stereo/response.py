@@ -14,6 +14,7 @@ Array = npt.NDArray[np.float64]
 # Source: by construction
 TERMS = {3: 10, 5: 21}  # of a polynomial's order: the paper's cubic, and a quintic
 # Powers of x and y after the cubic's, in order.
+# Source: by construction, all terms of degree 4 and 5
 _QUINTIC = tuple((n - j, j) for n in (4, 5) for j in range(n + 1))
 _FEWEST_FOR_EACH_TERM = 4
 

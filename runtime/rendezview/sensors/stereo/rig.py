@@ -124,7 +124,7 @@ class Sights:
     weight: Array  # (C, L, 2) 1/σ; 0 where not visible
 
     @property
-    def seen(self) -> npt.NDArray[np.bool_]:
+    def visible(self) -> npt.NDArray[np.bool_]:
         """(C, L) which camera saw which light."""
         return np.asarray((self.weight > 0.0).all(axis=2))
 

@@ -20,7 +20,7 @@ from rendezview.sensors.stereo.response import TERMS, Normalisation, Response
 from rendezview.sensors.stereo.rig import Rig, RigCamera
 
 FORMAT = "rendezview rig 1"
-_LIMIT_BYTES = 20_000_000
+_LIMIT_BYTES = 20_000_000  # Source: by construction, a bound of memory
 
 _Two = Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
 _Three = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]

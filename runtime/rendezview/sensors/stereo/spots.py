@@ -19,9 +19,9 @@ from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
-_SATURATED = 254
+_SATURATED = 254  # Source: by construction, the last but one of 8 bits
 _LEAST_NOISE = 0.29  # grey, of rounding. Source: by construction
-_MOST_BLOBS = 2000  # a frame with more shows no lights
+_MOST_BLOBS = 2000  # a frame with more shows no lights. Source: by construction, a bound of time
 
 
 @dataclass(frozen=True, kw_only=True)

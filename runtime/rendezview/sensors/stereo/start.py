@@ -23,11 +23,13 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.stereo.collinearity import solve, squares
 from rendezview.sensors.stereo.rig import Rig, Sights
 
-_MOST_TRIPLES = 20  # of lights, for each camera: all of six lights'
-_REFINED = 12  # starts that are refined
+# Of lights, for each camera: all of six lights'.
+_MOST_TRIPLES = 20  # Source: by construction, 6 over 3
+_REFINED = 12  # starts that are refined. Source: by construction, a bound of time
 _DISTINCT_RAD = np.deg2rad(3.0)
 _NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times worse than σ
-CAP = 30.0  # squared residual of a light, at which it counts as false: 1 in 3 million by chance
+# Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
+CAP = 30.0  # Source: χ² distribution, two degrees of freedom
 _CAMERA_MATRIX = np.eye(3)  # Source: by construction
 
 Retrieval = tuple[Array, Array]  # (N, 3, 3) rotations and (N, 3) translations, rig from target
@@ -90,15 +92,15 @@ def intersect(rig: Rig, sights: Sights) -> tuple[Array, np.ndarray]:
 
     Photogrammetric triangulation (intersection), linear; a light needs two cameras.
     """
-    seen = sights.seen
-    rays = np.concatenate([sights.xy, np.ones((*seen.shape, 1))], axis=2) @ rig.rotations
+    visible = sights.visible
+    rays = np.concatenate([sights.xy, np.ones((*visible.shape, 1))], axis=2) @ rig.rotations
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
     origins = -np.einsum("kji,kj->ki", rig.rotations, rig.translations)
     across = np.eye(3) - rays[..., :, None] * rays[..., None, :]
-    across *= seen[..., None, None]
+    across *= visible[..., None, None]
     matrix = across.sum(axis=0)
     vector = np.einsum("kljm,km->lj", across, origins)
-    usable = (seen.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
+    usable = (visible.sum(axis=0) >= 2) & (np.linalg.det(matrix) > 1e-9)
     matrix[~usable] = np.eye(3)
     return np.linalg.solve(matrix, vector[..., None])[..., 0], usable
 
@@ -115,8 +117,8 @@ def rigid_body(points_from: Array, points_to: Array) -> Pose | None:
 
 def three_light_poses(rig: Rig, camera: int, leds: Array, sights: Sights) -> Retrieval:
     """Every pose of every three lights (at most the 20 widest) that one camera sees."""
-    seen = np.flatnonzero(sights.seen[camera])
-    triples: list[tuple[int, ...]] = list(itertools.combinations(seen.tolist(), 3))
+    visible = np.flatnonzero(sights.visible[camera])
+    triples: list[tuple[int, ...]] = list(itertools.combinations(visible.tolist(), 3))
     xy = sights.xy[camera]
     if len(triples) > _MOST_TRIPLES:
         triples = widest(xy, triples)[:_MOST_TRIPLES]

@@ -207,7 +207,7 @@ class StereoTracker:
     def _partial(
         self, time_s: float, forecast: Motion | None, sights: Sights, named: tuple[Spots, ...]
     ) -> StereoObservation:
-        lights = int(sights.seen.any(axis=0).sum())
+        lights = int(sights.visible.any(axis=0).sum())
         reason = f"{lights} lights visible, a pose needs {FEWEST_LIGHTS}"
         if self.options.motion is not None and forecast is not None:
             after = motion.update(forecast, self.rig, self.leds, sights.xy, sights.weight)

@@ -15,6 +15,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     Stage,
     align,
     align_each,
+    gauss_newton_step,
     inlier_ratios,
 )
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
@@ -263,3 +264,19 @@ def test_each_of_several_poses_is_aligned_as_by_itself(scene, survivors):
     assert rotations == pytest.approx(np.array([rotation for rotation, _ in starts]), abs=1e-9)
     assert centres == pytest.approx(np.array([centre for _, centre in starts]), abs=1e-9)
     assert 1 <= np.sum(np.any(expected > 0.0, axis=1)) <= survivors
+
+
+def test_gauss_newton_step_is_the_damped_solution_and_refuses_to_leave():
+    rng = np.random.default_rng(8)
+    jacobian, residual = rng.normal(size=(40, 6)), 0.01 * rng.normal(size=40)
+    matrix, right = jacobian.T @ jacobian, jacobian.T @ residual
+    held, radius_m = 0.3, 2.0
+    damped = matrix + np.diag([held * radius_m**2] * 3 + [held] * 3)
+    step = np.linalg.solve(damped, right)
+    rotation, centre = np.eye(3), np.array([0.1, 0.2, 9.0])
+    moved = gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, rotation, centre)
+    assert rotation == pytest.approx(Rotation.from_rotvec(step[:3]).as_matrix(), abs=1e-9)
+    assert centre == pytest.approx(np.array([0.1, 0.2, 9.0]) + step[3:], abs=1e-9)
+    assert moved > 0.0
+    near = np.array([0.0, 0.0, 1.0])  # within the target
+    assert gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, np.eye(3), near) < 0.0

@@ -57,13 +57,13 @@ _INNER_SHARE = 0.5  # of inner edges, beside the outline, in the loose ratio
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
 _HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
 _CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
-_LEAST_EDGES = 12  # found, for six unknowns: twice as many
+_LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construction
 _LONGEST_TURN_RAD = 0.2  # rad, of one step
 _ALONG = 0.1  # of a move along the line of sight, which shows so much less in the picture
 _SMALL = 0.01  # of the target's radius in pixels: below 100 px a step stops earlier
 _NEAREST_RADII, _FURTHEST_RADII = 1.02, 1e9  # of the target's radius; poses beyond have diverged
-_NO_LIGHT = np.zeros(1)
-_NO_SUN = np.zeros(3)
+_NO_LIGHT = np.zeros(1)  # Source: by construction
+_NO_SUN = np.zeros(3)  # Source: by construction
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
@@ -272,7 +272,7 @@ def align(
                 return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre
             held = stage[DAMPING] * weights * scale * scale
-            moved = _gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m, rotation,
+            moved = gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m, rotation,
                                        centre)  # fmt: skip
             if moved < 0.0:
                 return DIVERGED
@@ -284,7 +284,7 @@ def align(
 
 
 @njit(cache=True, nogil=True)
-def _gauss_newton_step(
+def gauss_newton_step(
     matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, rotation: Array,
     centre: Array,
 ) -> float:  # fmt: skip

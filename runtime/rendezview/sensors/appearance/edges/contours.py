@@ -11,12 +11,13 @@ from numba import njit
 from rendezview.geometry.pose import Array
 
 OUTLINE, STEP, CREASE = 0, 1, 2  # against the sky, against a far surface, between two facets
-NO_POINT = 255  # kind of the rows that fill up a view with few points
+# Kind of the rows that fill up a view with few points.
+NO_POINT = 255  # Source: by construction, the largest byte
 
 # Units of the stored integers. Source: by construction
 POINT_UNIT = 1.0 / 32000.0  # of the target's radius: 6 µm on a body of 20 cm
-RUN_UNIT = 1.0 / 256.0  # of the target's radius
-DIRECTION_UNIT = 1.0 / 127.0
+RUN_UNIT = 1.0 / 256.0  # of the target's radius. Source: by construction, format of the model file
+DIRECTION_UNIT = 1.0 / 127.0  # Source: by construction, a unit vector in signed bytes
 
 # The edge profile along the normal of an edge is stored as a few surfaces, from outside to inside
 # (the array ``strip``). The last surface has no end, the first of an inner edge no beginning; the

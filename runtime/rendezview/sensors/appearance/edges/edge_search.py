@@ -48,7 +48,8 @@ COLUMNS = 13  # Source: by construction
 FOUND, NOT_FOUND, OUTSIDE, CROWDED = 1.0, 0.0, -1.0, -2.0  # STATE of a point
 
 _RUN_PER_POINT = RUN_UNIT / POINT_UNIT
-_LEAST_DEPTH_M = 1e-6  # m; a point must lie before the camera
+# m; a point must lie before the camera.
+_LEAST_DEPTH_M = 1e-6  # Source: by construction, no division by 0
 _BORDER_PX = 2.0  # px; the lines read stay inside the image by this. Source: by construction
 _LINES_APART_PX = 1.5  # px
 _BILINEAR_NOISE = 0.75  # of a pixel's noise, after bilinear reading

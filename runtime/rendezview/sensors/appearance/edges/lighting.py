@@ -21,7 +21,8 @@ from rendezview.sensors.appearance.edges.edge_search import NX, NY, U, V
 Kinds = npt.NDArray[np.uint8]
 Starts = npt.NDArray[np.int8]
 
-_SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)
+_SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)  # Source: by construction, 42 directions
+# Source: by construction, half the spacing of those directions, halved twice
 _HALVINGS_RAD = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # rad; steps from one of those directions
 _BLUR_PX = 1.8  # px; samples keep this distance from the edge, whose blur reaches so far
 _BESIDE_PX = 0.5  # px; and this distance from the next surface
@@ -31,8 +32,9 @@ _COARSELY = 3  # one sample in three gives the rough direction of the Sun
 _TOLERANCE = 0.1  # of the level of the bright samples: what diffuse shading leaves unexplained
 _BRIGHT_PERCENTILE = 80  # of the levels: that of the bright samples
 _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
-_CANDIDATES = 6  # directions around the best one, for each step
-_KEEP = 0.7  # component of a unit vector beyond which another axis is crossed with it
+_CANDIDATES = 6  # directions around the best one, for each step. Source: by construction, a hexagon
+# Component of a unit vector beyond which another axis is crossed with it.
+_KEEP = 0.7  # Source: by construction, any axis not along it
 
 
 @njit(cache=True, nogil=True)

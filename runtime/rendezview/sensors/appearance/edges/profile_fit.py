@@ -9,7 +9,7 @@ from rendezview.geometry.normal_table import DENSITY, PER_UNIT, PHI, REACH, norm
 from rendezview.geometry.pose import Array
 
 _INSIDE_PX, _OUTSIDE_PX = 3.2, 2.7  # px; window about the edge
-_LEAST_PIXELS = 5  # for three or four unknowns
+_LEAST_PIXELS = 5  # for three or four unknowns. Source: by construction
 _GAIN_SPREAD = 0.5  # one σ of the gain about 1
 _TILT_SPREAD = 0.1  # one σ of the tilt, of the largest step a pixel
 _MODEL_GREY = 3.0  # grey levels, one σ of the model's own errors

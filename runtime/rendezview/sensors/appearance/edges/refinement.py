@@ -105,7 +105,7 @@ class Refiner:
         self.options = options or RefineOptions()
         self.error_model = model.error_model or ErrorModel.packaged()
         contours: Contours = model.contours
-        self._views = ViewTables(
+        self.views = ViewTables(
             np.ascontiguousarray(model.lattice.nodes),
             np.ascontiguousarray(contours.shells_m),
             contours.point,
@@ -140,7 +140,7 @@ class Refiner:
         rotation, centre = self._centred(start)
         frame, stages = sky.vector, self._stages[1:] if closely else self._stages
         edges = np.zeros((self._rows, COLUMNS))
-        light = align(image, self._lens, frame, stages, self._views, rotation, centre, edges)
+        light = align(image, self._lens, frame, stages, self.views, rotation, centre, edges)
         if light == DIVERGED:
             return None
         return self._result(image, frame, rotation, centre, light, edges)
@@ -167,7 +167,7 @@ class Refiner:
         frame = sky.vector
         survivors = max(2 * keep, len(rotations) * 2 // 5)
         align_each(
-            image, self._lens, frame, rough, coarse, self._views, rotations, centres,
+            image, self._lens, frame, rough, coarse, self.views, rotations, centres,
             survivors, ratios,
         )  # fmt: skip
         merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
@@ -180,7 +180,7 @@ class Refiner:
                 self._lens,
                 frame,
                 self._stages,
-                self._views,
+                self.views,
                 rotations[k],
                 centres[k],
                 edges,
@@ -233,7 +233,7 @@ class Refiner:
             _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
             strained = strain_covariance(edges, self._cut_px, self._nothing_known, centre, arm)
         outline, inner, visible = inlier_ratios(
-            image, self._lens, frame, self._views, rotation, centre, CLOSE_PX, 1, edges
+            image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )
         covariance *= self.error_model.inflation(outline, spread_px, frame[2])
         covariance *= self._stages[-1, VIEWS]  # which show the same edges

@@ -24,7 +24,7 @@ from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_U
 from rendezview.sensors.appearance.edges.lighting import light_strengths
 from rendezview.sensors.appearance.edges.view_tables import Lens
 
-ALBEDO_UNIT = 1.0 / 255.0
+ALBEDO_UNIT = 1.0 / 255.0  # Source: by construction, a byte
 
 _WINDOWS = 18  # across the target
 _LEAST_WINDOW_PX = 5.0  # px, a side
@@ -40,7 +40,8 @@ _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
 _NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that represent it
 _EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out
-_NODE_SPACING_RAD = 0.15  # rad; of the 642 directions
+# rad; of the 642 directions.
+_NODE_SPACING_RAD = 0.15  # Source: by construction, mean edge of a sphere of order 3, 8.6°
 
 
 @dataclass(frozen=True, slots=True, eq=False)

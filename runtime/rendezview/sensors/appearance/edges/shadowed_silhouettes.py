@@ -10,7 +10,8 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array
 
 SHADOWED_BINS = 90
-READING_UNIT = 16.0  # of a stored reading, thousandths of sqrt(area)
+# Of a stored reading, thousandths of sqrt(area).
+READING_UNIT = 16.0  # Source: by construction, format of the model file
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,8 @@ Two = tuple[float, float]
 Six = tuple[float, float, float, float, float, float]
 Lens = tuple[Array, bool]  # ``lens_vector``, and whether the camera distorts
 
-_STEP = 1e-5  # of normalised coordinates, for the derivative of the distortion
+# Of normalised coordinates, for the derivative of the distortion.
+_STEP = 1e-5  # Source: by construction, between rounding and curvature
 
 
 class ViewTables(NamedTuple):

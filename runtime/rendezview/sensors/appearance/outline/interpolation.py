@@ -30,11 +30,11 @@ _REACH_EDGES = 1.0
 # Source: experiment trajectory-accuracy, seeds 1000–1002
 _NEAR_EDGES = 0.6
 _ROUNDS = 3  # changes of the view whose quadratic is used
-_STEPS = 8  # of Gauss–Newton
+_STEPS = 8  # of Gauss–Newton. Source: by construction, a bound only
 _FARTHEST_RAD = 0.17  # rad from its view; a quadratic is not used beyond
 _LONGEST_STEP = 0.07  # rad, of one step
-_KEPT = 256  # quadratics, of the views used last
-# Px that an outline lies too far out, by blur and the low threshold: the mean over frames with
+_KEPT = 256  # quadratics, of the views used last. Source: by construction, a bound of memory
+# px that an outline lies too far out, by blur and the low threshold: the mean over frames with
 # truth. Source: experiment trajectory-accuracy, seeds 1000–1002
 _FAT_PX = 0.3
 _NOISE = 3.0  # thousandths; scatter of readings by rounding and noise

@@ -23,7 +23,7 @@ Box = tuple[int, int, int, int]
 MOST_AVERAGED_PX = 15  # px; the sum of 15 × 15 grey levels fits 16 bits. Source: by construction
 # Blobs whose border is shorter than a quarter of this share of the longest border are skipped.
 _LEAST_BORDER = 0.02
-_NO_GREY = np.zeros((0, 0), dtype=np.uint8)
+_NO_GREY = np.zeros((0, 0), dtype=np.uint8)  # Source: by construction
 
 
 class Threshold(StrEnum):
@@ -53,15 +53,15 @@ class SilhouetteOptions:
     # Grey levels; quantisation remains where there is no noise.
     # Source: experiment recognition-accuracy, seed 1
     least_contrast_grey: float = 4.0
-    # Px, side of the mean that is thresholded: it lifts dim panels out of the noise.
+    # px, side of the mean that is thresholded: it lifts dim panels out of the noise.
     # Source: experiment recognition-accuracy, seed 1
     averaged_px: int = 3
-    # Px inside the border where the target's level is looked for.
+    # px inside the border where the target's level is looked for.
     # Source: experiment recognition-accuracy, seed 1
     reach_px: int = 2
     cleaning: Cleaning = Cleaning.NONE
     background: Picture | None = None  # a frame without the target, subtracted first
-    # Px; a blob below about 9 px across is all staircase.
+    # px; a blob below about 9 px across is all staircase.
     # Source: experiment recognition-accuracy, seed 1
     least_area_px: int = 60
     # Share of the largest blob's area; a smaller blob is noise.

@@ -118,7 +118,10 @@ def _one(
 
 
 @njit(cache=True, nogil=True)
-def _batch(rays, base, post, most, tolerance, method, distances, counts, residuals):  # type: ignore[no-untyped-def]
+def _batch(
+    rays: Array, base: float, post: float, most: int, tolerance: float, method: int,
+    distances: Array, counts: Counts, residuals: Array,
+) -> None:  # fmt: skip
     d = np.empty((3, 3))
     side2, base2 = 0.25 * base * base + post * post, base * base
     for n in range(rays.shape[0]):
@@ -146,12 +149,15 @@ def _batch(rays, base, post, most, tolerance, method, distances, counts, residua
 
 
 @njit(cache=True, nogil=True)
-def _chord2(d, i, j):  # type: ignore[no-untyped-def]
-    return (d[i, 0] - d[j, 0]) ** 2 + (d[i, 1] - d[j, 1]) ** 2 + (d[i, 2] - d[j, 2]) ** 2
+def _chord2(d: Array, i: int, j: int) -> float:
+    return float((d[i, 0] - d[j, 0]) ** 2 + (d[i, 1] - d[j, 1]) ** 2 + (d[i, 2] - d[j, 2]) ** 2)
 
 
 @njit(cache=True, nogil=True)
-def _newton(d, q12, q13, q23, base, post, side2, most, tolerance):  # type: ignore[no-untyped-def]
+def _newton(
+    d: Array, q12: float, q13: float, q23: float, base: float, post: float, side2: float,
+    most: int, tolerance: float,
+) -> tuple[float, float, float, int]:  # fmt: skip
     half = math.sqrt(0.25 * q23)  # sin(θ23/2)
     r2 = r3 = 0.5 * base / half
     middle = r2 * math.sqrt(1.0 - half * half)
@@ -184,7 +190,9 @@ def _newton(d, q12, q13, q23, base, post, side2, most, tolerance):  # type: igno
 
 
 @njit(cache=True, nogil=True)
-def _alternate(q12, q13, q23, base, side2, most, tolerance):  # type: ignore[no-untyped-def]
+def _alternate(
+    q12: float, q13: float, q23: float, base: float, side2: float, most: int, tolerance: float
+) -> tuple[float, float, float, int]:
     swapped = q12 < q13
     if swapped:
         q12, q13 = q13, q12

@@ -1,0 +1,76 @@
+"""How well the maps of a sketch agree with a view of the model at a pose."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Float32s
+from rendezview.sensors.appearance.sketch.retrieval import towards
+from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches
+
+_HALVES = 2  # times coarser than the sketch: a view's maps are no finer. Source: by construction
+# Source: experiment photo-accuracy
+_LINE_SIGMA_CELLS = 1.2  # σ, cells: lines of the nearest view lie a little aside
+FEATURES = ("overlap", "edges", "creases")
+
+
+class SketchAgreement:
+    """Compares one sketch with poses."""
+
+    def __init__(self, views: ViewSketches, directions: Array, maps: Float32s) -> None:
+        """
+        Args:
+            views: of the model.
+            directions: (V, 3) unit, from the view centre to the camera of each view.
+            maps: (MAPS, h, w) of the sketch.
+        """
+        self._views = views
+        self._directions = directions
+        height, width = maps.shape[1:]
+        self._size = max(1, width // _HALVES), max(1, height // _HALVES)
+        self._maps = np.stack(
+            [np.asarray(cv2.resize(m, self._size, interpolation=cv2.INTER_AREA)) for m in maps]
+        )
+        self._lines = {k: _line(self._maps[k]) for k in (EDGE, CREASE)}
+
+    def of(
+        self, rotation: Array, centre: Array, centre_px: Array, radius_px: float
+    ) -> tuple[float, float, float]:
+        """``FEATURES`` of a pose: overlap of covers (intersection over union), correlations.
+
+        Args:
+            rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+            centre_px: (2,) of the view centre in the sketch.
+            radius_px: a target radius there, sketch px.
+        """
+        ahead = towards(centre / np.linalg.norm(centre)).T @ rotation
+        view = int(np.argmax(self._directions @ -ahead[2]))
+        between = ahead @ self._views.rotation[view].astype(np.float64).T
+        turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+        c, s = np.cos(turn), np.sin(turn)
+        spin = np.array([[c, -s], [s, c]])
+        middle_px = centre_px + radius_px * spin @ self._views.centre_radii[view]
+        cell = 2.0 * REACH * float(self._views.size_radii[view]) * radius_px / GRID
+        linear = cell / _HALVES * spin
+        shift = (middle_px + 0.5) / _HALVES - 0.5 - linear @ np.full(2, 0.5 * (GRID - 1))
+        warp = np.column_stack([linear, shift])
+        drawn = np.stack(
+            [np.asarray(cv2.warpAffine(m, warp, self._size)) for m in self._views.decoded(view)]
+        )
+        cover, shown = drawn[COVER], self._maps[COVER]
+        both = float((cover * shown).sum())
+        union = float((cover + shown).sum()) - both
+        return (
+            both / (union + 1e-6),
+            float((_line(drawn[EDGE]) * self._lines[EDGE]).sum()),
+            float((_line(drawn[CREASE]) * self._lines[CREASE]).sum()),
+        )
+
+
+def _line(plane: Float32s) -> Float32s:
+    """A map of lines, softened, without its mean, of unit norm: products are correlations."""
+    soft = np.asarray(cv2.GaussianBlur(plane, (0, 0), _LINE_SIGMA_CELLS))
+    soft = soft - soft.mean()
+    return np.asarray(soft / (np.linalg.norm(soft) + 1e-6), dtype=np.float32)

@@ -1,0 +1,155 @@
+"""Which views of a model look like a sketch: all of them, at all rolls, by one matrix product."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import exp
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Float32s, Sketch
+from rendezview.sensors.appearance.sketch.views import (
+    ViewSketches,
+    centroid,
+    cover_of,
+    on_grid,
+    smoothed,
+)
+
+Bools = npt.NDArray[np.bool_]
+
+_ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
+# Weights of the correlations of each map. Source: experiment photo-accuracy
+_WEIGHTS = {COVER: 1.0, EDGE: 1.0, CREASE: 0.6}
+# Where the target leaves the frame: its whole size, of what is seen, and the shift of its centre
+# beyond the border, of the growth. Source: experiment photo-accuracy
+_CUT_SIZES = (1.0, 1.25, 1.6)
+_CUT_SHIFT = 0.6  # Source: experiment photo-accuracy
+# Source: spacing of the nodes' views
+_SAME_RAD = np.deg2rad(7.0)  # rad; nearer views lead to the same pose
+
+
+class SketchRetrieval:
+    """Starting poses for a sketch, by correlation with every view at every roll."""
+
+    def __init__(self, model: ViewModel, sketches: ViewSketches, camera: Camera) -> None:
+        self._sketches = sketches
+        self._camera = camera
+        self._radius_m = model.target_radius_m
+        self._vectors = np.stack([_vector(maps) for maps in sketches.decoded()])
+
+    def starts(
+        self, sketch: Sketch, most: int, near: Array | None = None, within_rad: float = np.pi
+    ) -> tuple[Array, Array]:
+        """Rotations (K, 3, 3) camera_from_target and view centres (K, 3) m, the likeliest first.
+
+        ``near``: (3, 3) an attitude; only others ``within_rad`` of it are given, finer spaced.
+        """
+        turns = 2.0 * np.pi * np.arange(_ROLLS) / _ROLLS
+        spins = np.array([exp(np.array([0.0, 0.0, turn])) for turn in turns])
+        apart_rad = _SAME_RAD
+        allowed: Bools | None = None
+        if near is not None:
+            apart_rad = 0.5 * _SAME_RAD
+            seen = towards(self._ray(sketch, centroid(cover_of(sketch.maps))[0])).T @ near
+            traces = np.einsum("rij,vjk,ik->rv", spins, self._sketches.rotation, seen)
+            allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
+        placements = self._placements(sketch)
+        alike = np.stack(
+            [self._alike(sketch, place, turns, allowed) for place in placements]
+        )  # (placements, rolls, views)
+        rotations: list[Array] = []
+        centres: list[Array] = []
+        turned = np.empty((most, 3, 3))
+        least = 1.0 + 2.0 * np.cos(apart_rad)
+        for k in np.argsort(-alike, axis=None):
+            which, roll, view = np.unravel_index(k, alike.shape)
+            if alike[which, roll, view] == -np.inf:
+                break
+            spin, (centre, size) = spins[roll], placements[which]
+            rotation = spin @ self._sketches.rotation[view].astype(np.float64)
+            known = turned[: len(rotations)]
+            if len(known) and np.einsum("kij,ij->k", known, rotation).max() > least:
+                continue
+            turned[len(rotations)] = rotation
+            bearing, range_m = self._placed(sketch, centre, size, int(view), spin)
+            rotations.append(towards(bearing) @ rotation)
+            centres.append(bearing * range_m)
+            if len(rotations) == most:
+                break
+        return np.array(rotations).reshape(-1, 3, 3), np.array(centres).reshape(-1, 3)
+
+    def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
+        """Centre and size (root of the area) of the cover, px; guesses of both where it is cut."""
+        centre, size = centroid(cover_of(sketch.maps))
+        if not sketch.cut.any():
+            return [(centre, size)]
+        return [(centre + _CUT_SHIFT * (f - 1.0) * size * sketch.cut, f * size) for f in _CUT_SIZES]
+
+    def _alike(
+        self, sketch: Sketch, place: tuple[Array, float], turns: Array, allowed: Bools | None
+    ) -> Array:
+        """(rolls, views) correlation of views at rolls with the sketch; −∞ if not allowed."""
+        centre, size = place
+        rolls = np.arange(len(turns)) if allowed is None else np.flatnonzero(allowed.any(1))
+        alike = np.full((len(turns), len(self._vectors)), -np.inf)
+        if not len(rolls):
+            return alike
+        maps = smoothed(sketch.maps, size)
+        asked = np.stack([_vector(on_grid(maps, centre, size, turns[r])) for r in rolls])
+        alike[rolls] = asked @ self._vectors.T
+        if allowed is not None:
+            alike[~allowed] = -np.inf
+        return alike
+
+    def placed(self, sketch: Sketch, rotations: Array) -> Array:
+        """View centres (K, 3) m that put the cover of the nearest views over the sketch's."""
+        centre, size = centroid(cover_of(sketch.maps))
+        ahead = towards(self._ray(sketch, centre))
+        centres = []
+        for rotation in rotations:
+            seen = ahead.T @ rotation
+            view = int(np.argmax(self._sketches.rotation[:, 2] @ seen[2]))
+            between = seen @ self._sketches.rotation[view].astype(np.float64).T
+            turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+            bearing, range_m = self._placed(
+                sketch, centre, size, view, exp(np.array([0.0, 0.0, turn]))
+            )
+            centres.append(bearing * range_m)
+        return np.array(centres).reshape(-1, 3)
+
+    def _placed(
+        self, sketch: Sketch, centre_px: Array, size_px: float, view: int, spin: Array
+    ) -> tuple[Array, float]:
+        """Unit direction (3,) to the view centre and its distance, for a view and its roll."""
+        scale = size_px / float(self._sketches.size_radii[view])  # sketch px a target radius
+        off = spin[:2, :2] @ self._sketches.centre_radii[view].astype(np.float64)
+        focal = float(np.sqrt(self._camera.fx * self._camera.fy))
+        range_m = focal * sketch.scale * self._radius_m / scale
+        return self._ray(sketch, centre_px - scale * off), range_m
+
+    def _ray(self, sketch: Sketch, place_px: Array) -> Array:
+        """Unit direction (3,) to a place of the sketch."""
+        in_frame = (place_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
+        ray = np.asarray(self._camera.rays(in_frame[None]))[0]
+        return np.asarray(ray / np.linalg.norm(ray))
+
+
+def towards(bearing: Array) -> Array:
+    """(3, 3) the least rotation that turns the boresight to a unit direction (3,)."""
+    axis = np.array([-bearing[1], bearing[0], 0.0])
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return np.eye(3)
+    return np.asarray(exp(axis / sine * np.arctan2(sine, bearing[2])))
+
+
+def _vector(maps: Float32s) -> Float32s:
+    """The maps (MAPS, GRID, GRID) as one vector whose products are weighted correlations."""
+    parts = []
+    for plane, weight in _WEIGHTS.items():
+        centred = maps[plane] - maps[plane].mean()
+        parts.append(np.sqrt(weight) * centred.ravel() / (np.linalg.norm(centred) + 1e-6))
+    return np.concatenate(parts).astype(np.float32)

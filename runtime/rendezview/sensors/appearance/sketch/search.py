@@ -1,0 +1,182 @@
+"""The search for the pose of a frame on its sketch.
+
+The network draws a sketch of the frame (``network``). Correlation with the model's views proposes
+poses (``retrieval``), which are moved onto the sketch's edges (``alignment``) and compared with it
+as a whole (``agreement``). The best are looked at again in a sketch twice as fine. A regression
+gives the probability that the best of them is right (``choice``).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.lens import lens_vector
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.edges.starts import rotated_about
+from rendezview.sensors.appearance.edges.view_tables import ViewTables, through_lens
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.sketch.agreement import SketchAgreement
+from rendezview.sensors.appearance.sketch.alignment import (
+    Maps,
+    align_all_to_sketch,
+    pose_covariance,
+)
+from rendezview.sensors.appearance.sketch.choice import SketchChoice, SketchPose, chosen, distinct
+from rendezview.sensors.appearance.sketch.network import (
+    COVER,
+    CREASE,
+    EDGE,
+    SIDE_PX,
+    Box,
+    Sketch,
+    Sketcher,
+)
+from rendezview.sensors.appearance.sketch.retrieval import SketchRetrieval
+
+# Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
+# of the target is looked over first, then less and less. Source: experiment photo-accuracy
+_COARSE = np.array(
+    [[14.0, 7.0, 3.0, 2.0, 0.5], [9.0, 4.0, 3.0, 1.0, 0.5], [6.0, 2.5, 4.0, 1.0, 0.5]]
+)
+# In the finer sketch all edges within 2 % of the target's size count: where the mesh is wrong, the
+# mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
+_FINE = np.array([[12.0, 5.0, 10.0, 1.0, 1.0]])
+_FINER = 2  # times SIDE_PX. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
+_RETRIEVED = 80  # views and rolls that are aligned without a prior
+_RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
+_LOOKED_AT = 5  # of the aligned poses, more closely. Source: experiment photo-accuracy
+_APART_RAD = np.deg2rad(4.0)  # rad, between them. Source: experiment photo-accuracy
+# Source: experiment photo-accuracy
+_ASIDE_RAD = np.deg2rad(4.0)  # rad; the pose that fits best is looked for that far around
+_VIEW_RAD = np.deg2rad(6.0)  # rad; from any attitude to the nearest view. Source: the node sphere
+_SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: half their width
+# Source: experiment photo-accuracy
+_CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
+
+
+class SketchSearch:
+    """Finds poses of one model in the frames of one camera by their sketches."""
+
+    def __init__(self, model: ViewModel, camera: Camera, views: ViewTables) -> None:
+        """A search; ``views`` are the contour points of the model.
+
+        Raises:
+            ValueError: the model has no sketches.
+        """
+        if model.sketches is None:
+            raise ValueError("the model has no sketches")
+        self.model = model
+        self.camera = camera
+        self.sketcher = Sketcher()
+        self.retrieval = SketchRetrieval(model, model.sketches, camera)
+        self._sketches = model.sketches
+        self._directions = -model.sketches.rotation[:, 2].astype(np.float64)
+        self._views = views
+        self._lens = (lens_vector(camera), camera.is_distorted)
+
+    def anywhere(self, frame: Picture) -> SketchChoice | None:
+        """The best pose of a frame without a prior; None where the sketch shows no target."""
+        sketch = self.sketcher.find(frame)
+        if sketch is None:
+            return None
+        rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
+        poses = self.aligned(sketch, rotations, centres, _COARSE)
+        return self._closer(frame, poses, prior=False)
+
+    def near(self, frame: Picture, prior: Pose, error_rad: float) -> SketchChoice | None:
+        """The best pose within some angle of a prior; None where there is none."""
+        sketch = self.sketcher.near(frame, self._box(prior))
+        if sketch is None:
+            return None
+        around, stay = rotated_about(prior, self.model.centre_m, error_rad)
+        alike, places = self.retrieval.starts(
+            sketch, _RETRIEVED_NEAR, prior.rotation, error_rad + _VIEW_RAD
+        )
+        rotations = np.concatenate([around, around, alike])
+        centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
+        poses = self.aligned(sketch, rotations, centres, _COARSE)
+        furthest = 1.1 * error_rad + _VIEW_RAD
+        within = [p for p in poses if p.pose.angle_to(prior) < furthest]
+        return self._closer(frame, within, prior=True)
+
+    def aligned(
+        self, sketch: Sketch, rotations: Array, centres: Array, stages: Array
+    ) -> list[SketchPose]:
+        """Poses (K, 3, 3) and view centres (K, 3), changed in place, moved onto a sketch.
+
+        Those that find no hold are left out.
+        """
+        maps = _maps(sketch)
+        scores = np.empty((len(rotations), 4))
+        align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
+        agreement = SketchAgreement(self._sketches, self._directions, sketch.maps)
+        found = []
+        for k in np.flatnonzero(scores[:, 0] >= 0.0):
+            place, radius_px = self._in_sketch(sketch, centres[k])
+            pose = Pose(rotations[k], centres[k] - rotations[k] @ self.model.centre_m)
+            agrees = agreement.of(rotations[k], centres[k], place, radius_px)
+            outline, inner, contrast, visible = (float(score) for score in scores[k])
+            found.append(SketchPose(pose, outline, inner, contrast, visible, *agrees))
+        return found
+
+    def _closer(
+        self, frame: Picture, poses: list[SketchPose], *, prior: bool
+    ) -> SketchChoice | None:
+        """The best of some poses after a closer look at the target."""
+        best = distinct(poses, _LOOKED_AT, _APART_RAD)
+        if not best:
+            return None
+        sketch = self.sketcher.near(frame, self._box(best[0].pose), _FINER * SIDE_PX)
+        if sketch is None:
+            return None
+        around, places = rotated_about(best[0].pose, self.model.centre_m, _ASIDE_RAD)
+        rotations = np.concatenate([around, *(b.pose.rotation[None] for b in best[1:])])
+        centre_m = self.model.centre_m
+        centres = np.concatenate([places, *(b.pose.apply(centre_m)[None] for b in best[1:])])
+        closer = self.aligned(sketch, rotations, centres, _FINE)
+        choice = chosen(closer, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
+        if choice is None:
+            return None
+        pose = choice.best.pose
+        covariance, residual_px = pose_covariance(
+            _maps(sketch), self._lens, self._views, _FINE[-1], pose.rotation,
+            pose.apply(centre_m), pose.rotation @ centre_m,
+        )  # fmt: skip
+        return choice.with_covariance(covariance, residual_px / sketch.scale)
+
+    def _in_sketch(self, sketch: Sketch, centre: Array) -> tuple[Array, float]:
+        """Place (2,) of the view centre in a sketch, and a target radius there, sketch px."""
+        x, y = centre[:2] / centre[2]
+        u, v = through_lens(float(x), float(y), self._lens)[:2]
+        camera = self.camera
+        place = np.array([camera.fx * u + camera.cx, camera.fy * v + camera.cy])
+        radius_px = camera.fx * sketch.scale * self.model.target_radius_m / np.linalg.norm(centre)
+        return sketch.scale * place + sketch.place[1:], float(radius_px)
+
+    def _box(self, pose: Pose) -> Box:
+        """The box of the target at a pose, frame px: of the contour points of its nearest view."""
+        views, nearest = self._views, np.zeros(1, dtype=np.int64)
+        centre = pose.apply(self.model.centre_m)
+        shell = nearest_views(views.directions, views.shells_m, pose.rotation, centre, nearest)
+        exists = views.kind[shell, nearest[0]] != NO_POINT
+        points = views.point[shell, nearest[0]][exists] * (POINT_UNIT * views.radius_m)
+        in_camera = points @ pose.rotation.T + centre
+        px = np.asarray(self.camera.project(in_camera[in_camera[:, 2] > 0.0]))
+        if not len(px) or not np.isfinite(px).all():
+            return -1.0, -1.0, -1.0, -1.0  # nothing of it is ahead: outside the frame
+        left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
+        return left, top, right, bottom
+
+
+def _maps(sketch: Sketch) -> Maps:
+    """The maps as alignment reads them."""
+    edge, crease = sketch.maps[EDGE], sketch.maps[CREASE]
+    crease = np.maximum(crease, np.float32(_CREASE_SHARE) * edge)
+    soft = [np.asarray(cv2.GaussianBlur(m, (0, 0), _SMOOTH_PX)) for m in (edge, crease)]
+    return Maps(np.ascontiguousarray(sketch.maps[COVER]), soft[0], soft[1], sketch.place)

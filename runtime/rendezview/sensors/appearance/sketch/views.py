@@ -1,0 +1,105 @@
+"""The views of a model as sketches: what the network would draw of an exact craft."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.sketch.network import COVER, MAPS, Float32s
+
+GRID = 40  # cells a side of a view's maps. Source: experiment photo-accuracy
+# Half a side of the maps, of the root of the cover's area. Source: experiment photo-accuracy
+REACH = 1.3
+_DOUBT = 0.3  # probability; a fainter cover is none. Source: experiment photo-accuracy
+_SMOOTH_CELLS = 0.5  # σ of the maps before they are read. Source: half a cell, by construction
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewSketches:
+    """V views of the target from one distance, each centred on its cover and scaled by its area."""
+
+    rotation: npt.NDArray[np.float32]  # (V, 3, 3) camera_from_target, view centre on the boresight
+    maps: npt.NDArray[np.uint8]  # (V, MAPS, GRID, GRID) probabilities × 255
+    # (V, 2) the cover's centroid off the view centre, target radii at its distance, right and down
+    centre_radii: npt.NDArray[np.float32]
+    size_radii: npt.NDArray[np.float32]  # (V,) square root of the cover's area, in the same unit
+
+    def check(self) -> None:
+        """The arrays belong together.
+
+        Raises:
+            ValueError: they do not; which one is said.
+        """
+        count = len(self.size_radii)
+        wanted: dict[str, tuple[int, ...]] = {
+            "rotation": (count, 3, 3),
+            "maps": (count, MAPS, GRID, GRID),
+            "centre_radii": (count, 2),
+            "size_radii": (count,),
+        }
+        for name, size in wanted.items():
+            if getattr(self, name).shape != size:
+                found = getattr(self, name).shape
+                raise ValueError(f"sketches.{name} has shape {found} instead of {size}")
+        if not (count and np.all(self.size_radii > 0.0)):
+            raise ValueError("sketches.size_radii must hold positive numbers")
+
+    def decoded(self, views: slice | int | Array = slice(None)) -> Float32s:
+        """(…, MAPS, GRID, GRID) of some views, 0 … 1."""
+        return self.maps[views].astype(np.float32) / np.float32(255.0)
+
+
+def encoded(maps: Float32s) -> npt.NDArray[np.uint8]:
+    """The inverse of ``ViewSketches.decoded``, for (…, MAPS, h, w)."""
+    return np.asarray(np.rint(np.clip(maps, 0.0, 1.0) * 255.0), dtype=np.uint8)
+
+
+def centroid(cover: Float32s) -> tuple[Array, float]:
+    """(2,) centroid of a cover (h, w), right and down, px, and the square root of its area, px."""
+    area = max(float(cover.sum()), 1e-6)
+    x = float(cover.sum(0) @ np.arange(cover.shape[1])) / area
+    y = float(cover.sum(1) @ np.arange(cover.shape[0])) / area
+    return np.array([x, y]), float(np.sqrt(area))
+
+
+def smoothed(maps: Float32s, size_px: float) -> Float32s:
+    """The maps (MAPS, h, w), smoothed so that cells of the grid for a size can be read off them."""
+    sigma = _SMOOTH_CELLS * 2.0 * REACH * size_px / GRID
+    if sigma < 0.3:  # px; a narrower kernel is none
+        return maps
+    return np.stack([np.asarray(cv2.GaussianBlur(plane, (0, 0), sigma)) for plane in maps])
+
+
+def on_grid(maps: Float32s, centre_px: Array, size_px: float, turn_rad: float = 0.0) -> Float32s:
+    """(MAPS, GRID, GRID) around a centre, scaled by a size, turned.
+
+    Args:
+        maps: (MAPS, h, w), ``smoothed``.
+        centre_px: (2,) of the grid's middle.
+        size_px: square root of the cover's area.
+        turn_rad: the picture is the grid's content turned by this, from right to down.
+    """
+    cell = 2.0 * REACH * size_px / GRID
+    c, s = np.cos(turn_rad), np.sin(turn_rad)
+    middle = 0.5 * (GRID - 1)
+    linear = cell * np.array([[c, -s], [s, c]])
+    shift = centre_px - linear @ np.array([middle, middle])
+    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    grid = np.stack(
+        [
+            np.asarray(
+                cv2.warpAffine(plane, np.column_stack([linear, shift]), (GRID, GRID), flags=how)
+            )
+            for plane in maps
+        ]
+    )
+    return np.asarray(grid, dtype=np.float32)
+
+
+def cover_of(maps: Float32s) -> Float32s:
+    """The cover (h, w) without faint doubts far from the target."""
+    return np.where(maps[COVER] > _DOUBT, maps[COVER], np.float32(0.0))

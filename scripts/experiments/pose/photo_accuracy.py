@@ -1,0 +1,140 @@
+"""Poses from photographs in the form of SPEED+ (Park et al. 2022), without and with a prior."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
+
+RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
+PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors
+# Below these errors SPEED+ counts none: the accuracy of its own labels (Park et al. 2022).
+FLOOR_DEG, FLOOR_SHARE = 0.169, 2.173e-3
+
+
+def read(folder: Path) -> tuple[Camera, list[tuple[str, np.ndarray, Pose]]]:
+    """The camera, and name, grey picture and camera_from_target of every photograph."""
+    record = json.loads((folder / "camera.json").read_text())
+    matrix = np.array(record["cameraMatrix"])
+    camera = Camera(
+        width=record["Nu"], height=record["Nv"], fx=matrix[0, 0], fy=matrix[1, 1],
+        cx=matrix[0, 2], cy=matrix[1, 2], distortion=tuple(record["distCoeffs"]),
+    )  # fmt: skip
+    frames = []
+    for label in json.loads((folder / "test.json").read_text()):
+        picture = cv2.imread(str(folder / "images" / label["filename"]), cv2.IMREAD_GRAYSCALE)
+        rotation = Rotation.from_quat(np.array(label["q_vbs2tango_true"])[[1, 2, 3, 0]])
+        pose = Pose(rotation.as_matrix(), np.array(label["r_Vo2To_vbs_true"]))
+        frames.append((label["filename"], picture, pose))
+    return camera, frames
+
+
+def near(pose: Pose, rng: np.random.Generator) -> Pose:
+    """A pose off in a random direction: PRIOR_DEG, and PRIOR_SHARE of the distance."""
+    turn, move = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    rotation = Rotation.from_rotvec(np.deg2rad(PRIOR_DEG) * turn).as_matrix() @ pose.rotation
+    far = np.linalg.norm(pose.translation_m)
+    return Pose(rotation, pose.translation_m + PRIOR_SHARE * far * move)
+
+
+def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose | None) -> dict:
+    """Errors of the pose of one photograph, given or not."""
+    began_s = time.perf_counter()
+    seen = recognizer.recognize(
+        picture, prior, None if prior is None else np.deg2rad(2.0 * PRIOR_DEG)
+    )
+    row: dict[str, Any] = {"given": seen.pose is not None, "status": str(seen.status)}
+    row["time_s"] = time.perf_counter() - began_s
+    row["sketch"] = "sketch" in seen.stage_ms
+    row["confidence"] = seen.confidence
+    pose = seen.pose or next(iter(seen.candidates), None)
+    if pose is None:
+        return row | {"rotation_deg": 180.0, "translation": 1.0, "nees": None}
+    off = pose.translation_m - truth.translation_m
+    turn = Rotation.from_matrix(pose.rotation @ truth.rotation.T).as_rotvec()
+    row["rotation_deg"] = float(np.rad2deg(np.linalg.norm(turn)))
+    row["translation"] = float(np.linalg.norm(off) / np.linalg.norm(truth.translation_m))
+    row["nees"] = None
+    if seen.covariance is not None:
+        error = np.concatenate([turn, off])
+        row["nees"] = float(error @ np.linalg.solve(seen.covariance, error))
+    return row
+
+
+def table(name: str, rows: list[dict]) -> None:
+    """Shares and medians; frames without a pose count among all."""
+    given = [r for r in rows if r["given"]]
+    error = np.array([r["rotation_deg"] for r in rows])
+    ok = np.array([r["given"] for r in rows])
+    share = 100.0 / len(rows)
+    print(
+        f"{name}: {len(rows)} frames, given {share * ok.sum():.0f} %, "
+        f"right (< {RIGHT_DEG:.0f}°) {share * (ok & (error < RIGHT_DEG)).sum():.0f} %, "
+        f"< {CLOSE_DEG:.0f}° {share * (ok & (error < CLOSE_DEG)).sum():.0f} %, "
+        f"wrong (> {WRONG_DEG:.0f}°) {share * (ok & (error > WRONG_DEG)).sum():.0f} %"
+    )
+    if given:
+        nees = [r["nees"] for r in given if r["nees"] is not None and r["rotation_deg"] < RIGHT_DEG]
+        print(
+            f"    given: median {np.median([r['rotation_deg'] for r in given]):.2f}°, "
+            f"{100 * np.median([r['translation'] for r in given]):.2f} %; "
+            f"NEES of the right ones, median {np.median(nees) if nees else np.nan:.1f}, "
+            f"mean {np.mean(nees) if nees else np.nan:.1f}"
+        )
+    # Every frame answered by its best candidate, misses as 180° and the whole distance.
+    turn = np.where(error < FLOOR_DEG, 0.0, error)
+    move = np.array([r["translation"] for r in rows])
+    move = np.where(move < FLOOR_SHARE, 0.0, move)
+    print(
+        f"    every frame answered: {np.mean(turn):.1f}° mean ({np.mean(error < RIGHT_DEG):.0%} "
+        f"< {RIGHT_DEG:.0f}°), SPEED+ score {np.mean(np.deg2rad(turn) + move):.3f}; "
+        f"time {np.median([r['time_s'] for r in rows]):.2f} s median, "
+        f"{max(r['time_s'] for r in rows):.2f} s worst"
+    )
+
+
+def run(
+    model: Path,
+    folder: Path,
+    *,
+    priors: Annotated[int, "of each photograph"] = 3,
+    no_sketch: Annotated[bool, "without the search on sketches"] = False,
+    log: Annotated[Path | None, "errors of every photograph, JSON lines"] = None,
+    seed: int = 1,
+) -> None:
+    cv2.setNumThreads(1)
+    camera, frames = read(folder)
+    recognizer = Recognizer(ViewModel.load(model), camera, sketch=not no_sketch)
+    recognizer.recognize(frames[0][1])  # compiles, and reads the network
+    rng = np.random.default_rng(seed)
+    rows: dict[str, list[dict]] = {"no prior": [], "prior": []}
+    for name, picture, truth in frames:
+        looks: dict[str, list[Pose | None]] = {
+            "no prior": [None],
+            "prior": [near(truth, rng) for _ in range(priors)],
+        }
+        for kind, starts in looks.items():
+            for start in starts:
+                row = look(recognizer, picture, truth, start)
+                rows[kind].append(row | {"image": name, "kind": kind})
+        first = rows["no prior"][-1]
+        close = " ".join(f"{r['rotation_deg']:.1f}°" for r in rows["prior"][-priors:])
+        print(
+            f"{name} {first['rotation_deg']:6.1f}° {100 * first['translation']:5.1f} % "
+            f"{'given' if first['given'] else first['status']:>12} "
+            f"{first['confidence'] or 0.0:.3f} {first['time_s']:.2f} s   prior {close}",
+            flush=True,
+        )
+    for kind, some in rows.items():
+        table(kind, some)
+    if log is not None:
+        log.write_text("".join(json.dumps(r) + "\n" for some in rows.values() for r in some))

@@ -1,0 +1,145 @@
+"""The compiled loops of alignment on a sketch, against plain numpy."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.lens import lens_vector
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance.edges.contours import POINT_UNIT
+from rendezview.sensors.appearance.edges.edge_search import FOUND, RESIDUAL, STATE, U, V
+from rendezview.sensors.appearance.edges.refinement import Refiner
+from rendezview.sensors.appearance.sketch.alignment import (
+    WIDTH,
+    Maps,
+    align_all_to_sketch,
+    align_to_sketch,
+    likeliest_edge,
+    measure_sketch,
+    predict_edge,
+    read_map,
+    sketch_agreement,
+)
+from rendezview.training.sketch_maps import SAMPLES, facing_normals, sketch_maps
+from rendezview.training.zbuffer import draw_perspective, empty_buffers
+
+STAGES = np.array([[10.0, 5.0, 6.0, 1.0, 0.5], [4.0, 2.0, 6.0, 1.0, 0.5]])
+
+
+@pytest.fixture(scope="module")
+def ideal(bumpy_mesh, refining_model, camera):
+    """Maps as a perfect network would draw them at a pose, over the whole frame at half scale."""
+    rotation = Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()
+    centre = np.array([0.1, -0.05, 1.5 * refining_model.sphere_radius_m])
+    pose = Pose(rotation, centre - rotation @ refining_model.centre_m)
+    scale, n = 0.5, SAMPLES
+    size = int(camera.width * scale)
+    vertices = np.ascontiguousarray(pose.apply(bumpy_mesh.vertices_m))
+    near, owner = empty_buffers(size * n, size * n)
+    f = camera.fx * scale * n
+    c = (camera.cx + 0.5) * scale * n - 0.5
+    draw_perspective(vertices, bumpy_mesh.faces, f, f, c, c, 0.01, near, owner)
+    normals = facing_normals(vertices, bumpy_mesh.faces)
+    drawn = sketch_maps(near, owner, normals, refining_model.target_radius_m)
+    soft = [cv2.GaussianBlur(m, (0, 0), 0.7) for m in drawn]
+    shift = 0.5 * scale - 0.5
+    maps = Maps(
+        drawn[0], soft[1], np.maximum(soft[2], 0.5 * soft[1]), np.array([scale, shift, shift])
+    )
+    lens = (lens_vector(camera), camera.is_distorted)
+    return pose, maps, lens, Refiner(refining_model, camera).views
+
+
+def test_read_map_is_bilinear_and_minus_one_outside():
+    plane = np.random.default_rng(1).random((5, 7)).astype(np.float32)
+    x, y = 2.25, 3.5
+    corners = plane[3:5, 2:4]
+    expected = np.array([0.5, 0.5]) @ corners @ np.array([0.75, 0.25])
+    assert read_map(plane, x, y) == pytest.approx(expected, rel=1e-6)
+    for place in ((-0.1, 1.0), (6.0, 1.0), (1.0, 4.0), (np.nan, 1.0)):
+        assert read_map(plane, *place) == -1.0
+
+
+def test_predict_edge_projects_the_point_and_its_derivatives(ideal, refining_model):
+    pose, maps, lens, views = ideal
+    centre = pose.apply(refining_model.centre_m)
+    unit = views.radius_m * POINT_UNIT
+    point, tangent = views.point[0, 5, 3], views.tangent[0, 5, 3]
+
+    def place(turn: np.ndarray, move: np.ndarray) -> np.ndarray:
+        q = Rotation.from_rotvec(turn).as_matrix() @ pose.rotation @ (point * unit) + centre + move
+        return maps.place[0] * (lens[0][:2] * q[:2] / q[2] + lens[0][2:4]) + maps.place[1:]
+
+    row = np.zeros(WIDTH)
+    assert predict_edge(point, tangent, lens, maps.place, unit, pose.rotation, centre, row)
+    zero = np.zeros(3)
+    assert row[[U, V]] == pytest.approx(place(zero, zero), abs=1e-9)
+    normal = row[[11, 12]]
+    assert np.linalg.norm(normal) == pytest.approx(1.0)
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-6
+        moved = (place(step[:3], step[3:]) - place(-step[:3], -step[3:])) / 2e-6
+        assert row[k] == pytest.approx(float(normal @ moved), rel=1e-4, abs=1e-3)
+
+
+def test_likeliest_edge_finds_the_ridge_and_wants_the_target_inside():
+    x = np.arange(60.0)
+    plane = np.tile(np.exp(-0.5 * ((x - 33.3) / 1.2) ** 2), (40, 1)).astype(np.float32)
+    cover = np.tile(x < 33.3, (40, 1)).astype(np.float32)
+    row = np.zeros(WIDTH)
+    row[[U, V, 11, 12]] = 30.0, 20.0, 1.0, 0.0
+    at, score = likeliest_edge(plane, cover, row, 8, 5.0, True)
+    assert at == pytest.approx(3.3, abs=0.1)
+    row[11] = -1.0  # the target would be outside
+    _, wrong = likeliest_edge(plane, cover, row, 8, 5.0, True)
+    assert wrong < 0.1 * score
+    assert likeliest_edge(np.zeros_like(plane), cover, row, 8, 5.0, False) == (0.0, 0.0)
+
+
+def test_the_points_of_the_true_pose_lie_on_the_edges_of_its_maps(ideal, refining_model):
+    pose, maps, lens, views = ideal
+    edges = np.zeros((views.point.shape[2], WIDTH))
+    centre = pose.apply(refining_model.centre_m)
+    count = measure_sketch(maps, lens, views, pose.rotation, centre, 6, 3.0, 1, 1.0, edges)
+    found = edges[:count][edges[:count, STATE] == FOUND]
+    assert len(found) > 0.7 * count
+    # The views of this small model are 8° apart: that far its outline may lie aside.
+    assert abs(np.median(found[:, RESIDUAL])) < 0.7
+
+
+def test_alignment_comes_back_from_five_degrees(ideal, refining_model):
+    pose, maps, lens, views = ideal
+    centre = pose.apply(refining_model.centre_m)
+    edges = np.zeros((views.point.shape[2], WIDTH))
+    rng = np.random.default_rng(5)
+    rotations = [
+        Rotation.from_rotvec(np.deg2rad(5.0) * v / np.linalg.norm(v)).as_matrix() @ pose.rotation
+        for v in rng.standard_normal((6, 3))
+    ]
+    scores = np.empty((6, 4))
+    all_rotations, all_centres = np.array(rotations), np.tile(1.02 * centre, (6, 1))
+    align_all_to_sketch(maps, lens, views, STAGES, all_rotations, all_centres, scores)
+    errors = []
+    for k, rotation in enumerate(rotations):
+        at = 1.02 * centre
+        assert align_to_sketch(maps, lens, views, STAGES, rotation, at, edges)
+        assert np.array_equal(rotation, all_rotations[k])
+        agreement = sketch_agreement(maps, lens, views, rotation, at, edges)
+        assert scores[k] == pytest.approx(agreement)
+        errors.append(np.rad2deg(Rotation.from_matrix(rotation @ pose.rotation.T).magnitude()))
+        assert np.linalg.norm(at - centre) < 0.02 * np.linalg.norm(centre)
+    assert np.median(errors) < 2.5
+    assert np.max(scores[:, 0]) > 0.5
+
+
+def test_no_edges_are_no_hold(ideal, refining_model):
+    pose, maps, lens, views = ideal
+    empty = maps._replace(edge=np.zeros_like(maps.edge), crease=np.zeros_like(maps.crease))
+    edges = np.zeros((views.point.shape[2], WIDTH))
+    centre = pose.apply(refining_model.centre_m)
+    rotation = pose.rotation.copy()
+    assert not align_to_sketch(empty, lens, views, STAGES, rotation, centre, edges)

@@ -1,0 +1,92 @@
+"""The sketch network on drawn frames, and the places of a sketch in the frame."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance.sketch.network import (
+    COVER,
+    EDGE,
+    MAPS,
+    SIDE_PX,
+    Sketcher,
+    from_squares,
+    to_squares,
+)
+
+
+@pytest.fixture(scope="module")
+def sketcher() -> Sketcher:
+    return Sketcher()
+
+
+def disc(height: int, width: int, x: float, y: float, radius: float) -> np.ndarray:
+    v, u = np.mgrid[0:height, 0:width]
+    return np.clip(radius + 0.5 - np.hypot(u - x, v - y), 0.0, 1.0)
+
+
+def test_squares_there_and_back_are_the_same_pixels():
+    planes = np.random.default_rng(0).random((3, 16, 24)).astype(np.float32)
+    squares = to_squares(planes)
+    assert squares.shape == (48, 4, 6)
+    assert squares[1, 0, 0] == planes[0, 0, 1]  # row by row within the square
+    assert squares[4, 0, 0] == planes[0, 1, 0]
+    assert np.array_equal(from_squares(squares), planes)
+
+
+@pytest.mark.parametrize(("x", "y", "radius"), [(300.0, 200.0, 60.0), (900.0, 500.0, 150.0)])
+def test_the_cover_lies_where_the_frame_shows_the_body(sketcher, x, y, radius):
+    """Half a pixel of shift or scale would show: the border of the disc is known exactly."""
+    rng = np.random.default_rng(3)
+    grey = 20.0 + 150.0 * disc(800, 1200, x, y, radius) + rng.normal(0.0, 3.0, (800, 1200))
+    sketch = sketcher.find(np.clip(grey, 0, 255).astype(np.uint8))
+    assert sketch is not None
+    assert not sketch.cut.any()
+    assert sketch.maps.shape[0] == MAPS
+    rows, columns = np.mgrid[0 : sketch.maps.shape[1], 0 : sketch.maps.shape[2]]
+    u = (columns - sketch.left_px) / sketch.scale
+    v = (rows - sketch.top_px) / sketch.scale
+    cover = sketch.maps[COVER]
+    weight = cover / cover.sum()
+    assert (u * weight).sum() == pytest.approx(x, abs=0.02 * radius)
+    assert (v * weight).sum() == pytest.approx(y, abs=0.02 * radius)
+    assert np.sqrt(cover.sum() / np.pi) / sketch.scale == pytest.approx(radius, rel=0.03)
+    ring = sketch.maps[EDGE] * (sketch.maps[EDGE] > 0.3)
+    assert (np.hypot(u - x, v - y) * ring).sum() / ring.sum() == pytest.approx(radius, rel=0.03)
+
+
+def test_a_body_that_leaves_the_frame_is_said_to_be_cut(sketcher):
+    grey = 20.0 + 180.0 * disc(480, 640, 40.0, 240.0, 90.0)
+    sketch = sketcher.find(grey.astype(np.uint8))
+    assert sketch is not None
+    assert sketch.cut.tolist() == [-1.0, 0.0]
+
+
+def test_a_sketch_is_no_larger_than_asked_and_as_sharp_as_the_frame(sketcher):
+    frame = np.zeros((300, 400), np.uint8)
+    sketch = sketcher.look(frame, (-0.5, -0.5, 399.5, 299.5))
+    assert sketch.maps.shape == (MAPS, 192, SIDE_PX)
+    outside = sketcher.near(frame, (500.0, 20.0, 600.0, 90.0))
+    assert outside is None
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 700), (33, 31)])
+def test_frames_of_any_size_are_sketched_or_show_nothing(sketcher, size):
+    assert sketcher.find(np.zeros(size, np.uint8)) is None
+
+
+def test_threads_share_one_network(sketcher, bumpy_mesh, camera, draw):
+    frame = draw(bumpy_mesh, Pose(np.eye(3), [0.0, 0.0, 6.0]), camera)
+    alone = sketcher.find(frame)
+    found: list = []
+    threads = [threading.Thread(target=lambda: found.append(sketcher.find(frame))) for _ in "ab"]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert alone is not None
+    assert [f.maps.tobytes() == alone.maps.tobytes() for f in found] == [True, True]

@@ -1,0 +1,156 @@
+"""Poses found on sketches, alone and through the recognizer; the views that a model carries."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.sketch.choice import (
+    CHOICE_FEATURES,
+    PACKAGED,
+    POSE_FEATURES,
+    SketchPose,
+    chosen,
+    distinct,
+)
+from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.sketch.views import GRID, centroid, on_grid
+from rendezview.sensors.observation import Status
+from rendezview.simulation.scene import SceneOptions, render_frame
+
+
+@pytest.fixture(scope="module")
+def search(refining_model, camera) -> SketchSearch:
+    recognizer = Recognizer(refining_model, camera)
+    assert recognizer.sketch is not None
+    return recognizer.sketch
+
+
+def hard_frame(mesh, model, camera, seed: int) -> tuple[np.ndarray, Pose]:
+    """The body half in shadow before a mottled bright sky, where no threshold holds."""
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    centre = np.array([*rng.uniform(-0.1, 0.1, 2), 1.0]) * 1.6 * model.sphere_radius_m
+    pose = Pose(rotation, centre - rotation @ model.centre_m)
+    options = SceneOptions()
+    dark = render_frame(mesh, camera, pose, [0.6, -0.5, -0.6], options, rng).astype(float)
+    cover = render_frame(mesh, camera, pose, [0.0, 0.0, -1.0], options, rng) > 30
+    sky = cv2.GaussianBlur(rng.standard_normal((camera.height, camera.width)), (0, 0), 12.0)
+    bright = 95.0 + 30.0 * sky / sky.std()
+    return np.clip(np.where(cover, dark, bright), 0, 255).astype(np.uint8), pose
+
+
+def test_a_model_keeps_its_views_and_one_without_loads(tmp_path, refining_model):
+    assert refining_model.sketches is not None
+    assert refining_model.sketches.maps.shape[2:] == (GRID, GRID)
+    path = tmp_path / "copy.rvm"
+    refining_model.save(path)
+    again = ViewModel.load(path).sketches
+    assert np.array_equal(again.maps, refining_model.sketches.maps)
+    replace(refining_model, sketches=None).save(path)
+    assert ViewModel.load(path).sketches is None
+
+
+def test_a_model_without_views_is_searched_without_a_sketch(refining_model, camera):
+    recognizer = Recognizer(replace(refining_model, sketches=None), camera)
+    assert recognizer.sketch is None
+    frame = np.full((camera.height, camera.width), 20, np.uint8)
+    assert "sketch" not in recognizer.recognize(frame).stage_ms
+    with pytest.raises(ValueError, match="no sketches"):
+        SketchSearch(recognizer.model, camera, recognizer.search.refiner.views)
+
+
+def test_a_turned_grid_is_the_turned_picture():
+    rng = np.random.default_rng(2)
+    maps = cv2.GaussianBlur(rng.random((200, 200)).astype(np.float32), (0, 0), 4.0)[None]
+    turned = cv2.rotate(maps[0], cv2.ROTATE_90_CLOCKWISE)[None]  # right becomes down
+    centre = np.array([99.5, 99.5])
+    straight = on_grid(maps, centre, 40.0)
+    assert on_grid(turned, centre, 40.0, np.pi / 2)[0] == pytest.approx(straight[0], abs=2e-2)
+
+
+def test_centroid_and_size_of_a_cover():
+    cover = np.zeros((50, 60), np.float32)
+    cover[10:20, 30:50] = 1.0
+    place, size = centroid(cover)
+    assert place == pytest.approx([39.5, 14.5])
+    assert size == pytest.approx(np.sqrt(200.0))
+
+
+def test_poses_are_found_before_a_sky_where_no_threshold_holds(
+    bumpy_mesh, refining_model, camera, search
+):
+    errors = []
+    for seed in range(8):
+        frame, truth = hard_frame(bumpy_mesh, refining_model, camera, seed)
+        choice = search.anywhere(frame)
+        errors.append(180.0 if choice is None else np.rad2deg(choice.best.pose.angle_to(truth)))
+        start = truth.perturbed([0.05, -0.06, 0.04, 0.05, -0.05, 0.2])
+        near = search.near(frame, start, np.deg2rad(10.0))
+        assert near is not None
+        assert near.prior
+        assert near.best.pose.angle_to(start) < np.deg2rad(20.0)
+        assert np.linalg.eigvalsh(near.covariance).min() > 0.0
+    assert np.sum(np.array(errors) < 10.0) >= 5, errors
+
+
+def test_the_recognizer_sketches_only_where_the_edges_give_no_pose(
+    bumpy_mesh, refining_model, camera, draw
+):
+    """Frames that the edges answer cost no sketch; the switch turns it off."""
+    recognizer = Recognizer(refining_model, camera, least_confidence=0.0)
+    rotation = Rotation.from_rotvec([0.4, -0.7, 0.2]).as_matrix()
+    pose = Pose(rotation, [0.0, 0.0, 1.6 * refining_model.sphere_radius_m])
+    clear = recognizer.recognize(draw(bumpy_mesh, pose, camera), pose)
+    assert clear.status is Status.OK
+    assert "sketch" not in clear.stage_ms
+    hard, truth = hard_frame(bumpy_mesh, refining_model, camera, 1)
+    strict = Recognizer(refining_model, camera, least_confidence=2.0)
+    assert "sketch" in strict.recognize(hard, truth).stage_ms
+    without = Recognizer(refining_model, camera, sketch=False, least_confidence=2.0)
+    assert "sketch" not in without.recognize(hard, truth).stage_ms
+
+
+def test_an_empty_sky_gives_no_pose(refining_model, camera, search):
+    rng = np.random.default_rng(4)
+    frame = np.clip(rng.normal(30.0, 4.0, (camera.height, camera.width)), 0, 255)
+    observation = Recognizer(refining_model, camera).recognize(frame.astype(np.uint8))
+    assert observation.pose is None
+    far = Pose(np.eye(3), [100.0, 0.0, 5.0])
+    assert search.near(frame.astype(np.uint8), far, 0.1) is None
+    behind = Pose(np.eye(3), [0.0, 0.0, -9.0])
+    assert search.near(frame.astype(np.uint8), behind, 0.1) is None
+
+
+def some_pose(merit: float, turn_deg: float) -> SketchPose:
+    rotation = Rotation.from_rotvec([0.0, np.deg2rad(turn_deg), 0.0]).as_matrix()
+    return SketchPose(Pose(rotation, [0.0, 0.0, 5.0]), merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5)
+
+
+def test_the_choice_names_the_best_and_its_rival():
+    poses = [some_pose(0.5, 0.0), some_pose(0.48, 2.0), some_pose(0.4, 40.0)]
+    choice = chosen(poses, (), prior=False, cut=False)
+    assert choice.best is poses[0]
+    assert choice.rival is poses[2]  # 2° away is the same answer
+    assert choice.margin == pytest.approx(poses[0].merit - poses[2].merit)
+    assert 0.0 < choice.confidence < 1.0
+    clearer = chosen(poses[:2], (), prior=False, cut=False)
+    assert clearer.rival is None
+    assert clearer.confidence > choice.confidence
+    assert chosen([], (), prior=False, cut=False) is None
+    assert distinct(poses, 5, np.deg2rad(4.0)) == [poses[0], poses[2]]
+
+
+def test_the_fitted_file_names_every_feature_and_its_data():
+    record = json.loads(PACKAGED.read_text(encoding="utf-8"))
+    assert set(record["merit"]) == set(POSE_FEATURES)
+    assert set(record["log_odds"]) == set(CHOICE_FEATURES)
+    assert record["inflation"] >= 1.0
+    assert record["provenance"]["frames"] > 100
