@@ -185,12 +185,12 @@ def _hopeless(
     bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
     ux, uy, uz = _chord(directions, left, right)
     chord = math.sqrt(ux * ux + uy * uy + uz * uz)
-    if not chord > 0.0:
-        return True
     s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
     bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
     reach, steep = math.sqrt(score_limit), 1.0 / least_cosine
-    if _unlike(chord, s0, s1, s2, bright, pp / bb, reach, steep, size_sigma, peak_sigma):
+    if not chord > 0.0 or _unlike(
+        chord, s0, s1, s2, bright, pp / bb, reach, steep, size_sigma, peak_sigma
+    ):
         return True
     t, along, across, m, u, v = _base_frame(directions, left, centre, right, chord)
     size = (s0 + s1 + s2) / 3.0
