@@ -13,6 +13,8 @@ EXPERIMENTS = {
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
         "pose-cut": ("pose.accuracy:cut", "poses of targets that the image border cuts"),
+        "pose-scale": ("pose.scale", "poses over fields of view and picture sizes"),
+        "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
@@ -74,6 +76,7 @@ EXPERIMENTS = {
         "training-speed": ("training.speed", "time and memory of training"),
         "scale-out": ("training.scale_out", "several workers: speed, bytes, kills, cost"),
         "foreground-network": ("training.foreground_network", "trains the foreground network"),
+        "sketch-network": ("training.sketch_network", "trains the sketch network (PyTorch)"),
         "check-bare-install": ("training.bare_install", "a plain install tracks a scene"),
     },
     "pictures": {

@@ -98,7 +98,7 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
             stderr=subprocess.PIPE,
             text=True,
             cwd=folder,
-            env=os.environ | environment,
+            env=os.environ | {"RENDEZVIEW_SERVE_SPARE_WORKER": "false"} | environment,
             start_new_session=True,
         )
         served = Served(process, "", folder)
@@ -117,6 +117,11 @@ def start_service(model_path: Path, tmp_path_factory: pytest.TempPathFactory) ->
 
         threading.Thread(target=drain, daemon=True).start()
         started.append(served)
+        until_s = time.monotonic() + 600.0  # a first start compiles
+        while not any('"message": "ready"' in line for line in served.lines):
+            assert process.poll() is None, served.lines
+            assert time.monotonic() < until_s, served.lines
+            time.sleep(0.02)
         return served
 
     yield start

@@ -27,8 +27,8 @@ def test_of_uploads_with_one_name_at_once_one_is_kept(model_path, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["same.rvm"]
 
 
-def test_threads_share_one_model(model_path):
-    stored = StoredModel("bumpy", model_path, own=False)
+def test_threads_share_one_model(model_path, tmp_path):
+    stored = StoredModel("bumpy", model_path, False, tmp_path)
     with ThreadPoolExecutor(8) as threads:
         models = list(threads.map(lambda _: stored.model, range(8)))
     assert all(model is models[0] for model in models)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 from pathlib import Path
 
 import httpx
@@ -90,6 +91,14 @@ def test_other_host_names_and_other_pages_are_refused():
     assert _ask(guard, "/v1/sessions", "POST", **own).status_code == 200
     named = _guard(allowed_hosts=["lab.example"])
     assert _ask(named, "/healthz", Host="lab.example").status_code == 200
+
+
+def test_a_service_for_all_addresses_has_no_names_of_others():
+    """A page of somebody else may reach it by a name that it controls, not by an address."""
+    guard = _guard(host="0.0.0.0", open_to_all=True)
+    assert _ask(guard, "/healthz", Host="rebound.example:8360").status_code == 421
+    for host in ("10.1.2.3:8360", "[fd00::1]:8360", "localhost", socket.gethostname()):
+        assert _ask(guard, "/healthz", Host=host).status_code == 200, host
 
 
 def test_a_flood_is_held_back():

@@ -6,6 +6,7 @@ import contextlib
 import json
 import struct
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -119,7 +120,9 @@ def test_a_stream_of_no_session_is_closed_with_the_reason(service, client, what)
 def test_who_comes_while_a_frame_is_looked_at_sees_the_next_one(camera):
     """Its extras were not asked for in the newcomer's name."""
     request = SessionRequest(camera=camera_message(camera))
-    session = Session("s", "m", request, Settings(history_image_hz=0.0), Metrics())
+    session = Session(
+        "s", SimpleNamespace(name="m"), request, Settings(history_image_hz=0.0), Metrics()
+    )
     before, after = (Watcher(30.0, 200, contour=True, silhouette=False) for _ in range(2))
     state = b'{"frame": 0}'
     header = {"frame": 0, "phase": "tracking", "time_s": 0.0, "status": "ok", "track_ms": 1.0}

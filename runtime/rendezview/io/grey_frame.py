@@ -1,7 +1,8 @@
-"""A grey frame: the check that it fits the camera, and its noise."""
+"""A grey frame: the check that it fits the camera, a smaller one, and its noise."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -35,6 +36,16 @@ def check_frame(image: npt.ArrayLike, width: int, height: int) -> Picture:
             raise RendezviewError("the frame holds NaN or infinite grey levels")
         raise RendezviewError(f"a frame must be 8-bit (uint8), not {frame.dtype}")
     return np.ascontiguousarray(frame)
+
+
+def shrunk(image: Picture, times: int) -> Picture:
+    """(H // times, W // times) means of squares; an incomplete one at the border is left out."""
+    if times == 1:
+        return image
+    height, width = image.shape[0] // times, image.shape[1] // times
+    whole = image[: height * times, : width * times]
+    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.uint8)
 
 
 @njit(cache=True, nogil=True)

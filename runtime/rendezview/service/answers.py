@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 import re
-import time
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -15,7 +14,8 @@ from starlette.requests import ClientDisconnect, HTTPConnection
 from starlette.responses import Response
 
 from rendezview.errors import RendezviewError
-from rendezview.service.inputs import Answer, Full, SessionInput
+from rendezview.service.inputs import Answer, Full
+from rendezview.service.lease import Taken
 from rendezview.service.message_parts import CAMERA, MOST_TIME_S, NAME_PATTERN
 from rendezview.service.messages import Fault
 from rendezview.service.security import Right
@@ -27,6 +27,8 @@ FAULTS: dict[int | str, dict[str, Any]] = {
     code: {"model": Fault} for code in (400, 401, 403, 404, 409, 413, 422, 429, 503)
 }
 JSON = "application/json"
+SENDER_HEADER = "X-Sender"
+_LONGEST_SENDER = 64  # characters. Source: a chosen limit
 
 
 def service_of(connection: HTTPConnection) -> Service:
@@ -86,21 +88,20 @@ async def pieces_of(request: Request, most: int) -> list[bytes]:
     return parts
 
 
-async def track(session: Session, pieces: list[bytes], time_s: float | None) -> Answer:
+async def track(session: Session, pieces: list[bytes], time_s: float | None, sender: str) -> Answer:
     """The answer of the session's tracker to a frame.
 
     Raises:
         Full: too many frames wait.
+        Taken: another sender has the session.
     """
-    now_s = time.time()
     future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
 
     def answer(result: Answer) -> None:
         if not future.done():
             future.set_result(result)
 
-    at_s = now_s if time_s is None else time_s
-    session.queue(SessionInput(pieces, at_s, now_s, time.monotonic(), answer))
+    session.queue(session.input(pieces, time_s, answer, sender=sender))
     return await future
 
 
@@ -116,8 +117,7 @@ async def measure(session: Session, sensor: str, content: bytes) -> Answer:
         if not future.done():
             future.set_result(result)
 
-    now_s = time.time()
-    session.measure(SessionInput((content,), now_s, now_s, time.monotonic(), answer, sensor))
+    session.measure(session.input((content,), None, answer, sensor=sensor))
     return await future
 
 
@@ -134,6 +134,14 @@ def sensor_name(name: object) -> str:
     if name == CAMERA:
         raise HTTPException(422, "sensor: camera is the session's own camera: choose another name")
     return name
+
+
+def sender_of(connection: HTTPConnection) -> str:
+    """Who sends frames: the header ``X-Sender``, or else the caller's machine."""
+    named = connection.headers.get(SENDER_HEADER, "")[:_LONGEST_SENDER]
+    if named:
+        return f"named {named}"
+    return f"at {connection.client.host}" if connection.client else "unknown"
 
 
 def frame_time(time_s: float | None) -> float | None:
@@ -173,6 +181,8 @@ def fault_of(error: Exception) -> Response | None:
             )
         case NotReady():
             return fault(503, str(error))
+        case Taken():
+            return fault(409, str(error))
         case ClientDisconnect():
             return fault(400, "the request was cut off")
     return None
@@ -187,6 +197,7 @@ def answer_errors(app: FastAPI) -> None:
         return answer
 
     for kind in (
-        HTTPException, RequestValidationError, RendezviewError, Full, NotReady, ClientDisconnect
+        HTTPException, RequestValidationError, RendezviewError, Full, NotReady, Taken,
+        ClientDisconnect,
     ):  # fmt: skip
         app.add_exception_handler(kind, handler)

@@ -7,7 +7,8 @@ import mimetypes
 from collections.abc import AsyncIterator
 from pathlib import Path
 
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
+from fastapi.security import HTTPBearer
 from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
@@ -56,8 +57,10 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
     app.state.service = service
     answer_errors(app)
     app.router.routes.append(session_routes.FRAMES)  # before the routers, whose routes come later
-    app.include_router(session_routes.router)
-    app.include_router(model_routes.router)
+    # Described only: `Guard` checks the tokens before a request arrives here.
+    secured = [Depends(HTTPBearer(auto_error=False, description="a token of the tokens file"))]
+    app.include_router(session_routes.router, dependencies=secured)
+    app.include_router(model_routes.router, dependencies=secured)
     app.include_router(streams.router)
 
     @app.get("/healthz", tags=["operations"])
@@ -69,7 +72,7 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
     async def readyz(request: Request, response: Response) -> Health:
         """The service can track frames."""
         health = service_of(request).health()
-        response.status_code = 200 if health.status == "ok" else 503
+        response.status_code = 200 if health.status in ("ok", "degraded") else 503
         return health
 
     @app.get("/metrics", tags=["operations"], response_class=Response)

@@ -14,10 +14,10 @@ import numpy as np
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.sequences.decoding import PNG, decode_grey
+from rendezview.io.sequences.decoding import JPEG, PNG, decode_grey
 from rendezview.io.sequences.frame import GreyImage
 
-_JPEG = b"\xff\xd8\xff"
+_MOST_SEGMENTS = 1000  # of a JPEG before its size is known. Source: a chosen limit
 _BARE_MARKERS = (
     0x01,
     *range(0xD0, 0xDA),
@@ -41,7 +41,7 @@ def kind_of(content: Bytes) -> FrameKind:
     start = bytes(content[:8])
     if start == PNG:
         return FrameKind.PNG
-    return FrameKind.JPEG if start[:3] == _JPEG else FrameKind.RAW
+    return FrameKind.JPEG if start[:3] == JPEG else FrameKind.RAW
 
 
 def read_frame(content: Bytes, camera: Camera) -> GreyImage:
@@ -65,7 +65,9 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
         # compilations may round differently.
         own = bytearray(content) if isinstance(content, bytes) else content
         return np.frombuffer(own, dtype=np.uint8).reshape(camera.height, camera.width)
-    damaged = f"the {kind.upper()} frame is cut short or damaged: send it again"
+    damaged = (
+        f"the {kind.upper()} frame is cut short or damaged, or packed wastefully: send it again"
+    )
     size = png_size(content) if kind is FrameKind.PNG else jpeg_size(content)
     if size is None or (kind is FrameKind.JPEG and not _jpeg_ends(content)):
         raise RendezviewError(damaged)
@@ -93,7 +95,9 @@ def png_size(content: Bytes) -> tuple[int, int] | None:
 def jpeg_size(content: Bytes) -> tuple[int, int] | None:
     """Width and height in a JPEG frame header; None if there is none."""
     place = 2
-    while place + 4 <= len(content):
+    for _ in range(_MOST_SEGMENTS):
+        if place + 4 > len(content):
+            return None
         if content[place] != 0xFF:
             return None
         marker = content[place + 1]

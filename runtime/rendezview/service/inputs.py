@@ -32,6 +32,7 @@ class SessionInput:
     received_s: float  # monotonic
     answer: Callable[[Answer], None]
     sensor: str | None = None  # the sensor of these lines; None: a frame
+    sender: str = ""  # of a frame
     waited_s: float = 0.0  # between the session's previous input and this one
 
     @property

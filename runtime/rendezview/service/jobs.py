@@ -7,6 +7,7 @@ import contextlib
 import json
 import logging
 import os
+import resource
 import secrets
 import shutil
 import signal
@@ -71,7 +72,15 @@ class Job:
 class Jobs:
     """All training jobs: waiting, running and finished."""
 
-    def __init__(self, store: ModelStore, at_once: int) -> None:
+    def __init__(self, store: ModelStore, at_once: int, most_s: float, most_bytes: int) -> None:
+        """No jobs yet.
+
+        Args:
+            at_once: that run at the same time; 0: none may.
+            most_s: of one training; it is ended then.
+            most_bytes: of addresses of each of its processes.
+        """
+        self._most_s, self._most_bytes = most_s, most_bytes
         self._store = store
         self._at_once = at_once
         self._jobs: dict[str, Job] = {}
@@ -159,12 +168,13 @@ class Jobs:
                 cwd=job.folder,
                 env=os.environ | {"RENDEZVIEW_PROGRESS": "json"},
                 start_new_session=True,
-                preexec_fn=_nice,
+                preexec_fn=self._limited,
             )
             assert job.process.stderr is not None
-            async for line in job.process.stderr:
-                last = _progress(job, line.decode(errors="replace").strip()) or last
-            code = await job.process.wait()
+            async with asyncio.timeout(self._most_s):
+                async for line in job.process.stderr:
+                    last = _progress(job, line.decode(errors="replace").strip()) or last
+                code = await job.process.wait()
             if job.state is JobState.CANCELLED:
                 self._over(job, JobState.CANCELLED)
             elif code != 0:
@@ -175,6 +185,10 @@ class Jobs:
                 await asyncio.to_thread(shutil.copyfile, made, self._store.path_for(job.model))
                 await asyncio.to_thread(self._store.found, job.model)
                 self._over(job, JobState.DONE)
+        except TimeoutError:
+            _kill(job)
+            job.reason = f"the training took longer than {self._most_s:g} s: see `job_s`"
+            self._over(job, JobState.FAILED)
         except (OSError, RendezviewError, ValueError) as error:
             job.reason = str(error)
             self._over(job, JobState.FAILED)
@@ -184,6 +198,12 @@ class Jobs:
                 self._over(job, JobState.CANCELLED)
             self._running.pop(job, None)
             self._next()
+
+    def _limited(self) -> None:
+        """In the training's process before it starts: little priority and bounded memory."""
+        os.nice(10)
+        resource.setrlimit(resource.RLIMIT_AS, (self._most_bytes, self._most_bytes))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
     def _over(self, job: Job, state: JobState) -> None:
         job.state, job.ended_s = state, time.monotonic()
@@ -209,7 +229,3 @@ def _kill(job: Job) -> None:
     if job.process is not None and job.process.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(job.process.pid, signal.SIGKILL)
-
-
-def _nice() -> None:
-    os.nice(10)  # tracking has priority

@@ -45,6 +45,12 @@ class SessionRequest(Message):
     sun_camera: Three | None = Field(default=None, description="towards the Sun, camera frame")
     trees: bool = Field(default=True, description="find active nodes on every frame")
     record: bool | None = Field(default=None, description="default: the service's setting")
+    idle_s: FiniteFloat | None = Field(
+        default=None,
+        ge=1.0,
+        le=86_400.0,
+        description="without a frame for longer it ends; default: the service's setting, 60 s",
+    )
     fusion: FusionRequest | None = Field(
         default=None, description="data on other sensors; required only for rings and ranges"
     )
@@ -115,6 +121,7 @@ class SessionInfo(Message):
 
     id: str
     model: str
+    model_sha256: str = Field(description="of the model's file, hexadecimal")
     camera: CameraMessage
     source: str | None = Field(
         description="the source that the service reads; null: clients send frames"
@@ -201,6 +208,7 @@ class State(ObservationMessage):
     latency_ms: float = Field(description="from the frame's arrival to this answer")
     drops: int = Field(description="frames of the session that newer ones replaced, so far")
     recorded: bool = Field(description="this state is in the log")
+    model_sha256: str | None = Field(default=None, description="of the model's file, hexadecimal")
     fused: Fused | None = Field(
         default=None, description="by all sensors; absent while the camera is the only one"
     )
@@ -251,7 +259,9 @@ class History(Message):
 class Health(Message):
     """``/healthz`` and ``/readyz``."""
 
-    status: Literal["ok", "not ready", "stopping"]
+    status: Literal["ok", "degraded", "not ready", "stopping"] = Field(
+        description="degraded: it tracks, but not for every session"
+    )
     reasons: list[str] = Field(default=[])
     version: str
     uptime_s: float

@@ -51,14 +51,21 @@ async def get_geometry(request: Request, name: str) -> Response:
 
 
 @router.put("/models/{name}", status_code=201, openapi_extra=_BODY)
-async def put_model(request: Request, name: Name) -> ModelInfo:
-    """Upload a model file (*.rvm). It is read and checked; nothing in it is executed."""
+async def put_model(request: Request, name: Name, replace: bool = False) -> ModelInfo:
+    """Upload a model file (*.rvm). It is read and checked; nothing in it is executed.
+
+    With ``replace`` it takes the place of an uploaded or trained model of this name. Sessions that
+    are open keep theirs.
+    """
     needs(request, Right.ADMIN)
     service = service_of(request)
-    if service.models.get(name) is not None:
+    present = service.models.get(name)
+    if present is not None and not (replace and present.own):
         raise HTTPException(409, f"model {name}: there is one already: choose another name")
     content = await body_of(request, service.settings.model_bytes)
-    stored = await run_in_threadpool(service.models.add, name, content)
+    stored = await run_in_threadpool(service.models.add, name, content, replace)
+    if present is not None:
+        service.release(present)
     return await run_in_threadpool(_info, stored)
 
 
@@ -68,9 +75,10 @@ async def delete_model(request: Request, name: str) -> None:
     needs(request, Right.ADMIN)
     stored = _stored(request, name)
     service = service_of(request)
-    if service.uses(stored.name):
+    if service.uses(stored):
         raise HTTPException(409, f"model {stored.name}: a session uses it: close the session first")
     service.models.remove(stored.name)
+    service.release(stored)
 
 
 @router.get("/jobs")

@@ -1,4 +1,9 @@
-"""The models of the service: files in one folder, and one from the command line."""
+"""The models of the service: files in one folder, and one from the command line.
+
+A model is what its content is: it is copied to a file named by its hash when it is first used, and
+workers read that copy. A file that changes afterwards, or another model under the same name, does
+not change the model of a session.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +12,15 @@ import hashlib
 import logging
 import re
 import secrets
+import shutil
+import tempfile
 import threading
+import weakref
 from functools import cached_property
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import make_folder, write_error
+from rendezview.io.files import atomic_write, make_folder, write_error
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.model_geometry import geometry
 from rendezview.service.model_messages import ModelInfo
@@ -26,24 +34,63 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 class StoredModel:
     """One model file, read on first use, by whichever thread is first."""
 
-    def __init__(self, name: str, path: Path, own: bool, model: ViewModel | None = None) -> None:
+    def __init__(self, name: str, path: Path, own: bool, copies: Path) -> None:
+        """A model that is not read yet.
+
+        Args:
+            own: the file is in the store's folder, and may be deleted.
+            copies: folder of the files named by their hash.
+        """
         self.name = name
         self.path = path
-        self.own = own  # in the store's folder: may be deleted
-        self._model = model
+        self.own = own
+        self._copies = copies
+        self._read: tuple[ViewModel, Path] | None = None
         self._lock = threading.Lock()
 
     @property
+    def is_read(self) -> bool:
+        """Whether it has been used."""
+        return self._read is not None
+
+    @property
     def model(self) -> ViewModel:
-        """The model.
+        """The model. Errors as in `copy`."""
+        return self._loaded()[0]
+
+    @property
+    def copy(self) -> Path:
+        """The copy of its file that is named by its hash.
 
         Raises:
             RendezviewError: the file is not a model, or is gone.
         """
+        return self._loaded()[1]
+
+    @property
+    def sha256(self) -> str:
+        """The hash of its content, hexadecimal. Errors as in `copy`."""
+        return self.copy.stem
+
+    def _loaded(self) -> tuple[ViewModel, Path]:
         with self._lock:
-            if self._model is None:
-                self._model = ViewModel.load(self.path)
-            return self._model
+            if self._read is None:
+                try:
+                    content = self.path.read_bytes()
+                except OSError:
+                    ViewModel.load(self.path)  # says what is wrong
+                    raise
+                copy = self._copies / f"{hashlib.sha256(content).hexdigest()}{SUFFIX}"
+                if not copy.exists():
+                    with atomic_write(copy, durable=False) as file:
+                        file.write(content)
+                try:
+                    self._read = ViewModel.load(copy), copy
+                except RendezviewError as error:
+                    copy.unlink()
+                    said = str(error).replace(str(copy), str(self.path))
+                    raise RendezviewError(said) from None
+            return self._read
 
     @cached_property
     def info(self) -> ModelInfo:
@@ -51,8 +98,8 @@ class StoredModel:
         return ModelInfo(
             name=self.name,
             target=self.model.name,
-            sha256=hashlib.sha256(self.path.read_bytes()).hexdigest(),
-            size_bytes=self.path.stat().st_size,
+            sha256=self.sha256,
+            size_bytes=self.copy.stat().st_size,
             order=self.model.order,
             nodes=len(self.model.geodesic.nodes),
             target_radius_m=self.model.target_radius_m,
@@ -78,11 +125,20 @@ class ModelStore:
         """
         make_folder(folder)
         self.folder = folder
+        self._copies = Path(tempfile.mkdtemp(prefix="rendezview-by-hash-"))
+        self._remove_copies = weakref.finalize(self, shutil.rmtree, self._copies, True)
         self._models: dict[str, StoredModel] = {}
         self._lock = threading.Lock()  # of a name's check and its insertion
         for path in sorted(folder.glob(f"*{SUFFIX}")):
             if _NAME.fullmatch(path.stem) and path.is_file():
-                self._models[path.stem] = StoredModel(path.stem, path.resolve(), own=True)
+                self._models[path.stem] = self._stored(path.stem, path, own=True)
+
+    def _stored(self, name: str, path: Path, own: bool) -> StoredModel:
+        return StoredModel(name, path.resolve(), own, self._copies)
+
+    def close(self) -> None:
+        """Remove the copies."""
+        self._remove_copies()
 
     def give(self, path: Path) -> StoredModel:
         """Add a model file from elsewhere under its file name; it is read at once.
@@ -91,7 +147,7 @@ class ModelStore:
             RendezviewError: it is not a model.
         """
         name = re.sub(r"[^A-Za-z0-9_-]+", "-", path.stem).strip("-_")[:64] or "model"
-        stored = StoredModel(name, path.resolve(), own=False)
+        stored = self._stored(name, path, own=False)
         _ = stored.model
         self._models[name] = stored
         return stored
@@ -115,43 +171,48 @@ class ModelStore:
         """The first model whose file can be read; the log has the errors of the others."""
         for name in self.names():
             try:
-                ViewModel.load(self._models[name].path)
+                _ = self._models[name].model
             except RendezviewError as error:
                 log.warning("model not read", extra={"model": name, "reason": str(error)})
             else:
                 return self._models[name]
         return None
 
-    def path_for(self, name: str) -> Path:
-        """The file of a new model.
+    def path_for(self, name: str, replace: bool = False) -> Path:
+        """The file of a new model, or of one that may be replaced.
 
         Raises:
             RendezviewError: the name is invalid or taken.
         """
         if not _NAME.fullmatch(name):
             raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
-        if name in self._models:
+        taken = self._models.get(name)
+        if taken is not None and not (replace and taken.own):
             raise RendezviewError(f"model {name}: there is one already: choose another name")
         return self.folder / f"{name}{SUFFIX}"
 
-    def add(self, name: str, content: bytes) -> StoredModel:
+    def add(self, name: str, content: bytes, replace: bool = False) -> StoredModel:
         """Store an uploaded model after it is read and checked.
+
+        Args:
+            replace: a model of this name may be there; sessions that use it keep it.
 
         Raises:
             RendezviewError: the name is invalid or taken, or the content is not a model.
         """
-        path = self.path_for(name)
+        path = self.path_for(name, replace)
         trial = self.folder / f".{secrets.token_hex(8)}.tmp"
+        stored = self._stored(name, trial, own=True)
         try:
             trial.write_bytes(content)
             try:
-                model = ViewModel.load(trial)
+                _ = stored.model
             except RendezviewError as error:
                 raise RendezviewError(str(error).replace(str(trial), "the model sent")) from None
             with self._lock:
-                self.path_for(name)  # another upload may have taken the name meanwhile
+                self.path_for(name, replace)  # another upload may have taken it meanwhile
                 trial.replace(path)
-                stored = StoredModel(name, path.resolve(), own=True, model=model)
+                stored.path = path.resolve()
                 self._models[name] = stored
         except OSError as error:
             raise write_error(path, error) from None
@@ -162,7 +223,7 @@ class ModelStore:
 
     def found(self, name: str) -> StoredModel:
         """Add a file that a training job has put into the folder."""
-        stored = StoredModel(name, (self.folder / f"{name}{SUFFIX}").resolve(), own=True)
+        stored = self._stored(name, self.folder / f"{name}{SUFFIX}", own=True)
         _ = stored.model
         self._models[name] = stored
         return stored
@@ -179,3 +240,13 @@ class ModelStore:
         with contextlib.suppress(FileNotFoundError):
             stored.path.unlink()
         del self._models[name]
+
+    def forget(self, stored: StoredModel, used: set[str]) -> None:
+        """Delete the copy of a model that has no name any more and that nobody uses.
+
+        Args:
+            used: hashes of the models of the sessions.
+        """
+        named = {other.sha256 for other in list(self._models.values()) if other.is_read}
+        if stored.is_read and stored.sha256 not in named | used:
+            stored.copy.unlink(missing_ok=True)

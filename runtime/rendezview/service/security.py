@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import ipaddress
+import logging
 import re
+import socket
 import time
 import tomllib
 from collections import OrderedDict
@@ -21,10 +24,13 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import checked, read_text
+from rendezview.service.bodies import Bodies
 from rendezview.service.messages import Fault
 from rendezview.service.metrics import Metrics
 from rendezview.service.rate_limit import TokenBucket
 from rendezview.service.settings import LOOPBACK, Settings
+
+log = logging.getLogger("rendezview.service")
 
 SUBPROTOCOL, TOKEN_SUBPROTOCOL = "rendezview", "token."
 _FITS_SOCKET = re.compile(r"[\w!#$%&'*+\-.^`|~]+", re.ASCII)  # RFC 9110, 5.6.2
@@ -118,7 +124,11 @@ class Guard:
         self._metrics = metrics
         self._rate = settings.requests_per_s
         self._hosts = {settings.host.lower(), *LOOPBACK, *map(str.lower, settings.allowed_hosts)}
-        self._any_host = settings.host in ("0.0.0.0", "::") and not settings.allowed_hosts
+        # Names of the machine only: another name may belong to a page of somebody else (DNS
+        # rebinding), while an address cannot.
+        self._hosts.add(socket.gethostname().lower())
+        self._any_address = settings.host in ("0.0.0.0", "::")
+        self._bodies = Bodies(settings)
         self._callers: OrderedDict[str, TokenBucket] = OrderedDict()  # least recent first
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -133,28 +143,36 @@ class Guard:
             self._metrics.requests.labels(str(refusal[0])).inc()
             return
         if scope["type"] == "websocket":
+            _audit(scope, "opened")
             await self._app(scope, receive, send)
             return
 
         async def with_headers(message: Any) -> None:
             if message["type"] == "http.response.start":
                 self._metrics.requests.labels(str(message["status"])).inc()
+                _audit(scope, message["status"])
                 message["headers"] = [*message["headers"], *HEADERS]
             await send(message)
 
-        await self._app(scope, receive, with_headers)
+        body = self._bodies.received(scope, receive)
+        try:
+            await self._app(scope, body, with_headers)
+        finally:
+            body.close()
 
     def _refusal(self, scope: Scope, headers: Headers) -> tuple[int, str] | None:
-        if not self._any_host and _host(headers.get("host", "")) not in self._hosts:
+        host = _host(headers.get("host", ""))
+        if host not in self._hosts and not (self._any_address and _is_address(host)):
             return 421, "the service does not have this host name: see the setting allowed_hosts"
         origin = headers.get("origin")
         changes = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD", "OPTIONS")
-        if origin is not None and changes and urlsplit(origin).netloc != headers.get("host"):
+        if origin is not None and changes and _netloc(origin) != headers.get("host"):
             return 403, "pages of other origins may not use the service"
         name, right = self._caller(scope, headers)
         if not self._within_rate(name):
             return 429, "too many requests: wait a moment"
         scope.setdefault("state", {})["right"] = right
+        scope["state"]["caller"] = name
         if right is Right.NONE and not _is_open(scope):
             return 401, "a token is needed: send it as `Authorization: Bearer TOKEN`"
         return None
@@ -185,6 +203,25 @@ class Guard:
         return allowed
 
 
+def _audit(scope: Scope, outcome: int | str) -> None:
+    """A line of the service's log for what changes something, or takes a log away."""
+    path = scope["path"]
+    often = path.endswith(("/frames", "/measurements", "/watch"))
+    reads = scope["type"] == "http" and scope["method"] in ("GET", "HEAD", "OPTIONS")
+    if often or (reads and not path.endswith("/log")):
+        return
+    client = scope.get("client")
+    log.info(
+        "audit",
+        extra={
+            "who": scope["state"]["caller"],
+            "address": client[0] if client else None,
+            "what": f"{scope.get('method', 'WS')} {path[:200]}",
+            "outcome": outcome,
+        },
+    )
+
+
 def _token(headers: Headers) -> str | None:
     kind, _, value = headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer" and value:
@@ -202,6 +239,21 @@ def _is_open(scope: Scope) -> bool:
         return True
     closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/docs", "/v1")
     return not closed and scope["type"] == "http"
+
+
+def _netloc(origin: str) -> str:
+    try:
+        return urlsplit(origin).netloc
+    except ValueError:
+        return ""
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
 
 
 def _host(value: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import gc
+import resource
 import socket
 import sys
 from collections.abc import Callable
@@ -14,9 +15,11 @@ import uvicorn
 
 from rendezview.errors import RendezviewError
 from rendezview.service.app import make_app
+from rendezview.service.connections import bounded
 from rendezview.service.security import read_tokens
 from rendezview.service.service import Service
 
+_OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
 _SHUTDOWN_S = 10  # s, for open requests. Source: chosen
 
 
@@ -34,6 +37,10 @@ class _Server(uvicorn.Server):
             scheme = "https" if self.config.is_ssl else "http"
             self.on_ready(f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/")
 
+    def stop(self) -> None:
+        """End the service in order."""
+        self.should_exit = True
+
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """The first signal ends the service in order, with code 0; the second ends it at once."""
         self.force_exit = self.should_exit
@@ -44,7 +51,7 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
     """Serve until SIGINT or SIGTERM; the logs are complete afterwards.
 
     Args:
-        on_ready: receives the address once the service listens.
+        on_ready: receives the address once the service listens, before it can track.
 
     Raises:
         RendezviewError: the address is taken, or the service cannot start.
@@ -54,7 +61,7 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
     app = _Watched(make_app(service, tokens))
     config = uvicorn.Config(
         app,
-        http="httptools",
+        http=bounded(_connections(settings.connections)),
         ws="websockets-sansio",
         loop="uvloop" if sys.platform != "win32" else "asyncio",
         lifespan="on",
@@ -73,6 +80,7 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
     )
     server = _Server(config)
     server.on_ready = on_ready
+    service.on_failure = server.stop
     listener = _listen(settings.host, settings.port)
     try:
         with contextlib.suppress(KeyboardInterrupt):
@@ -83,8 +91,23 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
         raise RendezviewError(f"the service cannot start: {error}") from None
     finally:
         listener.close()
-    if app.failure is not None:
-        raise app.failure
+    failure = app.failure or service.failure
+    if isinstance(failure, RendezviewError):
+        raise failure
+    if failure is not None:
+        raise RendezviewError(f"the service cannot start: {failure}") from failure
+
+
+def _connections(wanted: int) -> int:
+    """As many as wanted, or as the limit of open files allows."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    needed = wanted + _OTHER_FILES
+    if soft != resource.RLIM_INFINITY and soft < needed:
+        allowed = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+        with contextlib.suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+            soft = allowed
+    return wanted if soft == resource.RLIM_INFINITY else max(1, min(wanted, soft - _OTHER_FILES))
 
 
 class _Watched:

@@ -9,7 +9,7 @@ import os
 import secrets
 import tempfile
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -36,6 +36,8 @@ from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
 log = logging.getLogger("rendezview.service")
 
 _CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
+_MOST_ENDED_PROCESSES = 3  # by frames of one session; then it ends. Source: a chosen limit
+_START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
 
 
@@ -95,20 +97,25 @@ class Service:
                 self._temporary.cleanup()
             raise
         self._speed = speed
-        self.jobs = Jobs(self.models, settings.jobs)
+        self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
         self._workers = WorkerPool(settings, self.metrics, self._reopen)
         self._feeders: dict[str, Feeder] = {}
         self._opening: set[str] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._first_log_taken = False
+        self._begun: asyncio.Task[None] | None = None
+        self.failure: BaseException | None = None  # why the start failed
+        self.on_failure: Callable[[], None] = lambda: None
 
     # Start and stop
 
     async def start(self) -> None:
-        """Start workers and sources; repair logs that an earlier run left cut off.
+        """Begin to start workers and sources, and to repair logs of an earlier run.
+
+        It returns at once; `health` has the progress. If the start fails, `failure` says why.
 
         Raises:
-            RendezviewError: a worker does not start, or a source's session cannot be opened.
+            RendezviewError: logs cannot be written to their folder.
         """
         place = self.settings.record
         if place is not None:
@@ -119,6 +126,12 @@ class Service:
                 raise RendezviewError(f"{place}: its folder does not exist: create it first")
             limits = self.settings.logs_bytes, self.settings.logs_s
             self._spawn(keep_logs(folder, *limits))
+        self._begun = asyncio.create_task(self._begin())
+        self._begun.add_done_callback(self._begin_done)
+        self._spawn(self._housekeeping())
+
+    async def _begin(self) -> None:
+        start_s = time.monotonic()
         model = self.given or await asyncio.to_thread(self.models.first_readable)
         await self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
         for number, source in enumerate(self._sources):
@@ -129,37 +142,53 @@ class Service:
             request = SessionRequest(
                 id=name, model=self.given.name, camera=camera_message(source.camera)
             )
-            session = await self.open(request, source)
+            session = await self._open(request, source)
             feeder = Feeder(source, session, asyncio.get_running_loop(), self._speed)
             self._feeders[session.id] = feeder
             feeder.start()
-        self._spawn(self._housekeeping())
+        log.info("ready", extra={"after_s": round(time.monotonic() - start_s, 1)})
+
+    def _begin_done(self, begun: asyncio.Task[None]) -> None:
+        if begun.cancelled() or begun.exception() is None:
+            return
+        error = begun.exception()
+        log.error("the service does not start", extra={"reason": str(error)})
+        self.failure = error
+        self.on_failure()
 
     async def stop(self) -> None:
         """Complete the logs, notify the watchers, end the processes."""
         self.stopping = True
         self._workers.stay_down()
-        for task in self._tasks:
+        for task in (*self._tasks, *([] if self._begun is None else [self._begun])):
             task.cancel()
         for session in list(self.sessions.values()):
             await self.close(session, "the service ends")
         await self.jobs.stop()
         await self._workers.stop()
+        self.models.close()
         if self._temporary is not None:
             self._temporary.cleanup()
 
     def health(self) -> Health:
         """Whether frames can be tracked, and the reasons if not."""
         reasons = []
-        if self._workers.none_ready:
+        if self._begun is not None and not self._begun.done():
+            reasons.append(f"starting: {self._workers.progress}")
+        elif self._workers.none_ready:
             reasons.append("no worker process is ready")
         if self._workers.compiling:
             reasons.append(COMPILING)
-        failures = sum(s.recording.state is RecordingState.FAILED for s in self.sessions.values())
+        blind = [said for session in self.sessions.values() if (said := session.blind_reason)]
+        failures = sum(
+            s.log.recording.state is RecordingState.FAILED for s in self.sessions.values()
+        )
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
+        if status == "ok" and blind:
+            status = "degraded"
         return Health(
             status=status,  # type: ignore[arg-type]
-            reasons=reasons,
+            reasons=reasons + blind,
             version=self.version,
             uptime_s=time.monotonic() - self.started_s,
             sessions=len(self.sessions),
@@ -168,14 +197,22 @@ class Service:
 
     # Sessions
 
-    async def open(self, request: SessionRequest, source: Source | None = None) -> Session:
-        """Open a session.
+    async def open(self, request: SessionRequest) -> Session:
+        """Open a session; while the service starts, wait a moment for that.
 
         Raises:
             RendezviewError: the request is wrong.
             Full: too many sessions are open.
             NotReady: no worker is ready, or loops are being compiled.
         """
+        if self._begun is not None and not self._begun.done():
+            try:
+                await asyncio.wait_for(asyncio.shield(self._begun), _START_WAIT_S)
+            except TimeoutError:
+                raise NotReady(f"starting: {self._workers.progress}") from None
+        return await self._open(request)
+
+    async def _open(self, request: SessionRequest, source: Source | None = None) -> Session:
         if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
             raise Full
         name = request.id or f"s-{secrets.token_hex(4)}"
@@ -210,14 +247,14 @@ class Service:
             await self._workers.warmed(stored)
             session = Session(
                 name,
-                stored.name,
+                stored,
                 request,
                 self.settings,
                 self.metrics,
                 None if source is None else source.name,
             )
             try:
-                await self._place(session, stored.path)
+                await self._place(session)
             except BaseException:
                 session.end("it could not be opened")
                 raise
@@ -225,6 +262,7 @@ class Service:
             self._opening.discard(name)
         self.sessions[name] = session
         self.metrics.sessions.set(len(self.sessions))
+        self._spawn(self._workers.prepare(stored))
         log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
         return session
 
@@ -244,11 +282,18 @@ class Service:
             with contextlib.suppress(WorkerGone, TimeoutError):
                 asked = worker.ask({"kind": "close", "session": session.id})
                 await asyncio.wait_for(asked, _CLOSE_S)
+        self.release(session.stored)
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
-    def uses(self, model: str) -> bool:
+    def release(self, stored: StoredModel) -> None:
+        """A session, or a name, does not need a model any more."""
+        used = {session.stored.sha256 for session in self.sessions.values()}
+        self._workers.forget(used)
+        self.models.forget(stored, used)
+
+    def uses(self, stored: StoredModel) -> bool:
         """Whether a session uses a model."""
-        return any(session.model == model for session in self.sessions.values())
+        return any(session.stored is stored for session in self.sessions.values())
 
     def _model(self, name: str | None) -> StoredModel:
         stored = self.given or self.models.only() if name is None else self.models.get(name)
@@ -261,25 +306,26 @@ class Service:
             )
         return stored
 
-    async def _place(self, session: Session, model: Path) -> None:
+    async def _place(self, session: Session) -> None:
         """Give a session to the worker with the fewest sessions."""
         worker = self._workers.least_busy()
         worker.sessions.add(session)
-        request = session.request
-        if request.record and session.log_base is None:
-            session.log_base = self._log_path(session)
-        log_path = session.log_base
+        request = session.request_now
+        if request.record and session.log.base is None:
+            session.log.base = self._log_path(session)
+        log_path = session.log.base
         try:
             answer = await worker.ask(
                 {
                     "kind": "open",
                     "session": session.id,
                     "request": request.model_dump(mode="json"),
-                    "model_path": str(model),
+                    "model_path": str(session.stored.copy),
+                    "model_file": session.stored.path.name,
                     "sensors": self.settings.sensors,
                     "forgotten": session.is_fused,
                     "first_frame": session.frame_base,
-                    "log": session.log_id,
+                    "log": session.log.id,
                     "log_path": None if log_path is None else str(log_path),
                     "log_model": self.settings.record_model,
                     "recording": {
@@ -299,7 +345,7 @@ class Service:
             raise RendezviewError(answer["error"])
         session.worker = worker
         if answer["recording"] is not None:
-            session.logs_to(answer["log_path"], Recording.model_validate(answer["recording"]))
+            session.log.update(answer["log_path"], Recording.model_validate(answer["recording"]))
         if session.has_waiting:
             worker.wake(session)
 
@@ -318,22 +364,22 @@ class Service:
         for session in orphans:
             if session.id not in self.sessions:
                 continue
-            stored = self.models.get(session.model)
+            if session.ended_processes >= _MOST_ENDED_PROCESSES:
+                await self.close(session, "its frames ended the tracker's process repeatedly")
+                continue
             session.reopened()
             try:
-                if stored is None:
-                    raise RendezviewError(f"model {session.model}: no longer there")
-                await self._place(session, stored.path)
+                await self._place(session)
             except (RendezviewError, NotReady) as error:
                 await self.close(session, f"its tracker cannot be restarted: {error}")
 
     async def _housekeeping(self) -> None:
         while True:
             await asyncio.sleep(_IDLE_CHECK_S)
-            oldest_s = time.monotonic() - self.settings.idle_s
+            now_s = time.monotonic()
             for session in list(self.sessions.values()):
-                if session.used_s < oldest_s and session.id not in self._feeders:
-                    await self.close(session, "no frame for a long time")
+                if now_s - session.used_s > session.idle_s and session.id not in self._feeders:
+                    await self.close(session, f"no frame for {session.idle_s:g} s")
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)

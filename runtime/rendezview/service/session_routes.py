@@ -21,6 +21,7 @@ from rendezview.service.answers import (
     measure,
     needs,
     pieces_of,
+    sender_of,
     sensor_name,
     service_of,
     session_of,
@@ -112,7 +113,7 @@ async def post_frame(request: Request, name: str, time_s: float | None = None) -
     pieces = await pieces_of(request, service_of(request).settings.frame_bytes)
     if not any(pieces):
         raise HTTPException(422, "the frame is empty: send a PNG, a JPEG or grey bytes")
-    answer = await track(session, pieces, at_s)
+    answer = await track(session, pieces, at_s, sender_of(request))
     if answer.status != 200:
         return fault(answer.status, answer.error)
     return Response(answer.body, 200, None, JSON)
@@ -233,8 +234,8 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
     if kept is None:
         raise HTTPException(404, f"no state of frame {frame} or earlier is kept")
     pose = json.loads(kept)["pose"]
-    stored = service_of(request).models.get(session.model)
-    if pose is None or stored is None or session.request.camera is None:
+    stored = session.stored
+    if pose is None or session.request.camera is None:
         return None
     camera = camera_of(session.request.camera)
     model = await run_in_threadpool(lambda: stored.model)
@@ -245,7 +246,7 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
 async def get_log(request: Request, name: str) -> Response:
     """The log so far, all its parts, as one complete MCAP file."""
     needs(request, Right.READ)
-    parts = session_of(request, name).log_parts
+    parts = session_of(request, name).log.parts
     if not parts:
         raise HTTPException(404, "this session is not recorded")
     joined = await run_in_threadpool(join, [part for part in parts if part.path.exists()])

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
+import json
 import logging
-import secrets
+import math
 import time
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from pydantic_core import to_json
 
+from rendezview.service.clock import SessionClock
+from rendezview.service.frames import Bytes
 from rendezview.service.history import Past
 from rendezview.service.inputs import Answer, Full, InputQueue, SessionInput
-from rendezview.service.log_repair import LogPart
-from rendezview.service.message_parts import CAMERA
+from rendezview.service.lease import SOURCE, Lease
+from rendezview.service.message_parts import CAMERA, PoseMessage
 from rendezview.service.messages import (
     Phase,
     Recording,
-    RecordingState,
     SensorHealth,
     SessionInfo,
     SessionRequest,
 )
 from rendezview.service.metrics import Metrics
+from rendezview.service.model_store import StoredModel
 from rendezview.service.rate_limit import TokenBucket
 from rendezview.service.sensor_health import Arrivals, OtherSensors
+from rendezview.service.session_log import SessionLog
 from rendezview.service.settings import Settings
 from rendezview.service.watching import Watchers
 from rendezview.service.wire import Header
@@ -32,6 +36,7 @@ from rendezview.service.worker_handle import WorkerHandle
 
 log = logging.getLogger("rendezview.service")
 
+_PRIOR_S = 10.0  # s, for which a pose is the prior of another worker's tracker. Source: chosen
 _STALE_S = 3.0  # s; a camera without frames for longer is not healthy. Source: chosen
 
 
@@ -41,7 +46,7 @@ class Session:
     def __init__(
         self,
         name: str,
-        model: str,
+        stored: StoredModel,
         request: SessionRequest,
         settings: Settings,
         metrics: Metrics,
@@ -50,20 +55,20 @@ class Session:
         """A session without a worker; frames wait until it has one.
 
         Args:
-            model: name of the model.
+            stored: the model; it stays the same, whatever happens to its name.
             source: a source that the service itself reads; None: clients send the frames.
         """
         self.id = name
-        self.model = model
+        self.stored = stored
+        self.model = stored.name
         self.request = request
+        self.request_now = request  # of the present worker: its prior is the last pose
+        self.ended_processes = 0  # by its frames
         self.settings = settings
         self.source = source
         self.worker: WorkerHandle[Session] | None = None
         self.created_unix_s = time.time()
-        self.log_id = secrets.token_hex(8)
-        self.log_base: Path | None = None  # its first part
-        self._log_paths: list[Path] = []  # all parts, in order
-        self.recording = Recording(state=RecordingState.OFF)
+        self.log = SessionLog(name)
         self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
         self.last: bytes | None = None  # the last state, JSON
         self.last_header: Header = {}
@@ -71,11 +76,17 @@ class Session:
         self.finished = False
         self.reason: str | None = None
         self.used_s = time.monotonic()
+        self.clock = SessionClock.started_now()
+        self.lease = Lease(settings.sender_hold_s if source is None else math.inf)
+        if source is not None:
+            self.lease.take(SOURCE, self.used_s)
         self._metrics = metrics.of_session(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
         self._frames = 0
         self._found = 0
+        self._last_found: bytes | None = None  # the last state with a pose, JSON
+        self._found_at_s = -math.inf  # monotonic
         self._drops = 0
         self._last_pose_s: float | None = None
         self._phase = Phase.WAITING
@@ -83,15 +94,37 @@ class Session:
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
+        self._refused_since_s: float | None = None  # since when no frame has been usable
 
     # Inputs
+
+    def input(
+        self,
+        pieces: Sequence[Bytes],
+        time_s: float | None,
+        answer: Callable[[Answer], None],
+        *,
+        sender: str = "",
+        sensor: str | None = None,
+    ) -> SessionInput:
+        """An input that arrives now, by the session's clock.
+
+        Args:
+            time_s: of a frame; None: its arrival.
+        """
+        now_s = time.monotonic()
+        unix_s = self.clock.unix_s(now_s)
+        at_s = unix_s if time_s is None else time_s
+        return SessionInput(pieces, at_s, unix_s, now_s, answer, sensor, sender)
 
     def queue(self, waiting: SessionInput) -> None:
         """A frame that is tracked after those before it.
 
         Raises:
             Full: too many wait.
+            Taken: another sender has the session.
         """
+        self.lease.take(waiting.sender, waiting.received_s)
         if self._queue.count(frames=True) >= self.settings.waiting:
             raise Full
         self._arrived(waiting)
@@ -114,7 +147,12 @@ class Session:
         self._wake()
 
     def replace(self, waiting: SessionInput) -> None:
-        """A frame of a stream; it replaces the one that waits."""
+        """A frame of a stream; it replaces the one that waits.
+
+        Raises:
+            Taken: another sender has the session.
+        """
+        self.lease.take(waiting.sender, waiting.received_s)
         self._arrived(waiting)
         dropped = self._queue.replace(waiting)
         if dropped is not None:
@@ -122,6 +160,12 @@ class Session:
             self._metrics.drops.inc()
             dropped.answer(Answer(0, b""))
         self._wake()
+
+    @property
+    def idle_s(self) -> float:
+        """Time without an input after which it ends."""
+        asked = self.request.idle_s
+        return self.settings.idle_s if asked is None else asked
 
     @property
     def is_fused(self) -> bool:
@@ -182,9 +226,11 @@ class Session:
         self._frames += 1
         self.last, self.last_header = state, header
         self._last_fault = None
+        self._refused_since_s = None
         phase = Phase(header["phase"])
         if phase is Phase.TRACKING:
             self._found += 1
+            self._last_found, self._found_at_s = state, time.monotonic()
             self._last_pose_s = header["time_s"]
         if phase is not self._phase:
             log.info(
@@ -217,7 +263,7 @@ class Session:
         marks = self._others.marks(now_s)
         if picture and self.past.wants_image(now_s):
             self.past.add_image(now_s, header["frame"], picture, marks)
-        sensors, recording = to_json(self.sensors()), to_json(self.recording)
+        sensors, recording = to_json(self.sensors()), to_json(self.log.recording)
         rest = b'"sensors":%b,"recording":%b,"marks":%b' % (sensors, recording, marks)
         self.watchers.show(now_s, self.last, header, picture, rest)
 
@@ -226,19 +272,30 @@ class Session:
         if waiting.sensor is None:
             self._last_fault = error
             self._metrics.refused.inc()
+            self._refused_since_s = self._refused_since_s or time.monotonic()
         else:
             self._lines.spend(1)
         waiting.answer(Answer(500 if internal else 422, b"", error))
 
     def lost(self, waiting: SessionInput) -> None:
         """The worker ended over a frame or sensor lines."""
-        error = "the tracker's process ended and is being restarted: send it again in a moment"
+        error = "the tracker's process ended over it: another one continues with the next frame"
+        self.ended_processes += 1
         if waiting.sensor is None:
             self._last_fault = error
         waiting.answer(Answer(503, b"", error))
 
     def reopened(self) -> None:
-        """Another worker continues the session, with a new tracker and filter."""
+        """Another worker continues the session, with a new tracker and filter.
+
+        The tracker starts with the last pose, if it is not old.
+        """
+        found_s = self._found_at_s
+        if self._last_found is not None:
+            prior = None
+            if time.monotonic() - found_s < _PRIOR_S:
+                prior = PoseMessage.model_validate(json.loads(self._last_found)["pose"])
+            self.request_now = self.request.model_copy(update={"prior": prior})
         self._others.forget("its filter ended with the worker process; a new one starts")
         self.frame_base = self._frames
         self.watchers.restart()
@@ -264,35 +321,21 @@ class Session:
         self._metrics.remove()
 
     def _recorded(self, header: Header) -> None:
-        now = Recording.model_validate(header["recording"])
-        if now.state is not self.recording.state:
-            level = logging.ERROR if now.state is RecordingState.FAILED else logging.INFO
-            log.log(
-                level,
-                "recording",
-                extra={"session": self.id, "state": str(now.state), "reason": now.reason},
-            )
-        self.logs_to(header["log_path"], now)
-        self._metrics.recording(now)
-
-    def logs_to(self, path: str | None, recording: Recording) -> None:
-        """The file that is being written, and how it is."""
-        self.recording = recording
-        if path is not None and (not self._log_paths or self._log_paths[-1] != Path(path)):
-            self._log_paths.append(Path(path))
-
-    @property
-    def log_parts(self) -> list[LogPart]:
-        """The files of its log, in order; the last one up to its last frame."""
-        if not self._log_paths:
-            return []
-        *before, last = self._log_paths
-        return [
-            *map(LogPart, before),
-            LogPart(last, self.recording.size_bytes, trusted=True),
-        ]
+        self.log.update(header["log_path"], Recording.model_validate(header["recording"]))
+        self._metrics.recording(self.log.recording)
 
     # Information
+
+    @property
+    def blind_reason(self) -> str | None:
+        """Why all frames of the last seconds were refused; None if they were not."""
+        since_s, now_s = self._refused_since_s, time.monotonic()
+        sent = self._arrivals.times_s and now_s - self._arrivals.times_s[-1] < _STALE_S
+        if since_s is None or now_s - since_s < _STALE_S or not sent:
+            return None
+        return f"session {self.id}: every frame is refused for {now_s - since_s:.0f} s: " + (
+            self._last_fault or "unknown"
+        )
 
     def sensors(self) -> list[SensorHealth]:
         """Health of the camera and of the other sensors."""
@@ -328,6 +371,7 @@ class Session:
         return SessionInfo(
             id=self.id,
             model=self.model,
+            model_sha256=self.stored.sha256,
             camera=self.request.camera,
             source=self.source,
             phase=self._phase,
@@ -342,7 +386,7 @@ class Session:
             if self._last_pose_s is None or time_s is None
             else time_s - self._last_pose_s,
             sensors=self.sensors(),
-            recording=self.recording,
+            recording=self.log.recording,
             finished=self.finished,
             reason=self.reason,
         )

@@ -45,6 +45,7 @@ class Settings(BaseSettings):
     logs_s: float = Field(default=0.0, ge=0.0)  # logs that are older are removed; 0: keep all
 
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
+    spare_worker: bool = True  # one more process, ready to take over
     sessions: int = Field(default=16, ge=1, le=1024)
     watchers: int = Field(default=32, ge=1)  # of all sessions
     waiting: int = Field(
@@ -58,15 +59,20 @@ class Settings(BaseSettings):
     measurement_lines: int = Field(default=32, ge=1, le=1000)  # in one message
     measurements_waiting: int = Field(default=16, ge=1, le=256)  # messages, of a session
     measurements_per_s: float = Field(default=500.0, gt=0.0)  # lines, of a session
+    bodies_bytes: int = Field(default=1_000_000_000, ge=1024)  # of all requests together
+    connections: int = Field(default=1000, ge=10)  # with more, the one that waits longest is closed
     message_bytes: int = Field(default=1_000_000, ge=1024)  # any other body
     requests_per_s: float = Field(default=5000.0, gt=0.0)  # of one caller
     frame_timeout_s: float = Field(default=5.0, gt=0.0)  # then the worker is restarted
-    idle_s: float = Field(default=3600.0, gt=0.0)  # sessions without frames for longer are closed
+    sender_hold_s: float = Field(default=2.0, ge=0.0)  # a silent sender keeps its session
+    idle_s: float = Field(default=60.0, gt=0.0)  # sessions without frames for longer are closed
     history_s: float = Field(default=300.0, ge=0.0)
     history_rate_hz: float = Field(default=30.0, gt=0.0)
     history_image_hz: float = Field(default=4.0, ge=0.0)
     history_image_px: int = Field(default=480, ge=16, le=4096)
     jobs: int = Field(default=1, ge=0, le=64)  # training jobs at once; 0: none
+    job_s: float = Field(default=21_600.0, gt=0.0)  # of one training
+    job_bytes: int = Field(default=16_000_000_000, ge=1_000_000_000)  # of each of its processes
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     @classmethod

@@ -19,7 +19,8 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.decoding import quiet_opencv
-from rendezview.service.inputs import Answer, SessionInput
+from rendezview.service.inputs import Answer
+from rendezview.service.lease import SOURCE
 from rendezview.service.replay import LoggedFrame, read_log
 from rendezview.service.sessions import Session
 
@@ -129,9 +130,7 @@ class Feeder:
             if not done.done():
                 done.set_result(result)
 
-        now_s = time.time()
-        time_s = now_s if frame.time_s is None else frame.time_s
-        waiting = SessionInput((frame.content,), time_s, now_s, time.monotonic(), answer)
+        waiting = self._session.input((frame.content,), frame.time_s, answer, sender=SOURCE)
         self._loop.call_soon_threadsafe(self._session.replace, waiting)
         if not self._source.live:
             while not self._stop.is_set():

@@ -7,7 +7,6 @@ import contextlib
 import json
 import math
 import struct
-import time
 from collections import deque
 from collections.abc import Callable
 from typing import Annotated
@@ -18,8 +17,16 @@ from starlette.websockets import WebSocketDisconnect
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import parse_json
-from rendezview.service.answers import needs, sensor_name, service_of, session_of
-from rendezview.service.inputs import Answer, Full, SessionInput
+from rendezview.service.answers import (
+    SENDER_HEADER,
+    needs,
+    sender_of,
+    sensor_name,
+    service_of,
+    session_of,
+)
+from rendezview.service.inputs import Answer, Full
+from rendezview.service.lease import Taken
 from rendezview.service.message_parts import MOST_TIME_S
 from rendezview.service.messages import Fault, WatchEnd
 from rendezview.service.security import SUBPROTOCOL, Right
@@ -43,6 +50,7 @@ async def stream(socket: WebSocket, name: str) -> None:
     session = await _accepted(socket, name, Right.TRACK)
     if session is None:
         return
+    sender_name = sender_of(socket) if SENDER_HEADER in socket.headers else f"stream {id(socket)}"
     outbox: deque[Answer] = deque()
     news, room = asyncio.Event(), asyncio.Event()
     room.set()
@@ -83,11 +91,12 @@ async def stream(socket: WebSocket, name: str) -> None:
             elif len(content) <= _TIME.size:
                 answer(Answer(422, b"", "a frame must be 8 bytes of time and a picture"))
             else:
-                _take(session, content, answer)
+                _take(session, content, answer, sender_name)
             await room.wait()
     except (WebSocketDisconnect, RuntimeError):
         pass
     finally:
+        session.lease.release(sender_name)
         sender.cancel()
         with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
             await sender
@@ -96,16 +105,17 @@ async def stream(socket: WebSocket, name: str) -> None:
 Answering = Callable[[Answer], None]
 
 
-def _take(session: Session, content: bytes, answer: Answering) -> None:
-    (time_s,) = _TIME.unpack_from(content)
-    now_s = time.time()
-    if math.isnan(time_s):
-        time_s = now_s
-    if not abs(time_s) <= MOST_TIME_S:
+def _take(session: Session, content: bytes, answer: Answering, sender: str) -> None:
+    (sent_s,) = _TIME.unpack_from(content)
+    time_s = None if math.isnan(sent_s) else sent_s
+    if time_s is not None and not abs(time_s) <= MOST_TIME_S:
         answer(Answer(422, b"", f"time_s: must be within ±1e10, not {time_s}"))
         return
     picture = memoryview(content)[_TIME.size :]  # copied once, to the worker
-    session.replace(SessionInput((picture,), time_s, now_s, time.monotonic(), answer))
+    try:
+        session.replace(session.input((picture,), time_s, answer, sender=sender))
+    except Taken as taken:
+        answer(Answer(409, b"", str(taken)))
 
 
 def _take_lines(session: Session, settings: Settings, text: str, answer: Answering) -> None:
@@ -130,9 +140,8 @@ def _take_lines(session: Session, settings: Settings, text: str, answer: Answeri
     except HTTPException as error:
         answer(Answer(error.status_code, b"", str(error.detail)))
         return
-    now_s = time.time()
     try:
-        session.measure(SessionInput((content,), now_s, now_s, time.monotonic(), answer, sensor))
+        session.measure(session.input((content,), None, answer, sensor=sensor))
     except Full:
         answer(Answer(429, b"", "too many lines wait or arrive per second: try again later"))
 

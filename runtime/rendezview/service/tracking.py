@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba.core.event import install_recorder
+from numba.core.event import Event, Listener, install_listener
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -192,13 +193,32 @@ class SessionTracker:
         return Phase.SEARCHING
 
 
-def warm_up(model: ViewModel) -> int:
+class _Counted(Listener):
+    """Counts the loops that are compiled."""
+
+    def __init__(self, tell: Callable[[int], None]) -> None:
+        self.count = 0
+        self._tell = tell
+
+    def on_start(self, event: Event) -> None:
+        """A loop is being compiled."""
+
+    def on_end(self, event: Event) -> None:
+        """A loop is compiled."""
+        self.count += 1
+        self._tell(self.count)
+
+
+def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) -> int:
     """Compile all loops, or read them from their cache, before the first frame.
 
     A blob before a noisy sky, dark and bright, without and with a prior, runs all loops, always in
     the same order. The order matters: it decides which compiled copy of a shared loop a process
     uses, and copies that were compiled separately may round differently. For the same reason,
     restart a process that had to compile before you record its poses.
+
+    Args:
+        tell: receives the number of loops compiled so far, after each.
 
     Returns:
         number of loops that were compiled rather than read from the cache.
@@ -208,7 +228,8 @@ def warm_up(model: ViewModel) -> int:
     ahead = np.array([0.0, 0.0, 3.0 * model.sphere_radius_m])
     prior = Pose(np.eye(3), ahead - model.centre_m)
     recognizer = Recognizer(model, camera)
-    with install_recorder("numba:compile") as recorder:
+    counted = _Counted(tell)
+    with install_listener("numba:compile", counted):
         for sky_grey in (0, 100):
             noise = rng.integers(sky_grey, sky_grey + 12, size=(240, 320), dtype=np.uint8)
             image = noise.copy()
@@ -219,7 +240,7 @@ def warm_up(model: ViewModel) -> int:
                 recognizer.search.at(image, Sky.of(image), prior, np.pi)
         contour_at(model, camera, prior)
         warm_up_filter()
-    return len(recorder.buffer) // 2  # each has a start and an end
+    return counted.count
 
 
 def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:

@@ -18,6 +18,7 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -28,6 +29,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.service.frames import read_frame
@@ -44,6 +46,10 @@ from rendezview.service.tracking import (
 from rendezview.service.wire import Header, mapped, pack, receive
 
 JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
+# s of processor time to decode a frame, and more for each pixel. Source: a chosen limit
+_DECODING_S, _DECODING_PIXEL_S = 0.1, 50e-9
+_TELL_S = 1.0  # s, between messages with the progress. Source: chosen
+_SPARE_MODELS = 2  # that stay in memory without a session. Source: chosen
 _HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview.service.worker")
 
@@ -52,6 +58,7 @@ log = logging.getLogger("rendezview.service.worker")
 class _WorkerSession:
     tracker: SessionTracker
     log: LogWriter | None
+    model: Path  # its file, named by its hash
 
 
 class WorkerProcess:
@@ -60,8 +67,9 @@ class WorkerProcess:
     def __init__(self, connection: socket.socket, memory: Any) -> None:
         self._connection = connection
         self._memory = memoryview(memory)
-        self._models: dict[str, ViewModel] = {}
+        self._models: dict[Path, ViewModel] = {}
         self._sessions: dict[str, _WorkerSession] = {}
+        self._told_s = 0.0
         self._compiled = 0  # number of loops; see `warm_up`
 
     def run(self) -> None:
@@ -104,12 +112,20 @@ class WorkerProcess:
         return True
 
     def _model(self, path: Path) -> ViewModel:
-        """A model, read once, with its loops compiled."""
-        key = str(path)
-        if key not in self._models:
-            self._models[key] = ViewModel.load(path)
-            self._compiled += warm_up(self._models[key])
-        return self._models[key]
+        """A model, read once, with its loops compiled; the file is named by its content."""
+        if path not in self._models:
+            used = {session.model for session in self._sessions.values()}
+            for other in [p for p in self._models if p not in used][:-_SPARE_MODELS]:
+                del self._models[other]
+            self._models[path] = ViewModel.load(path)
+            self._compiled += warm_up(self._models[path], self._tell)
+        return self._models[path]
+
+    def _tell(self, loops: int) -> None:
+        """Say how many loops are compiled, once a second."""
+        if time.monotonic() - self._told_s > _TELL_S:
+            self._told_s = time.monotonic()
+            self._send({"kind": "progress", "loops": loops})
 
     def _open(self, request: Header) -> Header:
         asked = SessionRequest.model_validate(request["request"])
@@ -123,11 +139,12 @@ class WorkerProcess:
             options = RecordingOptions(**request["recording"])
             content = path.read_bytes() if request["log_model"] and options.images else None
             notes = session_notes(request["session"], asked, model.name, path)
+            notes["model_file"] = request["model_file"]
             notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
             notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
             writer = LogWriter(place, tracker.camera, notes, content, options)
-        self._sessions[request["session"]] = _WorkerSession(tracker, writer)
+        self._sessions[request["session"]] = _WorkerSession(tracker, writer, path)
         written = None if writer is None else str(writer.path)
         return {"recording": _recording(writer), "log_path": written}
 
@@ -135,12 +152,14 @@ class WorkerProcess:
         session = self._sessions[request["session"]]
         tracker = session.tracker
         content = self._memory[: request["length"]]
-        image = read_frame(content, tracker.camera)
+        with decoding_time(tracker.camera):
+            image = read_frame(content, tracker.camera)
         time_s = request["time_s"]
         state, observation = tracker.track(image, time_s, request["received_unix_s"])
         state["frame"] += request["first_frame"]
         state["drops"] = request["drops"]
         state["recorded"] = session.log is not None
+        state["model_sha256"] = session.model.stem
         state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
         text = to_json(state, inf_nan_mode="null")
         if session.log is not None and not session.log.write(state, text, content):
@@ -247,6 +266,22 @@ class WorkerProcess:
             ConnectionError
         ):  # the next `receive` sees that the service is gone
             self._connection.sendall(pack(header, content))
+
+
+@contextlib.contextmanager
+def decoding_time(camera: Camera) -> Iterator[None]:
+    """Bound the processor time of decoding a frame: with more, the process ends.
+
+    No code of this package can interrupt a decoder; the system can. The sessions of this process
+    continue in another one within a fraction of a second.
+    """
+    signal.setitimer(
+        signal.ITIMER_PROF, _DECODING_S + _DECODING_PIXEL_S * camera.width * camera.height
+    )
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
 
 
 def session_notes(

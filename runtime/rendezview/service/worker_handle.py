@@ -67,6 +67,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self._frame_timeout_s = frame_timeout_s
         self.sessions: set[ClientT] = set()
         self.on_gone: Callable[[WorkerHandle[ClientT]], None] = lambda worker: None
+        self.on_progress: Callable[[int], None] = lambda loops: None  # compiled so far
         self.ready = False
         self._turns: deque[ClientT] = deque()  # sessions with an input waiting
         self._current: tuple[ClientT, SessionInput] | None = None
@@ -202,6 +203,8 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             self.ready = True
             if self._started is not None and not self._started.done():
                 self._started.set_result(None)
+        elif kind == "progress":
+            self.on_progress(header["loops"])
         elif kind in ("opened", "closed") or (
             kind == "fault" and header["of"] not in ("frame", "measure")
         ):

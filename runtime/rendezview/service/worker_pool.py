@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
+from rendezview.service.wire import Header
 from rendezview.service.worker_handle import WorkerGone, WorkerHandle
 
 log = logging.getLogger("rendezview.service")
@@ -31,7 +34,10 @@ class NotReady(Exception):
 
 
 class WorkerPool:
-    """A fixed number of workers; one that ends is replaced."""
+    """A fixed number of workers, and a spare one that takes the place of one that ends.
+
+    Sessions of a worker that ended continue at once, with the spare one or with another.
+    """
 
     def __init__(
         self,
@@ -42,16 +48,19 @@ class WorkerPool:
         """A pool whose workers are not started yet.
 
         Args:
-            orphaned: receives the sessions of a worker that ended, once it is replaced.
+            orphaned: receives the sessions of a worker that ended, once another is ready.
         """
         self._settings = settings
         self._metrics = metrics
         self._orphaned = orphaned
         self._workers: list[Worker] = []
+        self._spare: Worker | None = None
+        self._models: dict[str, StoredModel] = {}  # of the sessions, by hash
         self._warm_with: StoredModel | None = None  # model for the warm-up
         self._warming: asyncio.Task[None] | None = None
         self._replacing: set[asyncio.Task[None]] = set()
         self._stopping = False
+        self.progress = "the worker processes start"
 
     async def start(self, count: int, model: StoredModel | None) -> None:
         """Start ``count`` workers and warm them up with a model.
@@ -64,7 +73,11 @@ class WorkerPool:
         try:
             # One first: the others then read its compiled code.
             await self._start_one(self._workers[0])
+            if len(self._workers) > 1:
+                self.progress = f"1 of {len(self._workers)} worker processes is ready"
             await asyncio.gather(*map(self._start_one, self._workers[1:]))
+            if self._settings.spare_worker:
+                self._spawn(self._replace(None, []))
         except (WorkerGone, TimeoutError, OSError) as error:
             raise RendezviewError(
                 f"the worker processes do not start ({error or type(error).__name__}): see the log"
@@ -72,9 +85,10 @@ class WorkerPool:
 
     async def stop(self) -> None:
         """Stop all workers."""
-        for worker in self._workers:
+        workers = [*self._workers, *([] if self._spare is None else [self._spare])]
+        for worker in workers:
             worker.stop()
-        await asyncio.gather(*(worker.join(_STOP_S) for worker in self._workers))
+        await asyncio.gather(*(worker.join(_STOP_S) for worker in workers))
 
     def stay_down(self) -> None:
         """Replace no worker from now on."""
@@ -103,6 +117,17 @@ class WorkerPool:
             raise NotReady
         return min(ready, key=lambda worker: len(worker.sessions))
 
+    async def prepare(self, model: StoredModel) -> None:
+        """Have the spare worker read a model, so that it can take over at once."""
+        self._models[model.sha256] = model
+        if self._spare is not None and self._spare.ready:
+            with contextlib.suppress(WorkerGone):
+                await self._spare.ask(_warm_request(model))
+
+    def forget(self, used: set[str]) -> None:
+        """Sessions use only these models, by hash, from now on."""
+        self._models = {name: model for name, model in self._models.items() if name in used}
+
     async def warmed(self, model: StoredModel) -> None:
         """Warm the workers up with a model, if there was none at the start.
 
@@ -123,7 +148,13 @@ class WorkerPool:
     def _new(self) -> Worker:
         worker = Worker(self._settings.frame_bytes, self._settings.frame_timeout_s)
         worker.on_gone = self._gone
+        worker.on_progress = self._compiled
         return worker
+
+    def _compiled(self, loops: int) -> None:
+        """A worker has compiled so many loops."""
+        self.progress = f"{loops} loops compiled so far; this takes minutes, once a machine"
+        log.info("compiling", extra={"loops": loops})
 
     async def _start_one(self, worker: Worker) -> None:
         """Start a worker and warm it up."""
@@ -133,7 +164,7 @@ class WorkerPool:
 
     async def _warm(self, worker: Worker, model: StoredModel) -> None:
         """Have a worker compile its loops; if it did, restart it to read them from the cache."""
-        request = {"kind": "warm", "session": "", "model_path": str(model.path)}
+        request = _warm_request(model)
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
             raise RendezviewError(answer["error"])
@@ -154,19 +185,32 @@ class WorkerPool:
             pass  # its replacement warms up
 
     def _gone(self, worker: Worker) -> None:
-        if self._stopping:
+        known = worker is self._spare or worker in self._workers
+        if self._stopping or not known:  # who starts another one sees its end
             return
         log.error("a worker process has ended and is being replaced")
         self._metrics.restarts.inc()
-        task = asyncio.create_task(self._replace(worker))
-        self._replacing.add(task)
-        task.add_done_callback(self._replacing.discard)
-
-    async def _replace(self, worker: Worker) -> None:
-        """Start a worker in place of one that ended; its sessions continue with new trackers."""
         orphans = list(worker.sessions)
         for session in orphans:
             session.worker = None
+        if worker is self._spare:
+            self._spare = None
+            self._spawn(self._replace(None, []))
+            return
+        if self._spare is not None and self._spare.ready:
+            self._workers[self._workers.index(worker)], self._spare = self._spare, None
+            self._spawn(self._replace(None, orphans))
+        else:
+            self._spawn(self._replace(worker, orphans))
+
+    async def _replace(self, gone: Worker | None, orphans: list[Session]) -> None:
+        """Start a worker in place of one that ended, or as the spare one.
+
+        Its sessions continue with new trackers, as soon as any worker is ready.
+        """
+        if orphans and not self.none_ready:
+            await self._orphaned(orphans)
+            orphans = []
         fresh = self._new()
         while True:
             try:
@@ -180,5 +224,22 @@ class WorkerPool:
             except (WorkerGone, TimeoutError, OSError):
                 await asyncio.sleep(_RESTART_PAUSE_S)
                 fresh = self._new()
-        self._workers[self._workers.index(worker)] = fresh
-        await self._orphaned(orphans)
+        if gone is not None:
+            self._workers[self._workers.index(gone)] = fresh
+            if orphans:
+                await self._orphaned(orphans)
+            return
+        with contextlib.suppress(WorkerGone):
+            for model in list(self._models.values()):
+                await fresh.ask(_warm_request(model))
+            self._spare = fresh
+            log.info("a spare worker is ready")
+
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.create_task(work)
+        self._replacing.add(task)
+        task.add_done_callback(self._replacing.discard)
+
+
+def _warm_request(model: StoredModel) -> Header:
+    return {"kind": "warm", "session": "", "model_path": str(model.copy)}

@@ -91,3 +91,26 @@ def test_a_target_over_the_border_is_said_to_be_cut(foreground):
     found = find_bodies(frame, foreground)
     assert isinstance(found, Missing)
     assert found.status is Status.BORDER
+
+
+def test_a_picture_with_more_pixels_shows_the_same_bodies(foreground):
+    """Pixels are repeated, so the shrunk picture is the small one."""
+    mesh = random_craft(np.random.default_rng(3))
+    centre, radius = mesh.bounding_sphere
+    truth = Pose(np.eye(3), np.array([0.0, 0.0, 4.5 * radius]) - centre)
+    options = SceneOptions(sky_frame="camera", earth=Earth(seed=3))
+    rng = np.random.default_rng(3)
+    frame = render_frame(mesh, CAMERA, truth, [0.3, -0.4, -0.8], options, rng)
+    assert 640 * 480 <= frame.size < 2 * 640 * 480
+    bodies = find_bodies(frame, foreground)
+    larger = find_bodies(np.repeat(np.repeat(frame, 3, axis=0), 3, axis=1), foreground)
+    assert not isinstance(bodies, Missing)
+    assert not isinstance(larger, Missing)
+    assert len(larger) == len(bodies)
+    for small, large in zip(bodies, larger, strict=True):
+        assert large.area_px == 9 * small.area_px
+        assert large.box_px == tuple(
+            3 * place + (2 if k > 1 else 0) for k, place in enumerate(small.box_px)
+        )
+        for a, b in zip(small.outlines_px, large.outlines_px, strict=True):
+            assert np.allclose(b, 3.0 * a + 1.0)

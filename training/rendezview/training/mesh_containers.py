@@ -12,6 +12,7 @@ import numpy as np
 
 from rendezview.training.mesh_colours import GREY, Rgb, linear_from_srgb
 
+_MOST_UNPACKED = 2_000_000_000  # bytes, all parts of a 3MF file. Source: a chosen limit
 # Source: 3MF core specification, ST_Unit.
 _METRES_PER_3MF_UNIT = {
     "micron": 1e-6,
@@ -99,6 +100,18 @@ def _hex_rgb(text: str) -> list[float]:
         [int(digits[k : k + 2], 16) / 255.0 for k in (0, 2, 4)]
     ).tolist()
     return values
+
+
+def check_3mf_size(path: Path) -> None:
+    """Refuse an archive that unpacks to much more than a mesh needs.
+
+    Raises:
+        ValueError: its parts are too large together.
+    """
+    with zipfile.ZipFile(path) as archive:
+        total = sum(part.file_size for part in archive.infolist())
+    if total > _MOST_UNPACKED:
+        raise ValueError(f"it unpacks to {total / 1e9:.1f} GB, more than {_MOST_UNPACKED / 1e9:g}")
 
 
 def _model_of_3mf(path: Path) -> ElementTree.Element:

@@ -18,7 +18,12 @@ from numpy.typing import NDArray
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.training.mesh_colours import Rgb, grey, stl_face_rgb, visual_face_rgb
-from rendezview.training.mesh_containers import colours_of_3mf, file_unit, refers_to_texture
+from rendezview.training.mesh_containers import (
+    check_3mf_size,
+    colours_of_3mf,
+    file_unit,
+    refers_to_texture,
+)
 from rendezview.training.mesh_notes import counted
 from rendezview.training.mesh_obj import read_obj
 
@@ -70,6 +75,8 @@ def _read_with_trimesh(path: Path) -> MeshFile:
     suffix = path.suffix.lower()
     if suffix == ".stl":
         _check_stl_length(path)
+    if suffix == ".3mf":
+        check_3mf_size(path)
     unit = file_unit(path)
     with _quiet() as messages:
         import trimesh

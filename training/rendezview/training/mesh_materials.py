@@ -109,11 +109,15 @@ def _open_image(folder: Path, entry: str, notes: list[str]) -> Any | None:
 
 
 def _find(folder: Path, entry: str) -> Path | None:
-    """The file as written, or its name in the mesh's folder (paths of another machine)."""
+    """The file as written, or its name in the mesh's folder (paths of another machine).
+
+    Files elsewhere are not opened: a mesh may come from somebody else.
+    """
     written = PurePosixPath(entry.strip().strip('"').replace("\\", "/"))
     if not written.name:
         return None
     for candidate in (folder / written, folder / written.name):
-        if os.path.isfile(candidate):  # never raises, for any name
+        inside = os.path.realpath(candidate).startswith(os.path.realpath(folder) + os.sep)
+        if inside and os.path.isfile(candidate):  # never raises, for any name
             return candidate
     return None

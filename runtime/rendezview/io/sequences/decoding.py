@@ -15,6 +15,17 @@ import numpy.typing as npt
 from rendezview.io.sequences.frame import GreyImage
 
 PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a file
+JPEG = b"\xff\xd8\xff"
+_SCAN = b"\xff\xda"  # marker of a scan: in packed data 0xff is followed by other bytes
+# Each scan is a pass over the picture; libjpeg's own files have 6 (grey) or 10.
+# Source: a chosen limit.
+_MOST_SCANS = 64
+_SURPLUS = 65_536  # bytes that a PNG may unpack to beyond its picture. Source: a chosen limit
+_SAMPLES = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # a pixel, by colour type. Source: PNG, table 11.1
+_PACKED_TEXT = (b"zTXt", b"iTXt", b"iCCP")  # chunks that are unpacked too
+_MOST_PACKED_TEXT = 65_536  # bytes of them together. Source: a chosen limit
+_AT_ONCE = 1 << 20  # bytes that are unpacked at once. Source: chosen
+_INTERLACED_ROWS = 8  # filter bytes a row and pass, at most. Source: PNG, section 8.2
 
 # A picture rotated by its EXIF tag does not fit its calibration.
 _AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
@@ -61,13 +72,17 @@ _silence = _Silence()
 def decode_grey(content: Bytes) -> GreyImage | None:
     """A PNG, JPEG … as grey uint8 (height, width), as stored: not rotated by its EXIF tag.
 
-    None if it is damaged, cut short, animated, or not a picture. The checksums of a PNG are checked
-    first, because OpenCV's decoder can hang over a damaged one.
+    None if it is damaged, cut short, animated, or not a picture; or if a small file would cost much
+    time: a JPEG of hundreds of scans, a PNG that unpacks to more than its picture. The checksums of
+    a PNG are checked first, because OpenCV's decoder can hang over a damaged one.
     """
     if len(content) == 0:
         return None
     data = np.frombuffer(content, dtype=np.uint8)
-    if data[: len(PNG)].tobytes() == PNG and not _png_is_whole(data.data):
+    start = data[: len(PNG)].tobytes()
+    if start == PNG and not _png_is_whole(data.data):
+        return None
+    if start[:3] == JPEG and data.tobytes().count(_SCAN) > _MOST_SCANS:
         return None
     try:
         with quiet_opencv():
@@ -79,7 +94,8 @@ def decode_grey(content: Bytes) -> GreyImage | None:
 
 def _png_is_whole(view: memoryview) -> bool:
     """Whether all chunks have the right checksum, and there is a single picture."""
-    place = len(PNG)
+    place, text_bytes = len(PNG), 0
+    pixels: _Unpacked | None = None
     while place + 12 <= len(view):
         length, kind = struct.unpack(">I4s", view[place : place + 8])
         end = place + 12 + length
@@ -88,7 +104,46 @@ def _png_is_whole(view: memoryview) -> bool:
         (checksum,) = struct.unpack(">I", view[end - 4 : end])
         if zlib.crc32(view[place + 4 : end - 4]) != checksum:
             return False
-        if kind == b"IEND":
+        content = view[place + 8 : end - 4]
+        if kind == b"IHDR" and length == 13:
+            pixels = _Unpacked.of(bytes(content))
+        elif kind == b"IDAT" and (pixels is None or not pixels.takes(content)):
+            return False
+        elif kind in _PACKED_TEXT:
+            text_bytes += length
+            if text_bytes > _MOST_PACKED_TEXT:
+                return False
+        elif kind == b"IEND":
             return True  # what follows is not read
         place = end
     return False
+
+
+class _Unpacked:
+    """Counts the bytes of a PNG's picture as they are unpacked, without keeping them."""
+
+    def __init__(self, most: int) -> None:
+        self._left = most
+        self._stream = zlib.decompressobj()
+
+    @classmethod
+    def of(cls, header: bytes) -> _Unpacked | None:
+        """By an IHDR chunk; None for a colour type that does not exist."""
+        width, height, depth, colour = struct.unpack(">IIBB", header[:10])
+        if colour not in _SAMPLES:
+            return None
+        row = (width * depth * _SAMPLES[colour] + 7) // 8 + _INTERLACED_ROWS
+        return cls(row * height + _SURPLUS)
+
+    def takes(self, packed: memoryview) -> bool:
+        """Whether the next IDAT chunk is whole so far, and not too much."""
+        try:
+            while packed and not self._stream.eof:
+                out = self._stream.decompress(packed, min(self._left + 1, _AT_ONCE))
+                self._left -= len(out)
+                if self._left < 0:
+                    return False
+                packed = memoryview(self._stream.unconsumed_tail)
+        except zlib.error:
+            return False
+        return True

@@ -12,7 +12,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.edges.confidence import Found
-from rendezview.sensors.appearance.edges.search import PoseSearch
+from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import (
     CLOSE_MARGIN,
@@ -66,7 +66,7 @@ class Recognizer:
         self.camera = camera
         self.trees = trees
         self.least_confidence = least_confidence
-        self.search = PoseSearch(model, camera) if refine and model.contours is not None else None
+        self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
         self.sketch = None
         if sketch and self.search is not None and model.sketches is not None:
             self.sketch = SketchSearch(model, camera, self.search.refiner.views)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.io.grey_frame import Picture
+from rendezview.geometry.pose import Array
+from rendezview.io.grey_frame import Picture, shrunk
 from rendezview.sensors.appearance.outline.foreground import Foreground
 from rendezview.sensors.appearance.outline.silhouette import (
     Missing,
@@ -17,8 +21,11 @@ from rendezview.sensors.appearance.outline.silhouette import (
     outer_borders,
     outlines_of_mask,
 )
+from rendezview.sensors.appearance.outline.specks import without_specks
 from rendezview.sensors.observation import Status
 
+# Px; larger pictures are shrunk, since the network looks at 320 × 240. Source: pose-frames' size
+_AREA_PX = 640 * 480
 _LEAST_LOG_ODDS = (0.0, -1.5, 1.5)  # log odds that count as target, tried in this order
 _LEAST_AREA_PX = 120  # px; a smaller body is missing
 _PIECE_SHARE = 0.02  # of the largest piece's area; shade cuts off pieces this small
@@ -37,7 +44,8 @@ def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Mi
         image: (H, W) 8-bit grey frame.
         foreground: the network.
     """
-    odds = foreground.log_odds(image)
+    times = max(1, math.isqrt(image.size // _AREA_PX))
+    odds = foreground.log_odds(shrunk(image, times))
     bodies: list[Silhouette] = []
     missing = None
     for least in _LEAST_LOG_ODDS:
@@ -49,13 +57,29 @@ def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Mi
             return found  # higher odds may end before the border, but would cut the target
         else:
             missing = missing or found
-    return missing if missing is not None and not bodies else bodies
+    if missing is not None and not bodies:
+        return missing
+    return [_enlarged(body, times) for body in bodies]
+
+
+def _enlarged(body: Silhouette, times: int) -> Silhouette:
+    """A silhouette of a shrunk picture in the pixels of the whole one."""
+    if times == 1:
+        return body
+
+    def whole(places: Array) -> Array:
+        return np.asarray((places + 0.5) * times - 0.5)
+
+    left, top, right, bottom = body.box_px
+    box = (left * times, top * times, (right + 1) * times - 1, (bottom + 1) * times - 1)
+    outlines = tuple(map(whole, body.outlines_px))
+    return replace(body, outlines_px=outlines, area_px=body.area_px * times**2, box_px=box)
 
 
 def _body(odds: npt.NDArray[np.float32], least: float) -> Silhouette | Missing:
     """The largest piece that is likely target, and the pieces near it."""
     mask = np.where(odds > least, 255, 0).astype(np.uint8)
-    borders = outer_borders(mask)
+    borders = outer_borders(without_specks(mask))
     areas = [cv2.contourArea(border) for border in borders]
     if not areas or max(areas) < _LEAST_AREA_PX:
         return Missing(Status.EMPTY, "nothing that looks like a spacecraft stands out")

@@ -82,7 +82,8 @@ class OutlineRecognition:
             return Traced(None, [], bodies)
         outlines = []
         for body in bodies:
-            rays = [self.camera.rays(points) for points in body.outlines_px]
+            ends = np.cumsum([len(points) for points in body.outlines_px])[:-1]
+            rays = np.split(self.camera.rays(np.concatenate(body.outlines_px)), ends)
             signature = Signature.of_outlines(rays, self.model.bins, self.model.smooth_bins)
             if signature is not None:
                 outlines.append(Outlines(rays, signature))

@@ -13,6 +13,7 @@ from numba import njit
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
+from rendezview.sensors.appearance.outline.specks import MOST_BLOBS, without_specks
 from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.sensors.appearance.sky import sky_level
 from rendezview.sensors.observation import Status
@@ -114,9 +115,11 @@ class _Blobs:
 
     @classmethod
     def of(cls, borders: list[Border]) -> _Blobs:
-        """Measure the blobs; at least one border is needed."""
+        """Measure the ``MOST_BLOBS`` of the longest borders; at least one border is needed."""
         size = [len(b) for b in borders]
-        large = [k for k in range(len(borders)) if 4 * size[k] >= _LEAST_BORDER * max(size)]
+        longest = np.argsort(-np.array(size), kind="stable")[:MOST_BLOBS]
+        least = _LEAST_BORDER * size[longest[0]]
+        large = sorted(int(k) for k in longest if 4 * size[k] >= least)
         # Pick's theorem: the pixels inside a lattice polygon and on it.
         area = {k: cv2.contourArea(borders[k]) + 0.5 * size[k] + 1.0 for k in large}
         return cls(borders, area, {k: box_of(borders[k]) for k in large})
@@ -152,7 +155,7 @@ def find_silhouette(
     if options.cleaning is not Cleaning.NONE:
         kind = cv2.MORPH_OPEN if options.cleaning is Cleaning.OPEN else cv2.MORPH_CLOSE
         mask = cv2.morphologyEx(mask, kind, np.ones((3, 3), np.uint8)).astype(np.uint8, copy=False)
-    borders = outer_borders(mask)
+    borders = outer_borders(without_specks(mask))
     if not borders and sky > 127.0:
         return Missing(
             Status.FULL, f"the frame is bright all over ({sky:.0f} of 255): target too close?"

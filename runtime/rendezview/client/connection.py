@@ -1,8 +1,8 @@
 """The client of the pose service.
 
     with Client("http://127.0.0.1:8360") as client:
-        session = client.open(camera)
-        state = session.track(image, time_s)
+        with client.open(camera) as session:
+            state = session.track(image, time_s)
 
 A `StateDict` is the service's `State` message, key by key. `pose_of_state` and ``numpy.array``
 convert its pose and covariance to the types of this package.
@@ -11,12 +11,18 @@ convert its pose and covariance to the types of this package.
 from __future__ import annotations
 
 import json
+import secrets
 import socket
 import ssl
-import struct
 import time
-from collections.abc import Iterator, Mapping
-from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection
+from collections.abc import Mapping
+from http.client import (
+    HTTPConnection,
+    HTTPException,
+    HTTPResponse,
+    HTTPSConnection,
+    RemoteDisconnected,
+)
 from pathlib import Path
 from typing import Any, Self
 from urllib.parse import quote, urlencode, urlsplit
@@ -24,23 +30,15 @@ from urllib.parse import quote, urlencode, urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.client.messages import Frame, ServiceError, StateDict, frame_content
+from rendezview.client.stream import StreamClient
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.files import read_bytes
 from rendezview.io.results import json_line
 
-Frame = npt.NDArray[np.uint8] | bytes  # (H, W) grey levels, or the bytes of a PNG or JPEG file
-StateDict = dict[str, Any]
-
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
-
-
-class ServiceError(RendezviewError):
-    """The service refused a request; ``status`` is the HTTP status."""
-
-    def __init__(self, message: str, status: int) -> None:
-        super().__init__(message)
-        self.status = status
 
 
 def pose_of_state(state: StateDict) -> Pose | None:
@@ -86,7 +84,9 @@ class Client:
             else HTTPSConnection(parts.hostname, parts.port, timeout=timeout_s, context=self._tls)
         )
         self._used_s = 0.0
-        self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
+        self._headers = {"X-Sender": secrets.token_hex(8)}  # frames of two would mix
+        if token is not None:
+            self._headers["Authorization"] = f"Bearer {token}"
 
     def open(
         self,
@@ -99,10 +99,12 @@ class Client:
         name: str | None = None,
         record: bool | None = None,
         fusion: Mapping[str, Any] | None = None,
+        idle_s: float | None = None,
     ) -> SessionClient:
-        """Open a session; the service has defaults for all arguments.
+        """Open a session; the service has defaults for all arguments. Use it in a ``with``.
 
         Args:
+            idle_s: without a frame for longer, the service ends the session (60 s).
             fusion: data on other sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
                 ``surfaces``, ``mounts`` (a `Pose` by sensor name), ``options``.
 
@@ -110,6 +112,8 @@ class Client:
             RendezviewError: the service cannot be reached, or refuses.
         """
         request: dict[str, Any] = {"id": name, "model": model, "trees": trees, "record": record}
+        if idle_s is not None:
+            request["idle_s"] = idle_s
         if camera is not None:
             names = ("width", "height", "fx", "fy", "cx", "cy")
             request["camera"] = {n: getattr(camera, n) for n in names}
@@ -134,7 +138,7 @@ class Client:
 
     def send_model(self, name: str, path: Path | str) -> dict[str, Any]:
         """Upload a model file; its `ModelInfo`."""
-        content = Path(path).read_bytes()
+        content = read_bytes(path, "a model file (*.rvm)")
         kind = "application/octet-stream"
         info: dict[str, Any] = self.request("PUT", f"/v1/models/{quote(name)}", content, kind)
         return info
@@ -143,7 +147,7 @@ class Client:
         """Upload a mesh and train a model of it; the `JobInfo`."""
         query = {"model": name, "file": Path(mesh).name, "unit": unit} | options
         path = f"/v1/jobs?{urlencode(query)}"
-        content = Path(mesh).read_bytes()
+        content = read_bytes(mesh, "a mesh file")
         job: dict[str, Any] = self.request("POST", path, content, "application/octet-stream")
         return job
 
@@ -166,7 +170,12 @@ class Client:
             RendezviewError: the service cannot be reached.
         """
         content = self.fetch(method, path, body, kind)
-        return json.loads(content) if content else None
+        try:
+            return json.loads(content) if content else None
+        except ValueError:
+            raise RendezviewError(
+                f"{self._url.geturl()}: the answer is not JSON: is this the pose service?"
+            ) from None
 
     def fetch(
         self,
@@ -178,7 +187,14 @@ class Client:
         """Send one request; the bytes of its answer. Errors as in `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
         try:
-            response = self._send(method, path, body, headers)
+            try:
+                response = self._send(method, path, body, headers)
+            except (ConnectionError, RemoteDisconnected):
+                # A connection that was idle may be closed meanwhile; a new one is tried once.
+                self._connection.close()
+                if not _may_repeat(method, path):
+                    raise
+                response = self._send(method, path, body, headers)
             content = response.read()
         except (OSError, HTTPException) as error:
             self._connection.close()
@@ -248,7 +264,7 @@ class SessionClient:
             ServiceError: the frame is refused (422), or too many frames wait (429).
             RendezviewError: the service cannot be reached.
         """
-        content, kind = _content(frame)
+        content, kind = frame_content(frame)
         query = "" if time_s is None else f"?time_s={float(time_s)!r}"
         state: StateDict = self.client.request("POST", f"{self._path}/frames{query}", content, kind)
         return state
@@ -294,74 +310,21 @@ class SessionClient:
         """End the session and complete its log."""
         self.client.request("DELETE", self._path)
 
-
-class StreamClient:
-    """Sends frames and receives states, independently of each other."""
-
-    def __init__(
-        self, url: str, headers: dict[str, str], tls: ssl.SSLContext | None = None
-    ) -> None:
-        try:
-            from websockets.sync.client import connect
-        except ModuleNotFoundError:
-            raise RendezviewError(
-                "streams need websockets, which is not installed: pip install 'rendezview[service]'"
-            ) from None
-        try:
-            opening = connect(
-                url, additional_headers=headers, compression=None, max_size=None, ssl=tls
-            )
-            self._socket = opening.__enter__()  # left by `close`
-        except Exception as error:
-            raise RendezviewError(f"{url}: the stream does not open ({error})") from None
-
-    def send(self, frame: Frame, time_s: float | None = None) -> None:
-        """Send a frame; it is dropped if a newer one arrives before it is tracked."""
-        content, _ = _content(frame)
-        head = struct.pack("<d", float("nan") if time_s is None else time_s)
-        self._socket.send(b"".join((head, content)))
-
-    def measure(self, sensor: str, record: Mapping[str, Any]) -> None:
-        """Send a line of another sensor's log; its answer has the type ``measured``."""
-        self._socket.send(json_line({"sensor": sensor, "record": record}))
-
-    def receive(self, timeout_s: float | None = None) -> StateDict:
-        """The next state, or the next answer to a sensor line.
-
-        Raises:
-            ServiceError: a frame or a line was refused.
-            TimeoutError: none arrives in time.
-            RendezviewError: the stream has ended.
-        """
-        from websockets.exceptions import ConnectionClosed
-
-        try:
-            answer: StateDict = json.loads(self._socket.recv(timeout_s))
-        except ConnectionClosed as error:
-            raise RendezviewError(f"the stream has ended ({error})") from None
-        if "error" in answer:
-            raise ServiceError(answer["error"], answer["status"])
-        return answer
-
-    def __iter__(self) -> Iterator[StateDict]:
-        """States until the stream ends."""
-        while True:
-            try:
-                yield self.receive()
-            except ServiceError:
-                raise
-            except RendezviewError:
-                return
-
-    def close(self) -> None:
-        """End the stream; the session stays open."""
-        self._socket.close()
-
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """End the session; if another error is on its way, that one counts."""
+        try:
+            self.close()
+        except RendezviewError:
+            if kind is None:
+                raise
+
+
+def _may_repeat(method: str, path: str) -> bool:
+    """Whether a request that was received twice does no harm; frames: their time must rise."""
+    return method != "POST" or "/frames?time_s=" in path
 
 
 def _tls(certificate: Path | str | None) -> ssl.SSLContext:
@@ -371,16 +334,3 @@ def _tls(certificate: Path | str | None) -> ssl.SSLContext:
         raise RendezviewError(
             f"{certificate}: not a certificate (PEM) that can be read: {error}"
         ) from None
-
-
-def _content(frame: Frame) -> tuple[bytes | memoryview, str]:
-    """The bytes to send, and their media type."""
-    if isinstance(frame, bytes):
-        kind = "image/png" if frame[:4] == b"\x89PNG" else "image/jpeg"
-        return frame, kind
-    image = np.asarray(frame)
-    if image.dtype != np.uint8 or image.ndim != 2:
-        raise RendezviewError(
-            f"a frame must be (height, width) grey levels of 8 bit, not {image.shape} {image.dtype}"
-        )
-    return np.ascontiguousarray(image).reshape(-1).data, "application/octet-stream"

@@ -1,0 +1,21 @@
+"""The client of the pose service."""
+
+from rendezview.client.connection import (
+    Client,
+    SessionClient,
+    fused_pose_of_state,
+    pose_of_state,
+)
+from rendezview.client.messages import Frame, ServiceError, StateDict
+from rendezview.client.stream import StreamClient
+
+__all__ = [
+    "Client",
+    "Frame",
+    "ServiceError",
+    "SessionClient",
+    "StateDict",
+    "StreamClient",
+    "fused_pose_of_state",
+    "pose_of_state",
+]

@@ -1,0 +1,94 @@
+"""HTTP connections of a bounded number, with bounded heads, that may not wait for ever.
+
+uvicorn has no limits for a request that is not complete yet; these come before any token.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+HEAD_S = 10.0  # s, for the first line and the headers of a request. Source: chosen
+MOST_HEAD = 65_536  # bytes of them. Source: a chosen limit, four times that of most servers
+
+
+class BoundedProtocol(HttpToolsProtocol):
+    """A connection that is closed if its request's head is slow or long.
+
+    With too many connections, the one that has waited longest without a request is closed.
+    """
+
+    most = 1000
+    _waiting: dict[BoundedProtocol, None]  # without a request in progress, in order of time
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """A connection; perhaps another one must make room."""
+        self._head_bytes: int | None = 0  # None: no head is being received
+        self._head_timer: asyncio.TimerHandle | None = None
+        super().connection_made(transport)
+        self._await_head()
+        if len(self.connections) > self.most:
+            next(iter(self._waiting)).abort()
+
+    def data_received(self, data: bytes) -> None:
+        """Bytes of a request."""
+        super().data_received(data)
+        if self._head_bytes is not None:
+            self._head_bytes += len(data)
+            if self._head_bytes > MOST_HEAD:
+                self.abort()
+
+    def on_message_begin(self) -> None:
+        """The first byte of a request."""
+        super().on_message_begin()
+        if self._head_bytes is None:
+            self._await_head()
+        self._start_timer()
+
+    def on_headers_complete(self) -> None:
+        """The head is complete."""
+        length = len(self.url) + sum(len(name) + len(value) for name, value in self.headers)
+        if length > MOST_HEAD:
+            raise ValueError("the head is too long")  # answered with 400
+        self._stop_waiting()
+        super().on_headers_complete()
+
+    def on_response_complete(self) -> None:
+        """The answer is sent; the connection may be used again."""
+        super().on_response_complete()
+        if self._head_bytes is None and not self.transport.is_closing():
+            self._waiting[self] = None
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """The end of the connection."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def abort(self) -> None:
+        """Close the connection without an answer."""
+        self._stop_waiting()
+        self.transport.abort()
+
+    def _await_head(self) -> None:
+        self._head_bytes = 0
+        self._waiting[self] = None
+        self._start_timer()
+
+    def _start_timer(self) -> None:
+        if self._head_timer is None:
+            self._head_timer = self.loop.call_later(HEAD_S, self.abort)
+
+    def _stop_waiting(self) -> None:
+        self._head_bytes = None
+        self._waiting.pop(self, None)
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
+
+
+def bounded(most: int) -> type[BoundedProtocol]:
+    """The protocol with its number of connections and its own record of them."""
+    members: dict[str, Any] = {"most": most, "_waiting": {}}
+    return type("Bounded", (BoundedProtocol,), members)

@@ -1,0 +1,142 @@
+"""Train the network that sketches a photograph, on random spacecraft in hard light."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import onnxruntime as ort
+from joblib import Parallel, delayed
+
+from rendezview.sensors.appearance.sketch import network as sketch
+from rendezview.simulation.random_craft import any_craft
+from rendezview.simulation.sketch_frames import (
+    DRAWINGS,
+    CraftDrawing,
+    draw_craft,
+    draw_sky,
+    take,
+)
+
+BLOCK = 5  # craft a file
+BATCH = 16
+FRAMES_A_SKY = 5
+LEAST_SKIES = 10
+MOST_HELD_OUT = 22  # craft
+HELD_SEED = 5  # of their photographs
+AHEAD = 6  # batches that are made while the network learns
+
+
+def drawings(folder: Path, count: int, seed: int) -> list[CraftDrawing]:
+    """``DRAWINGS`` of each craft, in order; files that are there already are read."""
+    crafts = -(-count // DRAWINGS)
+
+    def block(first: int) -> Path:
+        last = min(first + BLOCK, crafts)
+        path = folder / f"{seed}-{first:06d}-{last:06d}.npz"
+        if not path.exists():
+            made = []
+            for k in range(first, last):
+                rng = np.random.default_rng([seed, k])
+                mesh = any_craft(rng)
+                made += [draw_craft(mesh, rng) for _ in range(DRAWINGS)]
+            _save(path, maps=[d.maps for d in made], light=[d.light for d in made])
+        return path
+
+    firsts = range(0, crafts, BLOCK)
+    paths = Parallel(n_jobs=-1 if len(firsts) > 1 else 1)(delayed(block)(k) for k in firsts)
+    read: list[CraftDrawing] = []
+    for path in paths:
+        with np.load(path) as file:
+            read += [CraftDrawing(*d) for d in zip(file["maps"], file["light"], strict=True)]
+    return read
+
+
+def skies(folder: Path, count: int, seed: int) -> np.ndarray:
+    """(N, SKY_PX, SKY_PX) float16."""
+    path = folder / f"{seed}-skies-{count}.npz"
+    if not path.exists():
+        seeds = np.random.SeedSequence([seed, 1]).spawn(count)
+        made = Parallel(n_jobs=-1, prefer="threads")(
+            delayed(draw_sky)(np.random.default_rng(s)) for s in seeds
+        )
+        _save(path, skies=np.array(made, np.float16))
+    with np.load(path) as file:
+        return file["skies"]
+
+
+def _save(path: Path, **arrays: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial.npz")
+    np.savez_compressed(partial, **arrays)
+    partial.replace(path)
+
+
+def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
+    """Pictures (N, 2, S, S) as the network sees them, and maps (N, MAPS, S, S), float32."""
+    taken = [take(d, behind[rng.integers(len(behind))], rng) for d in chosen]
+    pictures = np.array([sketch._channels(picture) for picture, _ in taken])  # as it sees, no copy
+    return pictures, np.array([maps for _, maps in taken])
+
+
+def written_difference(path: Path, odds: np.ndarray, pictures: np.ndarray) -> float:
+    """Largest difference of log-odds between the network written and the one trained."""
+    session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    squares = sketch.to_squares(pictures[0])[None]
+    written = sketch.from_squares(session.run(None, {"squares": squares})[0][0])
+    return float(np.abs(written - odds).max())
+
+
+def run(
+    network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"],
+    *,
+    frames: Annotated[int, "drawings of craft; each is photographed many times"] = 7800,
+    minutes: Annotated[float, "of training"] = 40.0,
+    seed: int = 11,
+    folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
+    start: Annotated[Path | None, "weights (.pt) of a training to continue"] = None,
+) -> None:
+    """Train the network that sketches a photograph, on random spacecraft in hard light.
+
+    Needs PyTorch and onnx, which the project does not depend on: pip install torch onnx. Draws
+    craft and skies (simulation/sketch_frames.py) into a folder, or reads them from there, then
+    trains on photographs of them that are taken anew for each step. Up to 22 craft are held out;
+    the overlap (IoU) of their covers and their losses are printed every 200 steps and at the end.
+
+    The 7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on
+    the machine, so the weights are not the same twice.
+    """
+    try:
+        import torch
+
+        from experiments.training import sketch_unet as unet
+    except ModuleNotFoundError as error:
+        sys.exit(f"sketch-network needs {error.name}: pip install torch onnx")
+    if frames < 2 * DRAWINGS:
+        sys.exit(f"--frames must be at least {2 * DRAWINGS}: two craft, one of them held out")
+    drawn = drawings(folder, frames, seed)
+    behind = skies(folder, max(LEAST_SKIES, frames // FRAMES_A_SKY), seed)
+    held_count = DRAWINGS * max(1, min(MOST_HELD_OUT, len(drawn) // DRAWINGS // 5))
+    held_out, seen = drawn[:held_count], drawn[held_count:]
+    print(f"{len(seen)} drawings, {held_count} held out, {len(behind)} skies", flush=True)
+    held = photographs(held_out, behind, np.random.default_rng(HELD_SEED))
+    batches: queue.Queue = queue.Queue(AHEAD)
+
+    def feed() -> None:
+        rng = np.random.default_rng([seed, 2])
+        while True:
+            chosen = [seen[k] for k in rng.integers(len(seen), size=BATCH)]
+            batches.put(tuple(torch.from_numpy(x) for x in photographs(chosen, behind, rng)))
+
+    threading.Thread(target=feed, daemon=True).start()
+    tensors = tuple(torch.from_numpy(x) for x in held)
+    trained = unet.trained(batches.get, tensors, minutes, seed, start)
+    unet.write(trained, network)
+    with torch.no_grad():
+        odds = unet.log_odds(trained, tensors[0][:1])[0].numpy()
+    difference = written_difference(network, odds, held[0])
+    print(f"{network}: {network.stat().st_size / 1e6:.1f} MB, log-odds within {difference:.1e}")

@@ -1,0 +1,177 @@
+"""The sketch network in PyTorch: a U-Net on squares of pixels, its losses, its training."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX
+
+CHANNELS = 2  # grey levels, and faint differences magnified
+WIDTHS = (56, 80, 112, 128)  # channels at full size, a half, a quarter and an eighth of the squares
+LINE_WEIGHT = 3.0  # of a pixel on a line: most are on none
+MAP_WEIGHTS = (1.0, 1.5, 1.5)
+DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
+LEARNING_RATE = 2e-3
+WARM_UP = 200  # steps
+MEAN_DECAY = 0.998  # of the running mean of the weights, a step
+HELD_BATCH = 16
+Batch = tuple[torch.Tensor, torch.Tensor]  # pictures (N, 2, S, S) and maps (N, MAPS, S, S)
+
+
+class Layer(nn.Module):
+    """3 × 3 convolution, normalisation, ramp."""
+
+    def __init__(self, inputs, outputs):
+        super().__init__()
+        self.convolution = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
+        self.norm = nn.BatchNorm2d(outputs, momentum=0.03)
+
+    def forward(self, x):
+        return functional.relu(self.norm(self.convolution(x)), inplace=True)
+
+
+class SketchUNet(nn.Module):
+    """(N, CHANNELS n², h, w) squares to (N, MAPS n², h, w) log-odds; n = SQUARE_PX."""
+
+    def __init__(self):
+        super().__init__()
+        a, b, c, d = WIDTHS
+        self.a = nn.Sequential(Layer(CHANNELS * SQUARE_PX**2, a), Layer(a, a))
+        self.b = nn.Sequential(Layer(a, b), Layer(b, b))
+        self.c = nn.Sequential(Layer(b, c), Layer(c, c))
+        self.d = nn.Sequential(Layer(c, d), Layer(d, d), Layer(d, d))
+        self.from_d, self.from_c, self.from_b = (
+            nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
+        )  # fmt: skip
+        self.up_c = nn.Sequential(Layer(c, c), Layer(c, c))
+        self.up_b = Layer(b, b)
+        self.up_a = nn.Sequential(Layer(a, a), Layer(a, a))
+        self.out = nn.Conv2d(a, MAPS * SQUARE_PX**2, 1)
+
+    def forward(self, squares):
+        def twice(x):
+            return functional.interpolate(x, scale_factor=2, mode="nearest")
+
+        a = self.a(squares)
+        b = self.b(functional.max_pool2d(a, 2))
+        c = self.c(functional.max_pool2d(b, 2))
+        d = self.d(functional.max_pool2d(c, 2))
+        c = self.up_c(c + twice(self.from_d(d)))
+        b = self.up_b(b + twice(self.from_c(c)))
+        return self.out(self.up_a(a + twice(self.from_b(b))))
+
+
+def log_odds(network, pictures):
+    """(N, MAPS, S, S) of pictures (N, CHANNELS, S, S)."""
+    squares = functional.pixel_unshuffle(pictures, SQUARE_PX)
+    return functional.pixel_shuffle(network(squares), SQUARE_PX)
+
+
+def losses(odds, maps):
+    """Cross entropy of all maps, and one minus the overlap of the covers (Dice)."""
+    odds = odds.float()
+    per_map = (1, MAPS, 1, 1)
+    weights = odds.new_tensor([1.0, LINE_WEIGHT, LINE_WEIGHT]).view(per_map)
+    entropy = functional.binary_cross_entropy_with_logits(
+        odds, maps, pos_weight=weights, reduction="none"
+    )
+    entropy = (entropy.mean((0, 2, 3)) * odds.new_tensor(MAP_WEIGHTS)).sum()
+    share, truth = torch.sigmoid(odds[:, COVER]), maps[:, COVER]
+    both = (share * truth).sum((1, 2))
+    dice = (2 * both + DICE_PX) / (share.sum((1, 2)) + truth.sum((1, 2)) + DICE_PX)
+    return entropy, (1 - dice).mean()
+
+
+def judged(network, held: Batch, device: str) -> tuple[np.ndarray, np.ndarray]:
+    """The two losses and the overlap (IoU) of the cover of each held-out picture (N,)."""
+    network.eval()
+    pictures, maps = held
+    with torch.no_grad():
+        odds = torch.cat(
+            [log_odds(network, part.to(device)).cpu() for part in pictures.split(HELD_BATCH)]
+        )
+    seen, truth = odds[:, COVER] > 0, maps[:, COVER] > 0.5
+    both, either = (seen & truth).sum((1, 2)), (seen | truth).sum((1, 2))
+    parts = np.array([float(x) for x in losses(odds, maps)])
+    return parts, ((both + 1) / (either + 1)).numpy()
+
+
+def trained(
+    next_batch: Callable[[], Batch], held: Batch, minutes: float, seed: int, start: Path | None,
+    report_every: int = 200,
+) -> SketchUNet:  # fmt: skip
+    """The running mean of the weights after AdamW with a cosine of learning rates over the time."""
+    torch.manual_seed(seed)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    network, mean = (
+        SketchUNet().to(device=device, memory_format=torch.channels_last) for _ in range(2)
+    )
+    if start is not None:
+        network.load_state_dict(torch.load(start, map_location=device))
+    mean.load_state_dict(network.state_dict())
+    print(f"{sum(p.numel() for p in network.parameters())} weights, on {device}", flush=True)
+    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=1e-3)
+    began, step, running = time.monotonic(), 0, []
+    while (done := (time.monotonic() - began) / (60.0 * minutes)) < 1.0:
+        rate = LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
+        for group in optimizer.param_groups:
+            group["lr"] = rate + 1e-6
+        pictures, maps = (part.to(device) for part in next_batch())
+        with torch.autocast(device, dtype=torch.bfloat16):
+            odds = log_odds(network, pictures.to(memory_format=torch.channels_last))
+        entropy, overlap = losses(odds, maps)
+        optimizer.zero_grad(set_to_none=True)
+        (entropy + overlap).backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimizer.step()
+        step += 1
+        _follow(mean, network, min(MEAN_DECAY, step / (step + 20)))
+        running.append((float(entropy.detach()), float(overlap.detach())))
+        if step % report_every == 0:
+            _report(step, running[-report_every:], mean, held, device)
+    _report(step, running[-report_every:], mean, held, device)
+    return mean.cpu()
+
+
+def _follow(mean, network, decay: float) -> None:
+    with torch.no_grad():
+        for kept, now in zip(
+            mean.state_dict().values(), network.state_dict().values(), strict=True
+        ):
+            if kept.dtype.is_floating_point:
+                kept.mul_(decay).add_(now, alpha=1.0 - decay)
+            else:
+                kept.copy_(now)
+
+
+def _report(step: int, running, network, held: Batch, device: str) -> None:
+    (entropy, overlap), iou = judged(network, held, device)
+    now = np.mean(running, axis=0)
+    print(
+        f"step {step}: cross entropy {now[0]:.3f}, 1 − Dice {now[1]:.3f}; held out {entropy:.3f}, "
+        f"{overlap:.3f}, IoU {iou.mean():.3f} mean, {np.median(iou):.3f} median",
+        flush=True,
+    )
+
+
+def write(network, path: Path) -> None:
+    """Write the network as ONNX, normalisation folded into the weights, for pictures of any size.
+
+    Input ``squares`` (1, CHANNELS n², h, w), output ``y`` (1, MAPS n², h, w) log-odds. The weights
+    are kept beside it as .pt.
+    """
+    torch.save(network.state_dict(), path.with_suffix(".pt"))
+    network.eval()
+    squares = torch.zeros(1, CHANNELS * SQUARE_PX**2, 64, 64)
+    sides = {2: "h", 3: "w"}
+    torch.onnx.export(
+        network, (squares,), str(path), input_names=["squares"], output_names=["y"],
+        dynamic_axes={"squares": sides, "y": sides}, dynamo=False, opset_version=12,
+    )  # fmt: skip

@@ -1,0 +1,87 @@
+"""Frames that are small and would cost much: refused; and the time of a decoder is bounded."""
+
+from __future__ import annotations
+
+import struct
+import time
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.decoding import PNG, decode_grey
+from rendezview.service.frames import read_frame
+
+CAMERA = Camera.from_fov(640, 480, 0.7)
+GREY = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return (
+        struct.pack(">I", len(content))
+        + kind
+        + content
+        + struct.pack(">I", zlib.crc32(kind + content))
+    )
+
+
+def _png(rows: bytes, *more: bytes, depth: int = 8, interlaced: int = 0) -> bytes:
+    header = struct.pack(">IIBBBBB", 640, 480, depth, 0, 0, 0, interlaced)
+    packed = zlib.compress(rows, 1)
+    chunks = [packed[k : k + 40_000] for k in range(0, len(packed), 40_000)]
+    parts = [_chunk(b"IHDR", header), *more, *(_chunk(b"IDAT", part) for part in chunks)]
+    return PNG + b"".join([*parts, _chunk(b"IEND", b"")])
+
+
+def many_scans(count: int) -> bytes:
+    """A valid progressive JPEG with a scan that changes nothing, repeated."""
+    packed = cv2.imencode(".jpg", GREY, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    last = packed.rindex(b"\xff\xda")
+    head = packed[last : last + 10]  # marker, length, one component, its band and bits
+    scan = head[:7] + bytes([1, 1, 0x00]) + b"\x00"
+    return packed[:-2] + scan * count + packed[-2:]
+
+
+def _spent_s(content: bytes) -> float:
+    start_s = time.process_time()
+    with pytest.raises(RendezviewError, match="packed wastefully"):
+        read_frame(content, CAMERA)
+    return time.process_time() - start_s
+
+
+def test_a_jpeg_of_many_scans_is_refused_before_it_is_decoded():
+    assert _spent_s(many_scans(150_000)) < 0.1
+
+
+def test_a_jpeg_of_many_segments_is_refused():
+    packed = cv2.imencode(".jpg", GREY)[1].tobytes()
+    assert _spent_s(packed[:2] + b"\xff\xfe\x00\x02" * 2_000_000 + packed[2:]) < 0.1
+
+
+@pytest.mark.parametrize("surplus", [100_000, 60_000_000])
+def test_a_png_with_more_than_its_picture_is_refused(surplus):
+    rows = b"".join(b"\x00" + row.tobytes() for row in GREY)
+    assert _spent_s(_png(rows + bytes(surplus))) < 0.2
+
+
+def test_a_png_with_packed_texts_is_refused():
+    text = _chunk(b"zTXt", b"a\x00\x00" + zlib.compress(bytes(7_000_000)))
+    rows = b"".join(b"\x00" + row.tobytes() for row in GREY)
+    assert _spent_s(_png(rows, *[text] * 40)) < 0.2
+
+
+def test_common_files_are_read_as_before():
+    rows = b"".join(b"\x00" + row.tobytes() for row in GREY)
+    np.testing.assert_array_equal(read_frame(_png(rows), CAMERA), GREY)
+    progressive = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 95]
+    for suffix, options in ((".jpg", progressive), (".jpg", []), (".png", [])):
+        for image in (GREY, cv2.cvtColor(GREY, cv2.COLOR_GRAY2BGR), GREY.astype(np.uint16) * 257):
+            if suffix == ".jpg" and image.dtype == np.uint16:
+                continue
+            packed = cv2.imencode(suffix, image, options)[1].tobytes()
+            assert np.abs(read_frame(packed, CAMERA).astype(float) - GREY).mean() < 6.0
+    tiny = cv2.imencode(".png", np.eye(3, dtype=np.uint8) * 255)[1].tobytes()
+    np.testing.assert_array_equal(decode_grey(tiny), np.eye(3) * 255)
