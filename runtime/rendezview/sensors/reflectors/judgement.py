@@ -194,8 +194,7 @@ def _hopeless(
         return True
     t, along, across, m, u, v = _base_frame(directions, left, centre, right, chord)
     size = (s0 + s1 + s2) / 3.0
-    # First without corrections: a distant candidate needs none.
-    z = _scaled(bb, pp, bp, area, 2.0 * t, along, across)[1]
+    z = _scaled(bb, pp, bp, area, 2.0 * t, along, across)[1]  # a distant one needs no corrections
     if z < 0.7 * window[0] or z > 1.4 * window[1]:
         return True
     share = blur_px / math.exp(size - _SIZE_REACH)
