@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rendezview.fusion import Fusion, FusionOptions
     from rendezview.geometry.camera import Camera
     from rendezview.geometry.pose import Pose
+    from rendezview.io.bundled import find_target
     from rendezview.io.camera_files import load_camera, save_camera
     from rendezview.io.results import (
         JsonLinesWriter,
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from rendezview.sensors.stereo import Rig, StereoTracker
     from rendezview.sensors.stereo.rig_files import load_rig
     from rendezview.simulation import simulate
-    from rendezview.training.bundled import find_target
     from rendezview.training.mesh import load_mesh
     from rendezview.training.options import TrainingOptions
     from rendezview.training.target_job import train
@@ -102,6 +102,7 @@ _HOME = {
         "write_results",
     ),
     "io.sequences": ("Frame", "Sequence", "open_sequence"),
+    "io.bundled": ("find_target",),
     "io.target": ("DockingRing", "Target"),
     "sensors.appearance": ("Recognizer", "Tracker", "TrackerOptions", "ViewModel"),
     "sensors.measurement": ("BeamSurface", "RangeMeasurement"),
@@ -114,7 +115,6 @@ _HOME = {
 _GROUND = {
     "evaluation": ("evaluate", "frame_overlay", "write_report"),
     "simulation": ("simulate",),
-    "training.bundled": ("find_target",),
     "training.mesh": ("load_mesh",),
     "training.options": ("TrainingOptions",),
     "training.target_job": ("train",),

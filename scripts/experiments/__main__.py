@@ -31,6 +31,13 @@ EXPERIMENTS = {
     "reflectors": {
         "reflector-accuracy": ("reflectors.accuracy", "pose errors against the Cramér–Rao bound"),
         "reflector-acquisition": ("reflectors.acquisition", "acquisition among glints and foil"),
+        "reflector-hidden": ("reflectors.hidden", "every three to five of five reflectors"),
+        "reflector-hidden-runs": ("reflectors.hidden:tracked", "the same, tracked"),
+        "reflector-handover": ("reflectors.handover", "from the far to the near group, by roll"),
+        "reflector-larger": ("reflectors.handover:larger", "one outer reflector larger"),
+        "reflector-nees": ("reflectors.nees", "errors against covariances, by condition"),
+        "reflector-rates": ("reflectors.nees:rates", "rates beside a line of eight readings"),
+        "reflector-tolerance": ("reflectors.nees:tolerance", "dots of another diameter or blur"),
         "reflector-real-spots": ("reflectors.real_spots", "centroids in a real star picture"),
         "reflector-solvers": ("reflectors.solvers", "a million P3P problems, beside peers"),
         "reflector-speed": ("reflectors.speed", "time of a reading beside OpenCV's moments"),

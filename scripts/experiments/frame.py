@@ -119,7 +119,7 @@ def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:
     """Name and mesh of a bundled target, a target file or a bare mesh."""
-    from rendezview.training.bundled import find_target
+    from rendezview.io.bundled import find_target
     from rendezview.training.mesh import load_mesh
 
     found = find_target(str(target))

@@ -1,11 +1,20 @@
-"""Moments under a Gaussian window against plain numpy."""
+"""The centroid of a spot, and its loops against plain numpy."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from rendezview.estimation.spot_centroid import window_moments
+from rendezview.estimation.spot_centroid import (
+    centre_spot,
+    pixel_moments,
+    ring_plane,
+    saturated_error,
+    window_moments,
+)
+
+NOTHING = np.zeros((0, 0), np.uint8)
 
 
 @pytest.mark.parametrize("with_dark", [False, True])
@@ -37,3 +46,91 @@ def test_a_window_outside_the_picture_has_no_moments():
         image, image[:0, :0], 0.0, 20.0, 4.0, 1.0, (17, 7, 1, 7), np.empty(8), np.empty(8)
     )
     assert found == (0.0,) * 7
+
+
+def spot(x, y, sigma, peak, size=41):
+    """A Gaussian light, integrated over the pixels, and its peak before that."""
+    edges = np.arange(size + 1) - 0.5
+    gx, gy = (0.5 * np.diff(erf((edges - c) / (sigma * np.sqrt(2.0)))) for c in (x, y))
+    light = gy[:, None] * gx
+    return peak * light / light.max()
+
+
+def read(picture, x, y, sigma, noise):
+    columns, rows = np.empty(64), np.empty(64)
+    half = int(2.5 * sigma) + 1
+    box = (int(x) - half, int(x) + half, int(y) - half, int(y) + half)
+    level, slope_x, slope_y, rough = ring_plane(picture, NOTHING, box, noise)
+    return centre_spot(
+        picture, NOTHING, (level, slope_x, slope_y), (float(int(x)), float(int(y)), sigma), rough,
+        columns, rows,
+    )  # fmt: skip
+
+
+def test_moments_of_a_spot_on_pixels_are_those_of_its_picture():
+    u = np.arange(3, 20)
+    for x, spread, window in ((10.3, 0.25, 1.2), (9.75, 1.5, 1.2), (11.0, 0.04, 2.0)):
+        pixels = np.diff(erf((np.arange(3, 21) - 0.5 - x) / np.sqrt(2.0 * spread)))
+        weight = pixels * np.exp(-0.5 * (u - x) ** 2 / window**2)
+        wanted = [(weight * (u - x) ** k).sum() / weight.sum() for k in (1, 2)]
+        np.testing.assert_allclose(pixel_moments(x, spread, window, 3, 19), wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("sigma", [0.5, 0.6, 0.85, 1.5])
+def test_a_spots_place_does_not_depend_on_its_place_within_the_pixel(sigma):
+    rng = np.random.default_rng(0)
+    for phase in np.linspace(0.0, 0.9, 7):
+        places, sizes = [], []
+        for _ in range(6):  # rounding, averaged
+            light = (
+                10.0 + spot(20.0 + phase, 20.35, sigma, 220.0) + rng.uniform(-0.5, 0.5, (41, 41))
+            )
+            found = read(np.rint(light).astype(np.uint8), 20.0 + phase, 20.35, sigma, 0.3)
+            places.append(found[:2])
+            sizes.append(found[2])
+        off = np.mean(places, axis=0) - (20.0 + phase, 20.35)
+        assert np.abs(off).max() < 0.006
+        assert np.mean(sizes) == pytest.approx(np.hypot(sigma, np.sqrt(1 / 12)), rel=0.02)
+
+
+@pytest.mark.parametrize(("sigma", "peak"), [(0.6, 40.0), (0.85, 14.0), (0.85, 180.0), (2.0, 60.0)])
+def test_the_claimed_error_is_the_error_and_near_the_bound(sigma, peak):
+    rng, off, claimed = np.random.default_rng(1), [], []
+    for _ in range(200):
+        x, y = rng.uniform(19.5, 20.5, 2)
+        light = 20.0 + spot(x, y, sigma, peak) + rng.normal(0.0, 2.0, (41, 41))
+        found = read(np.clip(np.rint(light), 0, 255).astype(np.uint8), x, y, sigma, 2.02)
+        off.append((found[0] - x, found[1] - y))
+        claimed.append(found[4])
+    rms = np.sqrt(np.mean(np.square(off)))
+    assert 0.8 < np.sqrt(np.mean(np.square(off) / np.square(claimed)[:, None])) < 1.3
+    assert rms < 1.35 * np.sqrt(2.0 / np.pi) * 2.02 / peak
+
+
+def test_the_background_is_the_plane_of_the_ring_without_its_neighbours():
+    rows, columns = np.mgrid[:41, :41]
+    rng = np.random.default_rng(2)
+    plane = 60.0 + 0.8 * (columns - 20) - 0.5 * (rows - 20)
+    light = plane + spot(20.0, 20.0, 1.0, 100.0) + spot(28.0, 14.0, 1.0, 100.0)
+    noisy = np.clip(np.rint(light + rng.normal(0.0, 1.0, light.shape)), 0, 255).astype(np.uint8)
+    level, slope_x, slope_y, rough = ring_plane(noisy, NOTHING, (17, 23, 17, 23), 1.04)
+    assert level == pytest.approx(60.0, abs=0.5)
+    assert (slope_x, slope_y) == pytest.approx((0.8, -0.5), abs=0.06)
+    assert 1.0 <= rough < 2.5
+    found = read(noisy, 20.0, 20.0, 1.0, 1.04)
+    assert np.hypot(found[0] - 20.0, found[1] - 20.0) < 0.06
+
+
+def test_a_textured_ring_makes_the_error_larger():
+    rng = np.random.default_rng(3)
+    waves = np.hypot(*np.meshgrid(np.fft.fftfreq(41), np.fft.fftfreq(41)))
+    soft = np.fft.ifft2(
+        np.fft.fft2(rng.standard_normal((41, 41))) * np.exp(-2.0 * (np.pi * waves * 1.5) ** 2)
+    ).real
+    textured = np.clip(np.rint(60.0 + 8.0 * soft / soft.std()), 0, 255).astype(np.uint8)
+    assert ring_plane(textured, NOTHING, (17, 23, 17, 23), 1.0)[3] > 10.0
+
+
+def test_a_saturated_spot_has_a_larger_error():
+    assert saturated_error(0.01, 1) == 0.01
+    assert saturated_error(0.01, 9) == pytest.approx(np.hypot(0.01, 0.06))

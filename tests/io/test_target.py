@@ -115,7 +115,7 @@ REFLECTOR = (
     [
         (MESH, "name: missing, add it"),
         ('name = ""\n' + MESH, "name: "),
-        ('name = "x"\n', "mesh: missing"),
+        ('name = "x"\n', r"no \[mesh\], and no \[\[reflectors"),
         ('name = "x"\n[mesh]\npath = "client.glb"\n', r"mesh\.unit: missing"),
         ('name = "x"\n' + MESH.replace('"m"', '"km"'), r"mesh\.unit: .*'ft'"),
         ('name = "x"\ncolour = 1\n' + MESH, "colour: unknown key"),

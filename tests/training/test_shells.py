@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.training.bundled import find_target
+from rendezview.io.bundled import find_target
 from rendezview.training.command import _radii
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions, view_geometry

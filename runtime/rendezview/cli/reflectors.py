@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -11,23 +12,27 @@ import typer
 
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place, make_folder
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.images import write_png
-from rendezview.io.target import Target
+from rendezview.io.sequences.live import is_live, live_frames, with_rate
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
+from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration
 from rendezview.sensors.reflectors.difference import Opening, ThresholdOptions
 from rendezview.sensors.reflectors.overlay import draw_reading
-from rendezview.sensors.reflectors.pattern import patterns_of
+from rendezview.sensors.reflectors.pattern import ReflectorPattern, patterns_of
 from rendezview.sensors.reflectors.run import (
+    FramePair,
     Mode,
     calibrate_run,
     follow,
     pair_up,
+    pair_up_live,
     record,
+    wrong_mode,
 )
 from rendezview.sensors.run import Line, run
 
@@ -36,13 +41,16 @@ _CALIBRATE = "calibrate"
 
 def reflectors(
     frames: Annotated[
-        list[Path],
+        list[str],
         typer.Argument(
-            help="Pictures: one folder, scene or video with lit and dark ones in turn, or one of "
-            "each. The word 'calibrate' first fits the closed form to a run with truth instead."
+            help="A target file, if there is no --target; then pictures: one folder, scene or "
+            "video with lit and dark ones in turn, or one of each, or a camera (0, /dev/video0, "
+            "rtsp://...). The word 'calibrate' first fits the closed form to a run with truth."
         ),
     ],
-    target: Annotated[Path, typer.Option(help="Target file with reflectors, or its folder.")],
+    target: Annotated[
+        str | None, typer.Option(help="Target file with reflectors, its folder, or client.")
+    ] = None,
     camera: Annotated[
         Path | None, typer.Option(help="Camera file; wins over that of the pictures.")
     ] = None,
@@ -55,7 +63,7 @@ def reflectors(
     ] = None,
     mode: Annotated[
         Mode | None,
-        typer.Option(help="How pictures make readings; pairs, or splitter of two sequences."),
+        typer.Option(help="How pictures make readings; a camera: single, two folders: splitter."),
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option(help="Give the closed form too, with this calibration.")
@@ -76,44 +84,63 @@ def reflectors(
     independent: Annotated[
         bool, typer.Option("--independent", help="Each reading on its own, no memory.")
     ] = False,
+    invert: Annotated[bool, typer.Option("--invert", help="Black dots on a white ground.")] = False,
+    rate: Annotated[
+        float | None, typer.Option(help="Pictures a second, where they have no times.")
+    ] = None,
+    readings: Annotated[
+        int | None, typer.Option(min=1, help="Stop after so many; a camera goes on until Ctrl-C.")
+    ] = None,
     overlay: Annotated[Path | None, typer.Option(help="Folder for pictures of readings.")] = None,
 ) -> None:
     """Read a video guidance sensor: reflectors to six numbers, or calibrate it.
 
     \b
     Example: rendezview reflectors lit dark --camera camera.yaml --target client -o readings.jsonl
+             rendezview reflectors card/target.toml 0 --camera webcam.yaml --invert --overlay seen
              rendezview reflectors calibrate run/lit run/dark --target client -o calibration.json
     """
-    calibrating = str(frames[0]) == _CALIBRATE
+    calibrating = frames[0] == _CALIBRATE
     places = frames[1:] if calibrating else frames
-    if not places:
-        raise RendezviewError("reflectors calibrate: name the run: the pictures with their truth")
+    if target is None and places:
+        target, *places = places
+    if target is None or not places:
+        raise RendezviewError(
+            "reflectors calibrate: name the run: the pictures with their truth"
+            if calibrating
+            else "reflectors: name a target file (or --target) and the pictures"
+        )
     check_place(output, "the readings")
-    patterns = patterns_of(Target.load(target), tuple(group) if group else None)
+    patterns = patterns_of(find_target(target), tuple(group) if group else None)
     loaded = ClosedFormCalibration.load(calibration) if calibration else None
     options = ThresholdOptions(lower_grey=threshold, upper_grey=upper, opening=opening)
     acquisition = AcquisitionOptions(blur_px=blur)
-    affine = _affine(lit_from_dark)
-    chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
     seen_by = load_camera(camera) if camera else None
-    pairs = pair_up([open_sequence(place, seen_by) for place in places], chosen, affine)
+    pairs: Iterable[FramePair]
+    if len(places) == 1 and is_live(places[0]):
+        total = readings
+        pairs = pair_up_live(live_frames(places[0], seen_by), mode or Mode.SINGLE, invert)
+    else:
+        sequences = [open_sequence(place, seen_by) for place in places]
+        if rate is not None:
+            sequences = [with_rate(sequence, rate) for sequence in sequences]
+        chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
+        pairs = pair_up(sequences, chosen, _affine(lit_from_dark), invert)
+        total = len(pairs) if readings is None else min(readings, len(pairs))
     if calibrating:
         if output is None:
             raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")
-        fitted, count = calibrate_run(
-            pairs, patterns[0], threshold=options, acquisition=acquisition
-        )
-        fitted.save(output)
-        say(f"{output}: closed form of {patterns[0].name!r} from {count} of {len(pairs)} readings")
+        _calibrate(list(itertools.islice(pairs, total)), patterns[0], options, acquisition, output)
         return
     if overlay:
         make_folder(overlay)
-    readings = follow(
-        pairs, patterns, threshold=options, acquisition=acquisition, independent=independent
-    )
+    read = follow(
+        itertools.islice(pairs, total), patterns, threshold=options, acquisition=acquisition,
+        independent=independent,
+    )  # fmt: skip
 
     def lines() -> Iterator[Line]:
-        for pair, pictures, reading in readings:
+        for pair, pictures, reading in read:
             if overlay and pictures is not None:
                 drawn = draw_reading(pictures, reading, pair.lit.camera, patterns)
                 write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
@@ -121,9 +148,23 @@ def reflectors(
             yield Line(noted, reading.status, spent_ms=sum(reading.stage_ms.values()))
 
     with ProgressBar() as bar:
-        summary = run(lines(), log=output, progress=bar.stage("readings", len(pairs)))
+        summary = run(lines(), log=output, progress=bar.stage("readings", total or 0))
     poses = summary.outcomes[Status.OK]
-    say_summary(summary, poses, len(pairs), what="poses", step="reading")
+    say_summary(summary, poses, summary.total, what="poses", step="reading")
+    if not poses and isinstance(pairs, list) and (hint := wrong_mode(pairs, options)):
+        say(hint)
+
+
+def _calibrate(
+    pairs: list[FramePair],
+    pattern: ReflectorPattern,
+    threshold: ThresholdOptions,
+    acquisition: AcquisitionOptions,
+    output: Path,
+) -> None:
+    fitted, count = calibrate_run(pairs, pattern, threshold=threshold, acquisition=acquisition)
+    fitted.save(output)
+    say(f"{output}: closed form of {pattern.name!r} from {count} of {len(pairs)} readings")
 
 
 def _affine(text: str | None) -> np.ndarray | None:

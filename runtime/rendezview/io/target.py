@@ -70,13 +70,27 @@ class Target:
 
     name: str
     description: str
-    mesh_path: Path
+    mesh: Path | None  # None: only lights or reflectors are known
     unit: str | None  # a key of METRES_PER_UNIT; None: not known
     docking_ring: DockingRing | None = None
     reflectors: tuple[Reflector, ...] = ()
     leds: tuple[Led, ...] = ()
     symmetries: tuple[Symmetry, ...] = ()
     shape_error: float = 0.0  # σ of the strain between mesh and craft
+
+    @property
+    def mesh_path(self) -> Path:
+        """The mesh file.
+
+        Raises:
+            RendezviewError: the target has none.
+        """
+        if self.mesh is None:
+            raise RendezviewError(
+                f"target {self.name!r} has no mesh, which is needed here: add [mesh] with path and "
+                "unit to its target file"
+            )
+        return self.mesh
 
     @classmethod
     def load(cls, path: StrPath) -> Target:
@@ -101,7 +115,7 @@ class Target:
             raise RendezviewError(
                 f"{path}: no such file: give a {TARGET_FILE}, a folder with one, or a mesh file"
             )
-        return cls(name=given.stem, description="", mesh_path=given, unit=None)
+        return cls(name=given.stem, description="", mesh=given, unit=None)
 
 
 def _frozen(values: list[float]) -> Array:
@@ -169,7 +183,7 @@ class _ContinuousTable(_Table):
 class _TargetFile(_Table):
     name: _Name
     description: str = ""
-    mesh: _MeshTable
+    mesh: _MeshTable | None = None  # lights and reflectors do without
     docking_ring: _RingTable | None = None
     reflectors: list[_ReflectorTable] = []
     leds: list[_LedTable] = []
@@ -188,8 +202,15 @@ def _read_target(path: Path) -> Target:
     file = checked(_TARGET_FILE, data, str(path))
     _refuse_twice(path, "reflectors", [reflector.name for reflector in file.reflectors])
     _refuse_twice(path, "leds", [led.name for led in file.leds])
-    mesh_path = Path(os.path.normpath(path.parent / file.mesh.path))
-    if not mesh_path.is_file():
+    mesh_path = None
+    if file.mesh is not None:
+        mesh_path = Path(os.path.normpath(path.parent / file.mesh.path))
+    elif not (file.reflectors or file.leds or file.docking_ring):
+        raise RendezviewError(
+            f"{path}: no [mesh], and no [[reflectors]], [[leds]] or [docking_ring] either: say "
+            "what the target looks like"
+        )
+    if mesh_path is not None and not mesh_path.is_file():
         raise RendezviewError(
             f"{path}: mesh.path: there is no file {mesh_path}: correct the path "
             f"(relative to the target file) or put the mesh there"
@@ -198,9 +219,9 @@ def _read_target(path: Path) -> Target:
     return Target(
         name=file.name,
         description=file.description,
-        mesh_path=mesh_path,
-        unit=file.mesh.unit,
-        shape_error=file.mesh.shape_error,
+        mesh=mesh_path,
+        unit=None if file.mesh is None else file.mesh.unit,
+        shape_error=0.0 if file.mesh is None else file.mesh.shape_error,
         docking_ring=None
         if ring is None
         else DockingRing(_frozen(ring.centre_m), _frozen(ring.axis), ring.radius_m),

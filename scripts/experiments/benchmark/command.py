@@ -23,7 +23,7 @@ from experiments.benchmark.rows import Bench, groups
 from experiments.flight_code.driver import compiler
 from experiments.frame import ROOT, PeerPython, mesh_of, show
 from experiments.peers import visp as visp_driver
-from rendezview.training.bundled import find_target
+from rendezview.io.bundled import find_target
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions

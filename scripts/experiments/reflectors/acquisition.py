@@ -134,7 +134,7 @@ def run(
             locked = agrees_again(rng, acquirer, pattern, pose, options, hidden, clutter, found)
             counts[f"{kind}: {'FALSE LOCK' if locked else 'false first find'}"] += 1
         if not true and tell:
-            print(n, f"{range_m:.2f} m", kind, "FALSE", off, apart, found.score, found.rival_score)
+            print(n, f"{range_m:.2f} m", kind, "FALSE", off, apart, found.score)
     print(f"{frames} pairs, seed {seed}, median {np.median(spots_seen):.0f} "
           f"spots (most {max(spots_seen)}), median {np.median(spent):.2f} ms a pair")  # fmt: skip
     for name, count in sorted(counts.items()):

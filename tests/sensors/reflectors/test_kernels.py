@@ -20,6 +20,7 @@ from rendezview.sensors.reflectors.discs import (
 )
 from rendezview.sensors.reflectors.matching import expect_spots, match_spots
 from rendezview.sensors.reflectors.p3p import MAX_ROOTS, p3p_roots, solve_p3p
+from rendezview.sensors.reflectors.pattern import Face
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import adjust, solve_spots
 from rendezview.sensors.reflectors.spots import (
@@ -152,6 +153,15 @@ def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_
     np.testing.assert_allclose(slopes @ misfit(np.zeros(6)) / np.sqrt(np.diag(normal)), 0.0,
                                atol=1e-4)  # fmt: skip
     wanted = np.linalg.inv(normal)
+    # Even light, 1 / 0.6 σ away, would move all spots together.
+    even = lens.copy()
+    even[13] = 0.0
+    pulls = []
+    for arm, normal_ in zip(arms @ rotation.T + shift, five.normals @ rotation.T, strict=True):
+        there = [project_disc(law, *arm, *normal_, 0.0125) for law in (lens, even)]
+        pulls.append(0.6 * np.subtract(*there))
+    moved = wanted @ -slopes @ (np.array(pulls) / sigma[:, None]).ravel()
+    wanted = wanted + np.outer(moved, moved)
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
     np.testing.assert_allclose(covariance / scale, wanted / scale, atol=1e-4)
     np.testing.assert_allclose(residuals / sigma[:, None], misfit(np.zeros(6)).reshape(5, 2),
@@ -267,16 +277,14 @@ def test_windows_move_by_the_last_step_and_grow_with_what_is_unknown():
     np.testing.assert_allclose(level, [30.0, 20.0, 12.0])
 
 
-def test_rates_are_the_slopes_of_a_straight_line(three):
-    estimator, rates = RateEstimator(), None
-    turn, velocity = np.array([0.02, -0.03, 0.05]), np.array([0.01, 0.02, -0.1])
-    pose = pose_of(SIX, three)
-    for t in np.arange(8.0):
-        moved = Pose(
-            Rotation.from_rotvec(turn * t).as_matrix() @ pose.rotation,
-            pose.translation_m + velocity * t,
-        )
-        rates = estimator.add(float(t), moved, SIX, np.eye(6))
-    np.testing.assert_allclose(rates.velocity_m_s, velocity, atol=1e-12)
-    np.testing.assert_allclose(rates.turn_rad_s, turn, atol=1e-12)
-    np.testing.assert_allclose(rates.covariance, np.eye(6) / 42.0, atol=1e-12)
+def test_rates_of_the_six_numbers_follow_those_of_the_pose(three):
+    estimator, rates, face = RateEstimator(), None, Face.of(three)
+    for t in np.arange(0.0, 4.0, 0.25):
+        six = SixNumbers(4.0 - 0.05 * t, 0.1, -0.08 + 0.01 * t, 0.4 + 0.02 * t, -0.2, 0.3)
+        rates = estimator.add(float(t), pose_of(six, three), 1e-8 * np.eye(6), face)
+    wanted = [-0.05, 0.0, 0.01, 0.02, 0.0, 0.0]
+    np.testing.assert_allclose(rates.six_per_s, wanted, atol=2e-4)
+    assert rates.readings == 16
+    assert rates.span_s == pytest.approx(3.75)
+    estimator.clear()
+    assert estimator.add(9.0, pose_of(SIX, three), 1e-8 * np.eye(6), face) is None

@@ -24,10 +24,12 @@ def triplets_of(acquirer, spots, tolerance=0.14):
     directions, flat, sizes, peaks = spots
     out = np.empty((20_000, 3), np.int64)
     near = math.cos(options.tilt_rad)
-    limits = (1.0, 1e4, tolerance, options.peak_limit, near, triangle.longest_side)
+    limits = (
+        1.0, 1e4, tolerance, options.peak_limit, options.blur_sigma, near, triangle.longest_side,
+    )  # fmt: skip
     count = search(
         directions, flat, sizes, peaks, np.argsort(flat[:, 0]), triangle.glass, triangle.base_m,
-        triangle.diameter_m, camera.fx, options.blur_px, limits, True, out,
+        triangle.diameters_m, camera.fx, options.blur_px, limits, True, out,
     )  # fmt: skip
     assert count >= 0
     return out[:count]
@@ -66,13 +68,13 @@ def test_the_quick_pose_refuses_no_triplet_that_would_pass(paper_camera, three):
         members = acquirer._triangles[0].members
         scores = []
         for quick in (False, True):
-            score, poses = np.empty(len(triplets)), np.empty((len(triplets), 12))
+            score, poses = np.empty((len(triplets), 4)), np.empty((len(triplets), 4, 12))
             judge(
                 triplets, directions, sizes, peaks, three.positions_m[members],
                 three.normals[members], three.diameters_m[members], paper_camera.fx,
-                options.blur_px, (options.size_sigma, options.peak_sigma, options.beam_sigma,
-                math.cos(1.2 * options.tilt_rad)), np.array([0.3, 150.0]), options.score_limit,
-                quick, score, poses,
+                options.blur_px, (options.size_sigma, options.diameter_sigma, options.blur_sigma,
+                options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad)),
+                np.array([0.3, 150.0]), options.score_limit, quick, score, poses,
             )  # fmt: skip
             scores.append(np.where(score <= options.score_limit, score, np.inf))
         assert np.array_equal(*scores)

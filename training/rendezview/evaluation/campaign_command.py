@@ -16,10 +16,10 @@ from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.campaign import Answers, CampaignOptions
 from rendezview.evaluation.campaign import campaign as run_campaign
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
-from rendezview.training.bundled import find_target
 from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.mesh import load_mesh
 from rendezview.training.open_executor import open_executor

@@ -25,10 +25,10 @@ from rendezview.evaluation.scores import scores
 from rendezview.evaluation.surface import ModelPoints, alike_of
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.results import read_results
 from rendezview.io.sequences import open_sequence
-from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
 
 

@@ -14,6 +14,7 @@ from rich.console import Console
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.report import write_report
+from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation
@@ -23,7 +24,6 @@ from rendezview.sensors.run import Line, run
 from rendezview.simulation.command import default_camera
 from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
-from rendezview.training.bundled import find_target
 from rendezview.training.command import summary
 from rendezview.training.command_options import Jobs
 from rendezview.training.job import train

@@ -13,6 +13,7 @@ from rich.console import Console
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.simulation.background import Earth, Stars
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions
@@ -21,7 +22,6 @@ from rendezview.simulation.scene import simulate as simulate_scene
 from rendezview.simulation.sensor import SensorOptions
 from rendezview.simulation.shading import ShadingOptions
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
-from rendezview.training.bundled import find_target
 from rendezview.training.command_options import Jobs
 from rendezview.training.mesh import Mesh, load_mesh
 

@@ -16,10 +16,10 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import make_folder, read_bytes
 from rendezview.sensors.appearance.model import ViewModel
-from rendezview.training.bundled import find_target
 from rendezview.training.job import provenance, train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import OLD_NAMES, TrainingOptions

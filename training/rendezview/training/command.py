@@ -13,8 +13,8 @@ from rich.console import Console
 
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
-from rendezview.training.bundled import find_target
 from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.job import Trained
 from rendezview.training.job import train as train_model

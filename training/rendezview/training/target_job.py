@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from rendezview.geometry.camera import Camera
+from rendezview.io.bundled import find_target
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.training import job
-from rendezview.training.bundled import find_target
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 from rendezview.training.stages import Progress

@@ -1,6 +1,7 @@
 """The video guidance sensor: retro-reflectors to six numbers (Book et al. 1992, Bales 1995)."""
 
-from rendezview.sensors.reflectors.acquisition import Acquirer, AcquisitionOptions
+from rendezview.sensors.reflectors.acquisition import Acquirer
+from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.cameras import RangedCamera, SwitchingSensor
 from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration, calibrate, closed_form
 from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions

@@ -22,8 +22,12 @@ from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
 
 def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
-    """(13,) of ``lens_vector`` and the blur, for the compiled loops."""
-    return np.append(lens_vector(camera), blur_px)
+    """(14,) of ``lens_vector``, the blur and the law of light, for the compiled loops.
+
+    The law is 1 for a retro-reflector, whose light falls with range² across the disc, and 0 for
+    even light.
+    """
+    return np.append(lens_vector(camera), (blur_px, 1.0))
 
 
 def predict_spots(
@@ -52,7 +56,7 @@ def project_disc(
     r2 = x * x + y * y + z * z
     square = a2 * lens[0] * lens[0] / r2  # of the radius in pixels
     k = 0.5 + 0.131 * square / (square + 5.0 * lens[12] * lens[12])  # as in `expected_size`
-    across, near = nx * x + ny * y + nz * z, 2.0 * k * k * a2 / r2
+    across, near = nx * x + ny * y + nz * z, 2.0 * lens[13] * k * k * a2 / r2
     x, y, z = (
         x - near * (x - across * nx),
         y - near * (y - across * ny),

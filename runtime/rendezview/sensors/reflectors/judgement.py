@@ -19,39 +19,42 @@ from rendezview.sensors.reflectors.triplets import expected_size
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Vector = tuple[float, float, float]
+Tolerances = tuple[float, float, float, float, float, float]
 
 _CORRECTIONS = 2
 # Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
 _SLACK, _SLACK_NEAR = 0.01, 0.2
 _SLACK_FIRST = 0.3  # and without corrections, of base / range
+# ln of a size: by so much the expected one may be smaller than the one visible. Source: by
+# construction, three times the largest σ of a size
+_SIZE_REACH = 0.3
 
 
 @njit(cache=True, nogil=True)
 def judge(
     triplets: Ints, directions: Array, sizes: Array, peaks: Array, points: Array, normals: Array,
-    diameters: Array, focal_px: float, blur_px: float,
-    tolerances: tuple[float, float, float, float], window: Array, score_limit: float, quick: bool,
-    scores: Array, poses: Array,
+    diameters: Array, focal_px: float, blur_px: float, tolerances: Tolerances, window: Array,
+    score_limit: float, quick: bool, scores: Array, poses: Array,
 ) -> None:  # fmt: skip
-    """χ² of every triplet: its sizes at its own ranges, its brightnesses among themselves.
+    """χ² of every pose of every triplet: sizes at its ranges, brightnesses among themselves.
 
-    Of the poses of a triplet the one whose reflectors all face the camera is kept: the post
-    towards the camera. Of several the one that faces it most.
+    Every pose whose reflectors all face the camera is kept. A post leaves one (Bales); three
+    reflectors in one plane across the line of sight often leave two.
 
     Args:
         triplets: (M, 3) spots as (left, centre, right).
         directions: (N, 3) unit; sizes, peaks: (N,) of the spots.
         points, normals, diameters: (3, 3), (3, 3), (3,) of the triangle, in the same order.
-        tolerances: σ of ln(size), of ln(brightness) of the centre and between the outer two, and
-            the least cosine between a normal and its line of sight.
+        tolerances: σ of ln(size) of one spot, of ln(diameter) and ln(blur) common to all, of
+            ln(brightness) of the centre and between the outer two, and the least cosine between
+            a normal and its line of sight.
         window: (2,) nearest and farthest range.
         score_limit: χ² that is of no use.
         quick: whether to refuse by the quick pose what has no chance.
-        scores: (M,) result, ∞ where refused; poses: (M, 12) rotation and translation.
+        scores: (M, 4) result, ∞ where refused; poses: (M, 4, 12) rotation and translation.
     """
     rays = np.empty((3, 3))
     rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
-    size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
     model = np.empty(9)
     log_size, log_peak = np.log(sizes), np.log(peaks)
     screened = quick and _model(points, normals, diameters, model)
@@ -59,60 +62,77 @@ def judge(
         scores[n] = np.inf
         if screened and _hopeless(
             model, triplets[n, 0], triplets[n, 1], triplets[n, 2], directions, log_size, log_peak,
-            focal_px, blur_px, size_sigma, peak_sigma, beam_sigma, least_facing,
-            window, score_limit,
+            focal_px, blur_px, tolerances, window, score_limit,
         ):  # fmt: skip
             continue
         for i in range(3):
             for j in range(3):
                 rays[i, j] = directions[triplets[n, i], j]
         roots = p3p_roots(rays, points, 1e-3, rotations, translations)
-        k = facing_root(rotations, translations, roots, points, normals)
-        if k < 0:
-            continue
-        rotation, translation = rotations[k], translations[k]
-        scores[n] = _score(
-            rotation, translation, points, normals, diameters, triplets[n], log_size, log_peak,
-            focal_px, blur_px, tolerances, window, score_limit,
-        )  # fmt: skip
-        if scores[n] == np.inf:
-            continue
-        for i in range(3):
-            for j in range(3):
-                poses[n, 3 * i + j] = rotation[i, j]
-            poses[n, 9 + i] = translation[i]
+        for k in range(roots):
+            if not least_facing(rotations[k], translations[k], points, normals) > 0.0:
+                continue
+            scores[n, k] = _score(
+                rotations[k], translations[k], points, normals, diameters, triplets[n], log_size,
+                log_peak, focal_px, blur_px, tolerances, window, score_limit,
+            )  # fmt: skip
+            for i in range(3):
+                for j in range(3):
+                    poses[n, k, 3 * i + j] = rotations[k, i, j]
+                poses[n, k, 9 + i] = translations[k, i]
 
 
 @njit(cache=True, nogil=True)
 def _score(
     rotation: Array, translation: Array, points: Array, normals: Array, diameters: Array,
     triplet: Ints, log_size: Array, log_peak: Array, focal_px: float, blur_px: float,
-    tolerances: tuple[float, float, float, float], window: Array, score_limit: float,
+    tolerances: Tolerances, window: Array, score_limit: float,
 ) -> float:  # fmt: skip
     """χ² of sizes and brightnesses of a triplet at a pose; ∞ where the pose is refused."""
-    size_sigma, peak_sigma, beam_sigma, least_facing = tolerances
-    shine, chi = np.empty(3), 0.0
+    size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine = tolerances
+    errors, shine, fall, mean, common = np.empty(3), np.empty(3), np.empty(3), 0.0, 0.0
     for i in range(3):
         x, y, z = placed(rotation, translation, points, i)
         far = math.sqrt(x * x + y * y + z * z)
         if far < window[0] or far > window[1]:
             return np.inf
         nx, ny, nz = turned(rotation, normals, i)
-        if -(nx * x + ny * y + nz * z) / far < least_facing:
+        if -(nx * x + ny * y + nz * z) / far < least_cosine:
             return np.inf
         radius = disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
         s = triplet[i]
         expected = expected_size(blur_px, radius)
-        error = (log_size[s] - math.log(expected)) / size_sigma
-        chi += error * error
-        # Illumination falls with range², and blur thins a small disc.
-        shine[i] = log_peak[s] + 2.0 * math.log(far * expected / radius)
+        errors[i] = log_size[s] - math.log(expected)
+        mean += errors[i] / 3.0
+        common += common_variance(blur_px / expected, diameter_sigma, blur_sigma) / 3.0
+        # Blur thins a small disc; a retro-reflector's illumination falls with range² too.
+        shine[i] = log_peak[s] + 2.0 * math.log(expected / radius)
+        fall[i] = 2.0 * math.log(far)
+    chi = mean * mean / (size_sigma * size_sigma / 3.0 + common)
+    for i in range(3):
+        chi += ((errors[i] - mean) / size_sigma) ** 2
     if not chi <= score_limit:
         return np.inf
-    # Beam and return fall smoothly across the target: the middle shines like the mean.
-    uneven = (shine[0] - shine[2]) / beam_sigma
-    bright = (shine[1] - 0.5 * (shine[0] + shine[2])) / peak_sigma
-    return float(chi + uneven * uneven + bright * bright)
+    # Beam and return fall smoothly across the target: the middle shines like the mean. In even
+    # light nothing falls with range: the better of both counts.
+    least = np.inf
+    for law in range(2):
+        left, middle, right = (
+            shine[0] + law * fall[0], shine[1] + law * fall[1], shine[2] + law * fall[2]
+        )  # fmt: skip
+        uneven, bright = (left - right) / beam_sigma, (middle - 0.5 * (left + right)) / peak_sigma
+        least = min(least, uneven * uneven + bright * bright)
+    return float(chi + least)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def common_variance(share: float, diameter_sigma: float, blur_sigma: float) -> float:
+    """Variance of ln(size) that an error of diameter and of blur makes in all spots alike.
+
+    ``share``: blur over size; of a small spot the blur is most of its size.
+    """
+    blurred = min(share * share, 1.0)
+    return ((1.0 - blurred) * diameter_sigma) ** 2 + (blurred * blur_sigma) ** 2
 
 
 @njit(cache=True, nogil=True)
@@ -151,8 +171,8 @@ def _model(points: Array, normals: Array, diameters: Array, out: Array) -> bool:
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _hopeless(
     model: Array, left: int, centre: int, right: int, directions: Array, log_size: Array,
-    log_peak: Array, focal_px: float, blur_px: float, size_sigma: float, peak_sigma: float,
-    beam_sigma: float, least_facing: float, window: Array, score_limit: float,
+    log_peak: Array, focal_px: float, blur_px: float, tolerances: Tolerances, window: Array,
+    score_limit: float,
 ) -> bool:  # fmt: skip
     """Whether neither of the two poses in weak perspective comes near the score that is needed.
 
@@ -161,26 +181,27 @@ def _hopeless(
     seen, in metres, and (x, y) the centre over that length:
     ``(B·P − x w)² = (B² − w)(P² − (x² + y²) w)``; its smaller root is the pose.
     """
+    size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine = tolerances
     bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
     ux, uy, uz = _chord(directions, left, right)
     chord = math.sqrt(ux * ux + uy * uy + uz * uz)
-    if not chord > 0.0:
-        return True
     s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
     bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
-    reach = math.sqrt(score_limit)
-    if _unlike(
-        chord, s0, s1, s2, bright, pp / bb, reach, 1.0 / least_facing, size_sigma, peak_sigma
+    reach, steep = math.sqrt(score_limit), 1.0 / least_cosine
+    if not chord > 0.0 or _unlike(
+        chord, s0, s1, s2, bright, pp / bb, reach, steep, size_sigma, peak_sigma
     ):
         return True
     t, along, across, m, u, v = _base_frame(directions, left, centre, right, chord)
     size = (s0 + s1 + s2) / 3.0
-    # First without corrections: a distant candidate needs none.
-    _, z, _, _ = _scaled(bb, pp, bp, area, 2.0 * t, along, across)
+    z = _scaled(bb, pp, bp, area, 2.0 * t, along, across)[1]  # a distant one needs no corrections
     if z < 0.7 * window[0] or z > 1.4 * window[1]:
         return True
-    limit = reach * 0.58 * size_sigma + _SLACK + _SLACK_FIRST * math.sqrt(bb) / z
-    if _size_off(radius * focal_px / z, m[2], size, limit, least_facing, blur_px):
+    share = blur_px / math.exp(size - _SIZE_REACH)
+    common = 1.1 * common_variance(share, diameter_sigma, blur_sigma) + diameter_sigma**2
+    mean_sigma = math.sqrt(0.34 * size_sigma * size_sigma + common)
+    limit = reach * mean_sigma + _SLACK + _SLACK_FIRST * math.sqrt(bb) / z
+    if _size_off(radius * focal_px / z, m[2], size, limit, least_cosine, blur_px):
         return True
     for k in range(2):
         z, o0, o1, o2, disc = _weak_pose(
@@ -193,21 +214,20 @@ def _hopeless(
         fall = 1.0 - (blur_px / expected) ** 2
         slack = _SLACK + _SLACK_NEAR * bb / (z * z)
         mean = size - math.log(expected) + fall * o1 / 3.0
-        off = max(abs(mean) - slack, 0.0) / size_sigma
-        chi = 3.0 * off * off
+        chi = (max(abs(mean) - slack, 0.0) / mean_sigma) ** 2
         if chi > score_limit:
             continue
         for i in range(3):
             spot, o = (left, o0) if i == 0 else (centre, o1) if i == 1 else (right, o2)
-            own = log_size[spot] - size + fall * (o - o1 / 3.0)
-            own = max(abs(own) - slack, 0.0) / size_sigma
-            chi += own * own
-        rise = 2.0 * (2.0 - fall)
-        uneven = log_peak[left] - log_peak[right] + rise * (o0 - o2)
-        uneven = max(abs(uneven) - 4.0 * slack, 0.0) / beam_sigma
-        middle = max(abs(bright + rise * o1) - 4.0 * slack, 0.0) / peak_sigma
-        if chi + uneven * uneven + middle * middle <= score_limit:
-            return False
+            own = abs(log_size[spot] - size + fall * (o - o1 / 3.0)) - slack
+            chi += (max(own, 0.0) / size_sigma) ** 2
+        across_ = log_peak[left] - log_peak[right]
+        for law in range(2):  # even light, and light that falls with range²
+            rise = 2.0 * (1.0 + law - fall)
+            uneven = max(abs(across_ + rise * (o0 - o2)) - 4.0 * slack, 0.0) / beam_sigma
+            middle = max(abs(bright + rise * o1) - 4.0 * slack, 0.0) / peak_sigma
+            if chi + uneven**2 + middle**2 <= score_limit:
+                return False
     return True
 
 
@@ -331,20 +351,27 @@ def _scaled(
 
 
 @njit(cache=True, nogil=True)
+def least_facing(rotation: Array, translation: Array, points: Array, normals: Array) -> float:
+    """Least cosine between a reflector's normal and its line of sight; below 0 one faces away."""
+    least = 1.0
+    for i in range(points.shape[0]):
+        x, y, z = placed(rotation, translation, points, i)
+        nx, ny, nz = turned(rotation, normals, i)
+        least = min(least, -(nx * x + ny * y + nz * z) / math.sqrt(x * x + y * y + z * z))
+    return float(least)
+
+
+@njit(cache=True, nogil=True)
 def facing_root(
     rotations: Array, translations: Array, count: int, points: Array, normals: Array
 ) -> int:
     """Of the roots the one whose least-facing reflector faces the camera most; −1 if none does.
 
-    Bales: only one has the post towards the camera, the others cannot be seen.
+    With a post (Bales) it is the only one; of reflectors in a plane there may be others.
     """
     best, chosen = 0.0, -1
     for k in range(count):
-        least = 1.0
-        for i in range(points.shape[0]):
-            x, y, z = placed(rotations[k], translations[k], points, i)
-            nx, ny, nz = turned(rotations[k], normals, i)
-            least = min(least, -(nx * x + ny * y + nz * z) / math.sqrt(x * x + y * y + z * z))
+        least = least_facing(rotations[k], translations[k], points, normals)
         if least > best:
             best, chosen = least, k
     return chosen

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.sensors.reflectors.discs import disc_radius, placed, project_disc, turned
+from rendezview.sensors.reflectors.judgement import common_variance
 from rendezview.sensors.reflectors.spots import SIZE
 from rendezview.sensors.reflectors.triplets import expected_size
 
@@ -71,3 +72,43 @@ def match_spots(
             which[count], where[count] = k, chosen
             count += 1
     return count
+
+
+@njit(cache=True, nogil=True)
+def match_all(
+    lens: Array, points: Array, normals: Array, diameters: Array, poses: Array, focal_px: float,
+    blur_px: float, orders: Ints, table: Array, usable: Ints, triplets: Ints,
+    limits: tuple[float, float], counts: Ints, which: Ints, where: Ints,
+) -> None:  # fmt: skip
+    """`match_spots` of K poses (K, 12); fills counts (K,), which and where (K, N)."""
+    for k in range(poses.shape[0]):
+        counts[k] = match_spots(
+            lens, points, normals, diameters, poses[k, :9].copy().reshape(3, 3), poses[k, 9:],
+            focal_px, blur_px, orders[k], table, usable, triplets[k], limits, which[k], where[k],
+        )  # fmt: skip
+        # In the order of the reflectors, so that equal matches compare equal.
+        sort = np.argsort(which[k, : counts[k]])
+        which[k, : counts[k]] = which[k, : counts[k]][sort]
+        where[k, : counts[k]] = where[k, : counts[k]][sort]
+
+
+@njit(cache=True, nogil=True)
+def size_score(
+    points: Array, normals: Array, diameters: Array, rotation: Array, translation: Array,
+    focal_px: float, blur_px: float, sizes: Array, sigmas: tuple[float, float, float],
+) -> float:  # fmt: skip
+    """χ² of the sizes of spots (N,) at a pose; ``sigmas`` of one, of ln diameter and of ln blur."""
+    size_sigma, diameter_sigma, blur_sigma = sigmas
+    count, mean, squares, common = points.shape[0], 0.0, 0.0, 0.0
+    for i in range(count):
+        x, y, z = placed(rotation, translation, points, i)
+        nx, ny, nz = turned(rotation, normals, i)
+        expected = expected_size(
+            blur_px, disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+        )
+        error = math.log(sizes[i] / expected)
+        mean += error / count
+        squares += error * error
+        common += common_variance(blur_px / expected, diameter_sigma, blur_sigma) / count
+    own = max(squares - count * mean * mean, 0.0) / (size_sigma * size_sigma)
+    return float(own + mean * mean / (size_sigma * size_sigma / count + common))

@@ -27,6 +27,7 @@ class ReflectorObservation(Observation):
     group: str | None = None  # the six numbers are of this group's face
     roll_ambiguous: bool = False  # rotated by a symmetry of the reflectors it looks the same
     tracked: bool = False  # by windows, not by a search of the whole picture
+    note: str | None = None  # what differs from the target file, such as the diameter of the dots
 
     @property
     def triplet(self) -> list[int] | None:
@@ -70,5 +71,6 @@ class ReflectorObservation(Observation):
                 "span_s": rates.span_s,
             },
             "tracked": self.tracked,
+            "note": self.note,
             "stage_ms": self.stage_ms,
         }

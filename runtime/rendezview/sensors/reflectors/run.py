@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -15,7 +15,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame, Sequence
-from rendezview.sensors.reflectors.acquisition import AcquisitionOptions
+from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import (
     ClosedFormCalibration,
     base_and_post,
@@ -26,6 +26,7 @@ from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, 
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
+from rendezview.sensors.reflectors.spots import find_spots
 from rendezview.sensors.reflectors.track import TrackingOptions
 from rendezview.sensors.run import observe
 from rendezview.sensors.sensor import AidedSensor
@@ -46,6 +47,7 @@ class FramePair:
     lit: Frame
     dark: Frame | None
     lit_from_dark: Array | None = None  # (2, 3) of a second camera; see `registered`
+    invert: bool = False  # dark dots on a bright ground
 
     @property
     def name(self) -> str:
@@ -66,13 +68,17 @@ class FramePair:
         dark = None if self.dark is None else self.dark.read()
         if dark is not None and self.lit_from_dark is not None:
             dark = registered(dark, self.lit_from_dark)
-        return LitDark(self.lit.read(), dark)
+        frames = LitDark(self.lit.read(), dark)
+        return frames.inverted() if self.invert else frames
 
 
 def pair_up(
-    sequences: list[Sequence], mode: Mode, lit_from_dark: Array | None = None
+    sequences: list[Sequence],
+    mode: Mode,
+    lit_from_dark: Array | None = None,
+    invert: bool = False,
 ) -> list[FramePair]:
-    """The readings of one or two sequences.
+    """The readings of one or two sequences; ``invert``: dark dots on a bright ground.
 
     ``lit_from_dark`` (2, 3) maps pixels of the dark camera to those of the lit one, with a
     splitter; see `registered`.
@@ -89,7 +95,7 @@ def pair_up(
         )
     first = sequences[0]
     if mode is Mode.SINGLE:
-        return [FramePair(frame, None) for frame in first]
+        return [FramePair(frame, None, None, invert) for frame in first]
     if mode is Mode.SPLITTER:
         second = sequences[1]
         if len(first) != len(second):
@@ -98,7 +104,8 @@ def pair_up(
                 "lit and dark must be as many"
             )
         return [
-            FramePair(lit, dark, lit_from_dark) for lit, dark in zip(first, second, strict=True)
+            FramePair(lit, dark, lit_from_dark, invert)
+            for lit, dark in zip(first, second, strict=True)
         ]
     if len(first) % 2:
         raise RendezviewError(
@@ -106,13 +113,48 @@ def pair_up(
             "remove the one without its partner, or use --mode single"
         )
     return [
-        FramePair(lit, dark, lit_from_dark)
+        FramePair(lit, dark, lit_from_dark, invert)
         for lit, dark in zip(first.frames[::2], first.frames[1::2], strict=True)
     ]
 
 
+def pair_up_live(frames: Iterator[Frame], mode: Mode, invert: bool = False) -> Iterator[FramePair]:
+    """The readings of one camera as its pictures come.
+
+    Raises:
+        RendezviewError: the mode takes two cameras.
+    """
+    if mode is Mode.SPLITTER:
+        raise RendezviewError("--mode splitter takes two recorded sequences, not one live camera")
+    if mode is Mode.SINGLE:
+        return (FramePair(frame, None, None, invert) for frame in frames)
+    return (FramePair(lit, dark, None, invert) for lit, dark in zip(frames, frames, strict=False))
+
+
+def wrong_mode(pairs: Iterable[FramePair], threshold: ThresholdOptions | None = None) -> str | None:
+    """A hint for a run without a pose: the pictures of a pair show the same dots.
+
+    Only the first readable pair is looked at.
+    """
+    for pair in pairs:
+        try:
+            frames = pair.read()
+        except RendezviewError:
+            continue
+        if frames.dark is None:
+            return None
+        alone, both = find_spots(LitDark(frames.lit), threshold), find_spots(frames, threshold)
+        if len(alone) >= 3 > len(both):
+            return (
+                f"{pair.name}: {len(alone)} dots, but the second picture of the pair is no dark "
+                "one: did you mean --mode single?"
+            )
+        return None
+    return None
+
+
 def follow(
-    pairs: list[FramePair],
+    pairs: Iterable[FramePair],
     patterns: list[ReflectorPattern],
     *,
     threshold: ThresholdOptions | None = None,

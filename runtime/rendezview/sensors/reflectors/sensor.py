@@ -12,25 +12,25 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors.acquisition import (
-    Acquirer,
-    Acquisition,
-    AcquisitionOptions,
-    merged,
-)
+from rendezview.sensors.reflectors.acquisition import Acquirer, merged
+from rendezview.sensors.reflectors.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
-from rendezview.sensors.reflectors.discs import camera_numbers
-from rendezview.sensors.reflectors.matching import expect_spots
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
-from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
-from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, SpotTable, find_spots
-from rendezview.sensors.reflectors.track import Track, TrackingOptions, checked_acceleration
+from rendezview.sensors.reflectors.refinement import Refined
+from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable, find_spots
+from rendezview.sensors.reflectors.tolerance import fit_dots
+from rendezview.sensors.reflectors.track import (
+    Branch,
+    Track,
+    TrackingOptions,
+    checked_acceleration,
+)
+from rendezview.sensors.reflectors.window_fit import WindowFit
 from rendezview.sensors.reflectors.windows import (
     VISIBLE,
     carry,
-    place_windows,
     read_windows,
     window_noise,
 )
@@ -61,14 +61,13 @@ class ReflectorSensor:
         if not patterns:
             raise RendezviewError("no reflectors to look for: name a group of the target file")
         self.camera = camera
-        self.patterns = patterns
-        self.constellation = merged(patterns)
         self.threshold = threshold or ThresholdOptions()
         self.tracking = tracking or TrackingOptions()
-        self.acquirer = Acquirer(camera, patterns, acquisition)
+        self._given = patterns, acquisition or AcquisitionOptions()
+        self._expect(*self._given)
+        self._note: str | None = None
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
-        self._rates = RateEstimator(self.tracking.rate_readings)
-        self._lens = camera_numbers(camera, self.acquirer.options.blur_px)
+        self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._last_s = -np.inf
@@ -81,7 +80,6 @@ class ReflectorSensor:
         self._nowhere = np.full((n, 2), np.nan)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
         self._centre = self.constellation.centre_m
-        self._arms = self.constellation.positions_m - self._centre
 
     @property
     def is_tracking(self) -> bool:
@@ -139,6 +137,8 @@ class ReflectorSensor:
         spots = find_spots(frames, self.threshold)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
+        if found.status is Status.NOT_FOUND and prior is None:
+            found = self._with_other_dots(spots) or found
         end = time.perf_counter()
         stage_ms = {"spots": 1e3 * (middle - begin), "triplets": 1e3 * (end - middle)}
         if found.refined is None:
@@ -149,32 +149,55 @@ class ReflectorSensor:
                 found.status, found.reason, time_s=time_s, spots=spots,
                 reflectors=(None,) * len(spots), stage_ms=stage_ms,
             )  # fmt: skip
-        assert found.reflectors is not None
-        assert found.spot_indices is not None
-        names: list[str | None] = [None] * len(spots)
-        for reflector, spot in zip(found.reflectors, found.spot_indices, strict=True):
-            names[spot] = self.constellation.names[reflector]
+        names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(time_s, pose):
-            self._unconfirmed = (time_s, pose, self._table_of(found, spots))
+            self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
             return ReflectorObservation(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
-                time_s=time_s, spots=spots, reflectors=tuple(names), group=found.group,
+                time_s=time_s, spots=spots, reflectors=names, group=found.group,
                 stage_ms=stage_ms,
             )  # fmt: skip
         ambiguous = found.roll_ambiguous
         if prior is not None and self._track is not None:  # it stays as well known as it was
+            assert found.reflectors is not None
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
-        table = self._table_of(found, spots)
-        self._remember(time_s, table, found.refined, 2.0, ambiguous)
+        return self._adopt(time_s, found, spots, ambiguous, stage_ms)
+
+    def _with_other_dots(self, spots: SpotTable) -> Acquisition | None:
+        """What is found with dots of another diameter or blur, which are then taken for right."""
+        fitted = fit_dots(self.camera, self._given[0], self._given[1], spots)
+        if fitted is None:
+            return None
+        self._expect(fitted.patterns, fitted.options)
+        self._note = fitted.note
+        return fitted.found
+
+    def _expect(self, patterns: list[ReflectorPattern], options: AcquisitionOptions) -> None:
+        self.patterns, self.constellation = patterns, merged(patterns)
+        self.acquirer = Acquirer(self.camera, patterns, options)
+        self._fit = WindowFit(self.camera, self.constellation, options, self.tracking)
+
+    def _adopt(
+        self,
+        time_s: float,
+        found: Acquisition,
+        spots: SpotTable,
+        ambiguous: bool,
+        stage_ms: dict[str, float],
+    ) -> ReflectorObservation:
+        """Track what was found from here on."""
+        assert found.refined is not None
+        table = found.table(spots, len(self.constellation))
+        self._remember(time_s, table, found.refined, 2.0, ambiguous, Branch.SURE)
         if self._unconfirmed is not None and self._track is not None:
             self._track.before_s, _, first = self._unconfirmed
             self._track.before = first[:, :2]
         self._unconfirmed = None
+        names = found.names(self.constellation, len(spots))
         return self._reading(
-            time_s, found.refined, spots, tuple(names), found.group, stage_ms,
-            ambiguous, tracked=False,
-        )  # fmt: skip
+            time_s, found.refined, spots, names, found.group, stage_ms, ambiguous, tracked=False
+        )
 
     def _agrees(self, time_s: float, pose: Pose) -> bool:
         """Whether a second find is near the first: a tenth of the range, half a radian."""
@@ -185,19 +208,14 @@ class ReflectorSensor:
         near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
         return bool(near and np.trace(pose.rotation @ first.rotation.T) > 1.0 + 2.0 * np.cos(0.5))
 
-    def _table_of(self, found: Acquisition, spots: SpotTable) -> Array:
-        """(N, 19) the spot of every reflector, NaN where it has none."""
-        table = np.full((len(self.constellation), COLUMNS), np.nan)
-        table[found.reflectors] = spots.table[found.spot_indices]
-        return table
-
     # --- tracking
 
     def _follow(self, time_s: float, frames: LitDark, push: Array | None) -> ReflectorObservation:
         track, options = self._track, self.tracking
         assert track is not None
         begin = time.perf_counter()
-        expected, half, level = self._windows(time_s, track, push)
+        expected, half, level = self._expected, self._half, self._level
+        self._fit.place(time_s, track, push, self.threshold, expected, half, level)
         dark = frames.dark_or_nothing
         noise = window_noise(frames.lit, dark, expected, half)
         noise = track.noise if noise < 0.0 else noise
@@ -207,93 +225,81 @@ class ReflectorSensor:
         )  # fmt: skip
         middle = time.perf_counter()
         seen = np.flatnonzero(self._outcome == VISIBLE)
-        refined = self._solve(track, seen) if len(seen) >= 3 else None
+        fit, table = self._fit, self._table
+        refined = fit.solve(track.pose, table, seen) if len(seen) >= 3 else None
         if refined is not None and len(seen) > 3:
-            refined, seen = self._without_strangers(track, refined, seen)
+            refined, seen = fit.without_strangers(track.pose, refined, table, seen)
+        branch = Branch.SURE if refined is None else fit.branch(track, refined, table, seen)
         ended = time.perf_counter()
         stage_ms = {"windows": 1e3 * (middle - begin), "pose": 1e3 * (ended - middle)}
-        names = tuple(self.constellation.names[k] for k in seen)
-        spots = SpotTable(self._table[seen])
         self._outcome[:] = 0
         self._outcome[seen] = VISIBLE
         if refined is None and not np.isfinite(track.before).any():
-            return self._acquire(
-                time_s, frames
-            )  # the motion is not known: windows are of little use
+            # The motion is not known: windows are of little use.
+            return self._acquire(time_s, frames)
+        contrary = self._contrary(time_s, frames, track, refined, seen, stage_ms)
+        if contrary is not None:
+            return contrary
+        names = tuple(self.constellation.names[k] for k in seen)
+        spots = SpotTable(table[seen])
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
-        table = self._table
-        table[self._outcome != VISIBLE] = np.nan
         table = table.copy()
+        table[self._outcome != VISIBLE] = np.nan
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
-        self._remember(time_s, table, refined, noise, ambiguous)
+        self._remember(time_s, table, refined, noise, ambiguous, branch)
+        if branch is Branch.OPEN:
+            self._rates.clear()
+            return ReflectorObservation(
+                Status.AMBIGUOUS,
+                f"two poses show the same {len(seen)} spots, and the motion does not tell them "
+                "apart: uncover more reflectors",
+                time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
+            )  # fmt: skip
         return self._reading(time_s, refined, spots, names, None, stage_ms, ambiguous, tracked=True)
 
-    def _windows(
-        self, time_s: float, track: Track, push: Array | None
-    ) -> tuple[Array, Array, Array]:
-        """Where spots are expected (N, 3), half widths (N,) and thresholds (N,)."""
-        options, expected = self.tracking, self._expected
-        self._show(track.pose, expected)
-        step, span = time_s - track.time_s, track.time_s - track.before_s
-        if push is not None:
-            moved, still = np.empty_like(expected), expected.copy()
-            self._show(track.pose.perturbed(0.5 * step * (step + span) * push), moved)
-            expected[:, :2] += moved[:, :2] - still[:, :2]
-        least = max(self.threshold.noise_factor * 0.7 * track.noise, self.threshold.least_grey)
-        place_windows(
-            expected, track.places, track.before, track.brightness, track.unseen,
-            step / span if span > 0.0 else 0.0, track.misses,
-            (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
-             options.apart_sizes, least),
-            self._half, self._level,
-        )  # fmt: skip
-        return expected, self._half, self._level
+    def _contrary(
+        self,
+        time_s: float,
+        frames: LitDark,
+        track: Track,
+        refined: Refined | None,
+        seen: npt.NDArray[np.int64],
+        stage_ms: dict[str, float],
+    ) -> ReflectorObservation | None:
+        """The reading, where a search of the whole picture finds a pose that explains more spots.
 
-    def _show(self, pose: Pose, out: Array) -> None:
-        """(N, 3) place and size of every reflector at a pose; NaN where it is not visible."""
-        pattern = self.constellation
-        expect_spots(
-            self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-            pose.rotation, pose.translation_m, self.camera.fx, self.acquirer.options.blur_px, out,
-        )  # fmt: skip
-
-    def _solve(self, track: Track, seen: npt.NDArray[np.int64]) -> Refined | None:
-        """Least squares from the last pose."""
-        rotation, translation = np.array(track.pose.rotation), np.empty(3)
-        covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
-        iterations = solve_spots(
-            self._lens, self._arms, self.constellation.normals, self.constellation.diameters_m,
-            self._centre, self._table, seen, self.tracking.floor_px,
-            rotation, track.pose.translation_m, translation, covariance, residuals,
-        )  # fmt: skip
-        if iterations < 0:
+        It is searched while a reflector that should be visible is not, or while the roll is open
+        and another group could tell it. A second reading in a row that agrees takes the track over.
+        """
+        several = track.roll_ambiguous and len(self.patterns) > 1
+        if not (several or refined is None or self._fit.misses(self._expected, seen)):
+            self._unconfirmed = None
             return None
-        return Refined(Pose(rotation, translation), covariance, residuals, iterations, True)
-
-    def _without_strangers(
-        self, track: Track, refined: Refined, seen: npt.NDArray[np.int64]
-    ) -> tuple[Refined | None, npt.NDArray[np.int64]]:
-        """Drop the spot that fits worst for as long as one is out of the gate."""
-        current: Refined | None = refined
-        while current is not None and len(seen) > 3:
-            sigma = np.sqrt(self._table[seen, SIGMA] ** 2 + self.tracking.floor_px**2)
-            off = np.abs(current.residuals_px).max(axis=1) / sigma
-            if off.max() < self.tracking.gate_sigma:
-                break
-            # The one without which the rest agree best.
-            trials = []
-            for k in range(len(seen)):
-                rest = np.delete(seen, k)
-                trial = self._solve(track, rest)
-                if trial is not None:
-                    cost = float(np.sum(trial.residuals_px**2))
-                    trials.append((cost, k, trial))
-            if not trials:
-                return None, seen
-            _, k, current = min(trials, key=lambda item: item[:2])
-            seen = np.delete(seen, k)
-        return current, seen
+        begin = time.perf_counter()
+        spots = find_spots(frames, self.threshold)
+        found = self.acquirer.acquire(spots) if len(spots) > max(len(seen), 2) else None
+        stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
+        if found is None or found.refined is None or found.reflectors is None:
+            return None
+        pose = found.refined.camera_from_target
+        if refined is not None:
+            explained = len(found.reflectors) > len(seen)
+            if not explained or self.acquirer.alike(found, refined.camera_from_target):
+                return None
+        if self._agrees(time_s, pose):
+            self._track = None
+            return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
+        self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
+        if refined is None:
+            return None
+        return ReflectorObservation(
+            Status.AMBIGUOUS,
+            f"another pose explains {len(found.reflectors)} spots and the one that was followed "
+            f"{len(seen)}: the next reading decides",
+            time_s=time_s, spots=spots, reflectors=found.names(self.constellation, len(spots)),
+            group=found.group, stage_ms=stage_ms,
+        )  # fmt: skip
 
     def _miss(
         self,
@@ -310,7 +316,7 @@ class ReflectorSensor:
             # Visible reflectors still move the windows of the others.
             places = np.full_like(track.places, np.nan)
             places[seen] = self._table[seen, :2]
-            self._nudge(track, seen)
+            self._fit.nudge(track, self._table, seen)
             track.before, track.before_s = track.places, track.time_s
             track.places, track.time_s = places, time_s
             track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
@@ -332,23 +338,6 @@ class ReflectorSensor:
             stage_ms=stage_ms,
         )
 
-    def _nudge(self, track: Track, seen: npt.NDArray[np.int64]) -> None:
-        """Move the remembered pose by the least that brings it under the visible spots."""
-        if not track.covariance.any():
-            return
-        rotation, shift = np.array(track.pose.rotation), track.pose.apply(self._centre)
-        far = float(np.linalg.norm(shift))
-        # The attitude may turn by 0.1 rad and the place move by 5 % meanwhile.
-        prior = np.diag([1e2, 1e2, 1e2, *([400.0 / far**2] * 3)])
-        covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
-        iterations = adjust(
-            self._lens, self._arms[seen], self.constellation.normals[seen],
-            self.constellation.diameters_m[seen], np.ascontiguousarray(self._table[seen, :2]),
-            np.full(len(seen), 0.1), prior, rotation, shift, covariance, residuals,
-        )  # fmt: skip
-        if iterations >= 0:
-            track.pose = Pose(rotation, shift - rotation @ self._centre)
-
     # --- both
 
     def _resolves(self, seen: npt.NDArray[np.int64]) -> bool:
@@ -356,7 +345,13 @@ class ReflectorSensor:
         return len({self._group_of[k] for k in seen}) > 1
 
     def _remember(
-        self, time_s: float, table: Array, refined: Refined, noise: float, ambiguous: bool
+        self,
+        time_s: float,
+        table: Array,
+        refined: Refined,
+        noise: float,
+        ambiguous: bool,
+        branch: Branch,
     ) -> None:
         last = self._track
         bright, unseen = np.empty(len(table)), np.empty(len(table), np.int64)
@@ -370,7 +365,7 @@ class ReflectorSensor:
         carry(table, self._dim if last is None else last.brightness, since, bright, unseen)
         self._track = Track(
             time_s, refined.camera_from_target, table[:, :2], before, before_s, bright, noise,
-            ambiguous, refined.covariance, unseen=unseen,
+            ambiguous, refined.covariance, unseen=unseen, branch=branch,
         )  # fmt: skip
 
     def _reading(
@@ -390,11 +385,12 @@ class ReflectorSensor:
             (p for p in self.patterns if all(name in names for name in p.names)),
             next((p for p in self.patterns if p.name == group), self.patterns[0]),
         )
-        six = self._faces[whole.name].six_numbers(pose)
-        rates = self._rates.add(time_s, pose, six, refined.covariance)
+        face = self._faces[whole.name]
+        six = face.six_numbers(pose)
+        rates = self._rates.add(time_s, pose, refined.covariance, face)
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
         return ReflectorObservation(
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
             rates=rates, spots=spots, reflectors=names, group=whole.name,
-            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms,
+            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms, note=self._note,
         )  # fmt: skip

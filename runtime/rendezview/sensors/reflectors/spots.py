@@ -16,18 +16,21 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.spot_centroid import window_moments
+from rendezview.estimation.spot_centroid import centre_spot, ring_plane, saturated_error
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.difference import (
     Grey,
     LitDark,
     ThresholdOptions,
+    background_of,
+    faint_mask,
     noise_grey,
     spot_mask,
     threshold_of,
 )
 
 SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
+_RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
 MOST_SPOTS = 400  # more than that is no picture of a target
 # Columns of the spot table that the compiled loops fill.
 X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
@@ -35,11 +38,6 @@ BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DAR
     8, 19
 )
 COLUMNS = 19  # Source: by construction
-
-_ROUNDS = 12  # iterations of the window at most. Source: by construction, a bound only
-_SETTLED_PX = 2e-4  # px, of a step: the end
-_REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction
-_SMALLEST_PX, _LARGEST_PX = 0.6, 40.0  # σ of a window
 
 
 class Centroid(StrEnum):
@@ -114,14 +112,31 @@ def find_spots(
     """All spots of a picture, in the order in which a scan meets them."""
     chosen = options or ThresholdOptions()
     noise = noise_grey(frames)
-    level = threshold_of(chosen, noise, frames)
-    mask = spot_mask(frames, level, chosen)
     table = np.zeros((MOST_SPOTS, COLUMNS))
-    count = _label(mask, frames.lit, frames.dark_or_nothing, level, table)
+    if frames.dark is None and chosen.lower_grey is None:
+        count = _label_faint(frames.lit, noise, chosen, table)
+    else:
+        level = threshold_of(chosen, noise, frames)
+        mask = spot_mask(frames, level, chosen)
+        count = _label(mask, frames.lit, frames.dark_or_nothing, level, table)
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
     place(frames.lit, frames.dark_or_nothing, found, noise, list(Centroid).index(centroid))
     return SpotTable(found, overfull)
+
+
+def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Array) -> int:
+    """Label the spots of a single picture; in a crowd the threshold rises until they fit."""
+    behind, factor = background_of(lit), options.faint_factor
+    for _ in range(_RISES):
+        mask = faint_mask(lit, behind, noise, factor)
+        if options.upper_grey is not None:
+            mask[lit > options.upper_grey] = 0
+        count = _label(mask, lit, behind, noise, table)
+        if count >= 0:
+            break
+        factor *= 1.5
+    return count
 
 
 def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int:
@@ -238,61 +253,20 @@ def window_centroid(
     lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
 ) -> None:
     """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size."""
-    height, width = lit.shape
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
+    box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
+    level, slope_x, slope_y, rough = ring_plane(lit, dark, box, noise)
+    level += slope_x * (x - 0.5 * (box[0] + box[1])) + slope_y * (y - 0.5 * (box[2] + box[3]))
     # The rows above the threshold are the top of the spot: its true width is larger.
-    sigma = min(max(1.2 * row[SIZE], _SMALLEST_PX), _LARGEST_PX)
-    pedestal = _rim(lit, row) if dark.shape[0] == 0 else 0.0
-    settled = False
-    for turn in range(_ROUNDS):
-        reach = _REACH * sigma
-        x0, x1 = max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1)
-        y0, y1 = max(math.ceil(y - reach), 0), min(math.floor(y + reach), height - 1)
-        if x1 < x0 or y1 < y0:
-            break
-        total, mx, my, mxx, myy, _, lever = window_moments(
-            lit, dark, pedestal, x, y, sigma, (x0, x1, y0, y1), columns, rows
-        )
-        if not total > 0.0:
-            break
-        row[AMPLITUDE] = total / (math.pi * sigma * sigma)  # a Gaussian's peak, at any phase
-        # Newton on "no first moment": d(mx)/dx = mxx / σ² − total, −total/2 for a Gaussian.
-        sx = min(mxx / (sigma * sigma) - total, -0.25 * total)
-        sy = min(myy / (sigma * sigma) - total, -0.25 * total)
-        step_x, step_y = -mx / sx, -my / sy
-        limit = sigma
-        x += min(max(step_x, -limit), limit)
-        y += min(max(step_y, -limit), limit)
-        row[SIGMA] = noise * math.sqrt(lever) * 0.5 * (1.0 / -sx + 1.0 / -sy)
-        if settled and abs(step_x) + abs(step_y) < _SETTLED_PX:
-            break
-        # Window of the spot's own size: under a Gaussian window as wide, its second moment halves.
-        wanted = math.sqrt(max(mxx + myy, 0.0) / total)
-        wanted = min(max(wanted, _SMALLEST_PX), _LARGEST_PX)
-        settled = settled or abs(wanted - sigma) < 0.02 * sigma or turn >= 5
-        if not settled:
-            sigma = wanted
-    row[X], row[Y], row[SIZE] = x, y, sigma
+    x, y, size, amplitude, error = centre_spot(
+        lit, dark, (level, slope_x, slope_y), (x, y, 1.2 * row[SIZE]), rough, columns, rows
+    )
     # A window that ran away from its spot is no measurement of it.
-    away = max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP], 2.0)
-    if abs(x - row[WEIGHTED_X]) > 0.5 * away or abs(y - row[WEIGHTED_Y]) > 0.5 * away:
-        row[X], row[Y] = row[WEIGHTED_X], row[WEIGHTED_Y]
-
-
-@njit(cache=True, nogil=True)
-def _rim(lit: Grey, row: Array) -> float:
-    """Mean grey level on a frame around the spot's box: the background of a single picture."""
-    height, width = lit.shape
-    grow = 3 + int(0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP]))
-    x0, x1 = max(int(row[LEFT]) - grow, 0), min(int(row[RIGHT]) + grow, width - 1)
-    y0, y1 = max(int(row[TOP]) - grow, 0), min(int(row[BOTTOM]) + grow, height - 1)
-    total, count = 0.0, 0
-    for u in range(x0, x1 + 1):
-        total += lit[y0, u]
-        total += lit[y1, u]
-        count += 2
-    for v in range(y0 + 1, y1):
-        total += lit[v, x0]
-        total += lit[v, x1]
-        count += 2
-    return total / count
+    away = 0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP], 2.0)
+    ran = max(abs(x - row[WEIGHTED_X]), abs(y - row[WEIGHTED_Y])) > away
+    if ran or not error > 0.0:
+        x, y, error = row[WEIGHTED_X], row[WEIGHTED_Y], max(error, away)
+    row[X], row[Y], row[SIZE] = x, y, size
+    row[SIGMA] = saturated_error(error, int(row[SATURATED]))
+    if amplitude > 0.0:
+        row[AMPLITUDE] = amplitude

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.estimation.acceleration import AccelerationOptions
 from rendezview.geometry.pose import Array, Pose
 
 
@@ -26,7 +28,16 @@ class TrackingOptions:
     confirm: bool = True  # a first find counts when the next reading agrees
     gate_sigma: float = 6.0  # of a redundant fit: a spot further off is no reflector
     floor_px: float = 0.01  # error of a centroid beside the noise: pixels, lens, reflector edge
-    rate_readings: int = 8
+    rates: AccelerationOptions = field(default_factory=AccelerationOptions)
+
+
+class Branch(StrEnum):
+    """How the pose is told from the mirrored one that shows nearly the same spots."""
+
+    SURE = "sure"  # by the spots of this reading: no other pose shows them
+    FOLLOWED = "followed"  # by its motion, since it was sure
+    MERGED = "merged"  # both are within the error: the covariance holds both
+    OPEN = "open"  # not at all: there is no pose
 
 
 @dataclass(slots=True, eq=False)
@@ -43,6 +54,7 @@ class Track:
     roll_ambiguous: bool
     covariance: Array
     misses: int = 0
+    branch: Branch = Branch.SURE
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 

@@ -22,7 +22,7 @@ Ints = npt.NDArray[np.int64]
 
 Table = npt.NDArray[np.float64]
 
-_ALIKE = 0.3  # ln of the sizes of two spots of one target, at most
+_ALIKE = 0.3  # ln of the sizes of two spots of equal reflectors, at most
 _TIE = 0.02  # sides nearer in length than this share tie
 
 
@@ -151,36 +151,36 @@ def expected_size(blur_px: float, radius_px: float) -> float:
 @njit(cache=True, nogil=True, error_model="numpy")
 def search(
     directions: Array, flat: Array, sizes: Array, peaks: Array, order: Ints, glass: Array,
-    base_m: float, diameter_m: float, focal_px: float, blur_px: float,
-    limits: tuple[float, float, float, float, float, float], both_ways: bool, out: Ints,
+    base_m: float, diameters_m: Array, focal_px: float, blur_px: float,
+    limits: tuple[float, ...], both_ways: bool, out: Ints,
 ) -> int:  # fmt: skip
-    """Non-redundant triplets that pass the tests, as (left, centre, right) in ``out``.
+    """Number of non-redundant triplets that pass the tests, (left, centre, right) in ``out``.
 
     Args:
         directions: (N, 3) unit; flat: (N, 2) undistorted, pixels about the boresight.
         sizes, peaks: (N,) of the spots; order: (N,) spots by ``flat[:, 0]``.
-        glass: (5,) `Hourglass`; base_m, diameter_m: of the triangle.
-        limits: shortest and longest base (px), tolerance of sizes and of peaks (ln), largest
-            foreshortening of the base, largest square of another side over the base's.
+        glass: (5,) `Hourglass`; base_m: of the triangle; diameters_m: (3,) of its reflectors.
+        limits: shortest and longest base (px), tolerance of sizes, of peaks and of blur (ln),
+            largest foreshortening of the base, largest square of another side over the base's.
         both_ways: whether left and right are distinguished.
         out: (M, 3). More than M pass: the number is −1.
-
-    Returns:
-        How many.
     """
     count = directions.shape[0]
-    shortest, longest, size_tolerance, peak_tolerance, foreshortened, longest_side = limits
-    # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture.
+    shortest, longest, size_tolerance, peak_tolerance, blur_tolerance = limits[:5]
+    foreshortened, longest_side = limits[5:]
+    # Reflectors of different diameters: small spots look alike, large ones differ by the ratio.
+    alike = _ALIKE + math.log(np.max(diameters_m) / np.min(diameters_m))
+    peak_tolerance += 4.0 * (alike - _ALIKE)
+    # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
     over = 1.1 * min(abs(glass[1]) + glass[2] * glass[3] + glass[4], math.sqrt(longest_side))
     shortest, longest = shortest / focal_px, longest / focal_px
     low, high, log_size, log_peak, at, ray, widest = _by_column(
-        directions, flat, sizes, peaks, order, base_m, diameter_m, focal_px, blur_px,
-        size_tolerance, foreshortened,
+        directions, flat, sizes, peaks, order, base_m, diameters_m, focal_px, blur_px,
+        size_tolerance, blur_tolerance, foreshortened,
     )  # fmt: skip
-    firsts, members, left, top, columns, rows = _grid(
-        at, math.hypot(along, over) * shortest * focal_px
-    )
+    widest_px = math.hypot(along, over) * shortest * focal_px
+    firsts, members, left, top, columns, rows = _grid(at, widest_px)
     found = 0
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)
@@ -196,15 +196,15 @@ def search(
             if not (
                 (square <= upper * upper)
                 & (square >= lower * lower)
-                & (abs(log_size[i] - log_size[j]) <= _ALIKE)  # by depth and tilt
+                & (abs(log_size[i] - log_size[j]) <= alike)  # by depth and tilt
                 & (abs(log_peak[i] - log_peak[j]) <= peak_tolerance)
                 & (square > 0.0)
             ):
                 continue
             found = _centres(
                 i, j, math.sqrt(square), ray, at, log_size, log_peak, low, high, order, glass,
-                (along, over, left, top, peak_tolerance, longest_side), columns, rows, firsts,
-                members, both_ways, found, out,
+                (along, over, left, top, alike, peak_tolerance, longest_side), columns, rows,
+                firsts, members, both_ways, found, out,
             )  # fmt: skip
             if found < 0:
                 return -1
@@ -214,8 +214,8 @@ def search(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _by_column(
     directions: Array, flat: Array, sizes: Array, peaks: Array, order: Ints, base_m: float,
-    diameter_m: float, focal_px: float, blur_px: float, size_tolerance: float,
-    foreshortened: float,
+    diameters_m: Array, focal_px: float, blur_px: float, size_tolerance: float,
+    blur_tolerance: float, foreshortened: float,
 ) -> tuple[Array, Array, Array, Array, Array, Array, float]:  # fmt: skip
     """The spots by rising x: least and most base by size (chords), ln size, ln peak, places, rays.
 
@@ -223,13 +223,19 @@ def _by_column(
     """
     count = directions.shape[0]
     low, high = np.empty(count), np.empty(count)
+    largest, smallest = np.max(diameters_m), np.min(diameters_m)
+    soft, sharp = blur_px * math.exp(blur_tolerance), blur_px * math.exp(-blur_tolerance)
     log_size, log_peak = np.empty(count), np.empty(count)
     at, ray = np.empty((count, 2)), np.empty((count, 3))
     widest = 0.0
     for p in range(count):
         s = order[p]
-        a, b = _bases(sizes[s], base_m, diameter_m, blur_px, size_tolerance, foreshortened)
-        low[p], high[p] = a / focal_px, b / focal_px
+        # Shortest and longest base, pixels, at which a reflector looks as large as this spot.
+        least = _radius(sizes[s] * math.exp(-size_tolerance), soft) * 2.0 * base_m / largest
+        most = _radius(sizes[s] * math.exp(size_tolerance), sharp) * 2.0 * base_m / smallest
+        # Tilted, the disc looks smaller and the base shorter.
+        low[p] = least * foreshortened / focal_px
+        high[p] = most / (math.sqrt(foreshortened) * focal_px)
         log_size[p], log_peak[p] = math.log(sizes[s]), math.log(peaks[s])
         at[p, 0], at[p, 1] = flat[s, 0], flat[s, 1]
         for axis in range(3):
@@ -242,11 +248,11 @@ def _by_column(
 def _centres(
     i: int, j: int, chord: float, ray: Array, at: Array, log_size: Array, log_peak: Array,
     low: Array, high: Array, order: Ints, glass: Array,
-    limits: tuple[float, float, float, float, float, float], columns: tuple[float, float],
+    limits: tuple[float, float, float, float, float, float, float], columns: tuple[float, float],
     rows: tuple[float, float], firsts: Ints, members: Ints, both_ways: bool, found: int, out: Ints,
 ) -> int:  # fmt: skip
     """Write the triplets of the base i, j; the number found so far, −1 where ``out`` is full."""
-    along, over, left, top, peak_tolerance, longest_side = limits
+    along, over, left, top, alike, peak_tolerance, longest_side = limits
     square = chord * chord
     dx, dy, dz = ray[j, 0] - ray[i, 0], ray[j, 1] - ray[i, 1], ray[j, 2] - ray[i, 2]
     mx, my, mz = (
@@ -273,7 +279,7 @@ def _centres(
         line = r * int(columns[0])
         for n in range(firsts[line + c0], firsts[line + c1 + 1]):
             k = members[n]
-            if (abs(log_size[k] - size) > _ALIKE) | (chord < 0.9 * low[k]):
+            if (abs(log_size[k] - size) > alike) | (chord < 0.9 * low[k]):
                 continue
             ex, ey, ez = ray[k, 0] - mx, ray[k, 1] - my, ray[k, 2] - mz
             x = ex * dx + ey * dy + ez * dz
@@ -332,19 +338,6 @@ def _grid(
 def _within(glass: Array, x: float, y: float) -> bool:
     dx = abs(x - glass[0])
     return bool((dx <= glass[3]) & (abs(y - glass[1]) <= glass[2] * dx + glass[4]))
-
-
-@njit(cache=True, nogil=True)
-def _bases(
-    size: float, base_m: float, diameter_m: float, blur_px: float, tolerance: float,
-    foreshortened: float,
-) -> tuple[float, float]:  # fmt: skip
-    """Shortest and longest base, pixels, at which the reflectors look as large as this spot."""
-    ratio = 2.0 * base_m / diameter_m  # base over the disc's radius
-    least = _radius(size * math.exp(-tolerance), blur_px) * ratio
-    most = _radius(size * math.exp(tolerance), blur_px) * ratio
-    # Tilted, the disc looks smaller and the base shorter.
-    return least * foreshortened, most / math.sqrt(foreshortened)
 
 
 @njit(cache=True, nogil=True)

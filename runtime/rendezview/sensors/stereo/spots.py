@@ -1,9 +1,6 @@
 """Lights in a picture: bright blobs, each with a sub-pixel place and its σ.
 
-A blob's pixels give a first place; a Gaussian window of the spot's own width, moved until it
-is centred, gives the last. For a round Gaussian spot in white noise this is the
-least-squares place, whose variance is (2/π) (noise/peak)² at any spot width
-(the Cramér–Rao bound).
+A blob's pixels give a first place, `rendezview.estimation.spot_centroid` the last.
 """
 
 from __future__ import annotations
@@ -16,17 +13,14 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.errors import RendezviewError
-from rendezview.estimation.spot_centroid import window_moments
+from rendezview.estimation.spot_centroid import centre_spot, ring_plane, saturated_error
 from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 
 Array = npt.NDArray[np.float64]
 GreyImage = npt.NDArray[np.uint8]
 
 _SATURATED = 254  # Source: by construction, the last but one of 8 bits
-_ITERATIONS = 30  # Source: by construction, a bound only
-_SETTLED_PX = 1e-4
 _LEAST_NOISE = 0.29  # grey, of rounding. Source: by construction
-_NARROW_PX = 0.015  # what sampling does to a spot of σ below a pixel
 _MOST_BLOBS = 2000  # a frame with more shows no lights. Source: by construction, a bound of time
 
 
@@ -115,40 +109,15 @@ def _centre(
     if not total > 0.0:
         return 0.0, 0.0, 0.0, 0.0
     x, y = sx / total, sy / total
-    s2 = max(0.25, (max(w, h) / 4.0) ** 2)
     height, width = grey.shape
     columns, rows, nothing = np.empty(width), np.empty(height), grey[:0, :0]
-    peak = 0.0
-    for _ in range(_ITERATIONS):
-        reach = 3.0 * np.sqrt(s2) + 1.0
-        box = (
-            max(int(x - reach), 0), min(int(x + reach) + 1, width - 1),
-            max(int(y - reach), 0), min(int(y + reach) + 1, height - 1),
-        )  # fmt: skip
-        sw, swx, swy, sxx, syy, sw2, _ = window_moments(
-            grey, nothing, sky, x, y, np.sqrt(s2), box, columns, rows
-        )
-        if not sw > 0.0:
-            return 0.0, 0.0, 0.0, 0.0
-        peak = sw / sw2
-        mx, my = swx / sw, swy / sw
-        # Product of spot and window: its variance m, 1/m = 1/spot + 1/window
-        m = 0.5 * ((sxx + syy) / sw - mx * mx - my * my)
-        spot = 1.0 / (1.0 / m - 1.0 / s2) if 0.0 < m < 0.98 * s2 else 4.0 * s2
-        shift = 1.0 + s2 / max(spot, 0.25)  # the window holds the centre back by so much
-        x, y = x + shift * mx, y + shift * my
-        if abs(x - x0 - 0.5 * w) > w + 2 or abs(y - y0 - 0.5 * h) > h + 2:
-            return 0.0, 0.0, 0.0, 0.0  # it left its blob
-        s2_next = min(max(spot, 0.25), 4.0 * s2, 400.0)
-        settled = abs(shift * mx) + abs(shift * my) < _SETTLED_PX
-        if settled and abs(s2_next - s2) < 1e-3 * s2:
-            break
-        s2 = s2_next
-    if not peak > 0.0:
-        return 0.0, 0.0, 0.0, 0.0
-    sigma = np.sqrt(2.0 / np.pi) * noise / peak
-    if s2 < 1.0:
-        sigma = np.hypot(sigma, _NARROW_PX)
-    if saturated > 1:
-        sigma = max(sigma, 0.02 * np.sqrt(saturated))  # the flat top gives little information
-    return x, y, sigma, peak
+    level, slope_x, slope_y, rough = ring_plane(
+        grey, nothing, (x0, x0 + w - 1, y0, y0 + h - 1), noise
+    )
+    level += slope_x * (x - x0 - 0.5 * (w - 1)) + slope_y * (y - y0 - 0.5 * (h - 1))
+    x, y, _, peak, sigma = centre_spot(
+        grey, nothing, (level, slope_x, slope_y), (x, y, max(w, h) / 4.0), rough, columns, rows
+    )
+    if abs(x - x0 - 0.5 * w) > w + 2 or abs(y - y0 - 0.5 * h) > h + 2 or not peak > 0.0:
+        return 0.0, 0.0, 0.0, 0.0  # it left its blob
+    return x, y, saturated_error(sigma, saturated), peak

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from rendezview.sensors.stereo.agreement import (
     distance,
     iterate,
 )
+from rendezview.sensors.stereo.calibration_error import CalibrationError, turned
 from rendezview.sensors.stereo.collinearity import count_lights
 from rendezview.sensors.stereo.detectors import Spots
 from rendezview.sensors.stereo.identity import identify, nearest_lights
@@ -77,6 +78,7 @@ class StereoTracker:
             tuple(led_names or (f"led{k + 1}" for k in range(len(self.leds)))),
         )
         self._first = rig.cameras[0].camera_from_rig
+        self._calibration = CalibrationError(rig, self.leds)
         self._last: Motion | None = None
         self._last_time_s = -np.inf
         self._lock = threading.Lock()  # of the two above
@@ -229,8 +231,10 @@ class StereoTracker:
         options = self.options.motion
         if options is None:
             self._last = Motion(time_s, fit.rotation, fit.translation, _NO_RATES, _NO_COVARIANCE)
-            return StereoObservation.of_pose(
-                Status.OK, None, time_s, self._first, fit, None, restarted, named, self.names
+            return self._calibrated(
+                StereoObservation.of_pose(
+                    Status.OK, None, time_s, self._first, fit, None, restarted, named, self.names
+                )
             )
         after = None
         own = fit.rotation, fit.translation
@@ -242,8 +246,21 @@ class StereoTracker:
             covariance = np.asarray(np.linalg.inv(fit.information), np.float64)
             after = motion.begin(time_s, fit.rotation, fit.translation, covariance, options)
         self._last = after
-        return StereoObservation.of_pose(
-            Status.OK, None, time_s, self._first, fit, after, restarted, named, self.names
+        return self._calibrated(
+            StereoObservation.of_pose(
+                Status.OK, None, time_s, self._first, fit, after, restarted, named, self.names
+            )
+        )
+
+    def _calibrated(self, observation: StereoObservation) -> StereoObservation:
+        """The observation with the calibration's share in its covariance."""
+        pose, fit = observation.rig_from_target, observation.fit
+        if not self._calibration or pose is None or fit is None:
+            return observation
+        assert observation.covariance is not None
+        added = self._calibration.covariance(pose, fit.sights.weight)
+        return replace(
+            observation, covariance=observation.covariance + turned(added, self._first.rotation)
         )
 
     def _none(

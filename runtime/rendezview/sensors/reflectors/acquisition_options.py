@@ -1,0 +1,98 @@
+"""Options and result of the acquisition."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array
+from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors.pattern import ReflectorPattern
+from rendezview.sensors.reflectors.refinement import Refined
+from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcquisitionOptions:
+    """Which triplets pass for the target. Tolerances are those of one spot, one σ."""
+
+    # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
+    # boresight.
+    tilt_rad: float = math.radians(45.0)
+    nearest_m: float = 0.3
+    farthest_m: float = 150.0
+    blur_px: float = 0.75  # σ of the optics and of a pixel's width together
+    size_sigma: float = 0.035  # of ln(size): noise, focus, the disc's own tilt
+    peak_sigma: float = 0.08  # of ln(brightness) of the centre spot against the outer two
+    beam_sigma: float = 0.5  # of ln(brightness) between the outer two: the beam has a middle
+    diameter_sigma: float = 0.03  # of ln(diameter), of all alike. Source: a ruler on 10 mm
+    # Of ln(blur), of all alike. Source: experiment reflector-hidden --seed 1, whose blur varies by
+    # ±20 %
+    blur_sigma: float = 0.12
+    size_limit: float = 0.14  # ln, of one spot before anything else is tried
+    peak_limit: float = 1.6  # ln, between two spots
+    least_shape: float = 0.55  # small over large axis: a disc at 40° has 0.77, an edge far less
+    score_limit: float = 18.0  # χ² of three sizes and brightnesses
+    rival_margin: float = 2.5  # χ² by which the best must win over other spots
+    # χ² by which it must win over other poses of the same spots, and over other spots where more
+    # reflectors might have confirmed it. Source: experiment reflector-hidden --seed 1
+    pose_margin: float = 16.0
+    # Triplets as good as the best that chance may bring. Those of chance with five terms of
+    # χ² below s grow as s^5/2, and all that pass but the best give their number.
+    chance: float = 0.25
+    # χ² of three spots of a target with more reflectors. Source: experiment reflector-hidden
+    sparse_limit: float = 8.0
+    match_px: float = 1.5  # a further reflector is its spot when this near
+    # Of a fit to four or more spots: σ of a place beside the noise, px and share of the spot's
+    # size (even light moves it). Beyond gate_sigma is another spot. Source: reflector-hidden
+    gate_px: float = 0.015
+    # Source: experiment reflector-hidden --seed 1
+    gate_size: float = 0.01
+    # Source: experiment reflector-hidden --seed 1
+    gate_sigma: float = 5.0
+    reacquisition: float = 0.25  # of the last range: how far the new one may be
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tilt_rad < math.pi / 2:
+            raise RendezviewError(f"tilt_rad must be between 0 and π/2, not {self.tilt_rad}")
+        if not 0.0 < self.nearest_m < self.farthest_m:
+            raise RendezviewError(
+                f"nearest_m and farthest_m must rise from above 0: {self.nearest_m}, "
+                f"{self.farthest_m}"
+            )
+        if not self.blur_px > 0.0:
+            raise RendezviewError(f"blur_px must be positive, not {self.blur_px}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Acquisition:
+    """The result of one picture; no pose without ``Status.OK``."""
+
+    status: Status
+    reason: str | None
+    refined: Refined | None = None
+    group: str | None = None
+    reflectors: npt.NDArray[np.int64] | None = None  # (K,) of the whole constellation
+    spot_indices: npt.NDArray[np.int64] | None = None  # (K,) the spot of each
+    score: float = math.inf
+    roll_ambiguous: bool = (
+        False  # a symmetry of the visible reflectors leaves the picture unchanged
+    )
+
+    def names(self, constellation: ReflectorPattern, count: int) -> tuple[str | None, ...]:
+        """The reflector of every one of so many spots."""
+        names: list[str | None] = [None] * count
+        if self.reflectors is not None and self.spot_indices is not None:
+            for reflector, spot in zip(self.reflectors, self.spot_indices, strict=True):
+                names[spot] = constellation.names[reflector]
+        return tuple(names)
+
+    def table(self, spots: SpotTable, count: int) -> Array:
+        """(N, 19) the spot of each of so many reflectors, NaN where it has none."""
+        table = np.full((count, COLUMNS), np.nan)
+        table[self.reflectors] = spots.table[self.spot_indices]
+        return table

@@ -1,0 +1,117 @@
+"""`rendezview calibrate`: a camera from boards, a card to print; cameras as a source of frames."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.camera_files import load_camera
+from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences.live import is_live, live_frames, with_rate
+
+CAMERA = Camera(640, 480, 620.0, 625.0, 322.0, 236.0)
+SQUARE = 40  # px of the printed board
+
+
+def view(board, pitch, rng):
+    """A picture of a board (an image whose squares are SQUARE px) held at random before CAMERA."""
+    height, width = board.shape
+    size = pitch * np.array([width, height]) / SQUARE
+    turn = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3) * (1.0, 1.0, 0.5))[0]
+    at = np.array([rng.uniform(-0.05, 0.05), rng.uniform(-0.04, 0.04), rng.uniform(0.45, 0.6)])
+    corners = np.array([[0, 0, 0], [size[0], 0, 0], [size[0], size[1], 0], [0, size[1], 0]])
+    places = (corners - [*(0.5 * size), 0.0]) @ turn.T + at
+    pixels = (places[:, :2] / places[:, 2:]) * (CAMERA.fx, CAMERA.fy) + (CAMERA.cx, CAMERA.cy)
+    source = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) - 0.5
+    warp = cv2.getPerspectiveTransform(source, pixels.astype(np.float32))
+    return cv2.warpPerspective(
+        board, warp, (CAMERA.width, CAMERA.height), flags=cv2.INTER_AREA, borderValue=255
+    )
+
+
+@pytest.fixture(scope="module")
+def boards(tmp_path_factory):
+    rng, folder = np.random.default_rng(0), tmp_path_factory.mktemp("boards")
+    chess = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.ones((SQUARE, SQUARE))) * 255
+    chess = np.pad(chess.astype(np.uint8), SQUARE, constant_values=255)
+    markers = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    charuco = cv2.aruco.CharucoBoard((8, 6), 0.03, 0.022, markers)
+    printed = charuco.generateImage((8 * SQUARE, 6 * SQUARE))
+    for name, board, pitch in (("chess", chess, 0.025), ("charuco", printed, 0.03)):
+        (folder / name).mkdir()
+        for k in range(10):
+            cv2.imwrite(str(folder / name / f"{k:02d}.png"), view(board, pitch, rng))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("chess", ("--board", "9x6", "--pitch-mm", "25")),
+        ("charuco", ("--board", "8x6", "--pitch-mm", "30", "--marker-mm", "22")),
+    ],
+)
+def test_a_camera_is_calibrated_from_a_board(run, boards, tmp_path, kind, options):
+    out = tmp_path / "camera.yaml"
+    ran = run("calibrate", "camera", boards / kind, *options, "-o", out)
+    assert ran.code == 0, ran
+    assert "pictures, r.m.s." in ran.err
+    found = load_camera(out)
+    assert (found.width, found.height) == (640, 480)
+    assert (found.fx, found.fy) == pytest.approx((620.0, 625.0), rel=0.02)
+    assert (found.cx, found.cy) == pytest.approx((322.0, 236.0), abs=8.0)
+
+
+def test_what_is_no_board_is_told(run, boards, tmp_path):
+    out = tmp_path / "c.yaml"
+    one = boards / "chess" / "00.png"
+    run("calibrate", "camera", one, "-o", out).says("5 are needed")
+    run("calibrate", "camera", tmp_path, "-o", out).says("no pictures")
+    run("calibrate", "camera", one, "--board", "9", "-o", out).says("--board must be")
+    run("calibrate", "camera", boards / "charuco", "--board", "8x6", "--marker-mm", "22",
+        "--dictionary", "DICT_X", "-o", out).says("no 'DICT_X'")  # fmt: skip
+
+
+def test_a_card_is_written_and_read_without_a_mesh(run, tmp_path):
+    ran = run("calibrate", "card", "-o", tmp_path / "card")
+    assert ran.code == 0, ran
+    assert (tmp_path / "card" / "card.pdf").stat().st_size > 500
+    run("reflectors", tmp_path / "card" / "target.toml", "0").says("no camera file")
+    run("train", tmp_path / "card", "-o", tmp_path / "m.rvm").says("has no mesh")
+
+
+def test_cameras_are_told_from_paths(tmp_path, monkeypatch):
+    assert all(is_live(name) for name in ("0", "/dev/video0", "rtsp://host/1"))
+    assert not any(is_live(name) for name in ("pictures", "a.mp4"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "7").mkdir()
+    assert not is_live("7")
+    with pytest.raises(RendezviewError, match="cannot be opened"):
+        live_frames("93", CAMERA)
+
+
+def test_a_rate_gives_pictures_their_times(boards):
+    timed = with_rate(open_sequence(boards / "chess", CAMERA), 4.0)
+    assert [frame.time_s for frame in timed][:3] == [0.0, 0.25, 0.5]
+    with pytest.raises(RendezviewError, match="--rate"):
+        with_rate(timed, 0.0)
+
+
+def test_dots_without_a_dark_picture_are_told(run, boards, tmp_path):
+    rng = np.random.default_rng(1)
+    rows, columns = np.mgrid[:480, :640]
+    folder = tmp_path / "dots"
+    folder.mkdir()
+    for k in range(4):
+        grey = 20.0 + rng.normal(0.0, 1.5, (480, 640))
+        for x, y in ((200, 240), (330, 250), (400, 300)):
+            grey += 180.0 * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 9.0)
+        cv2.imwrite(str(folder / f"{k}.png"), np.clip(grey, 0, 255).astype(np.uint8))
+    run("calibrate", "card", "-o", tmp_path / "card")
+    run("calibrate", "camera", boards / "chess", "-o", tmp_path / "c.yaml")
+    ran = run("reflectors", tmp_path / "card", folder, "--camera", tmp_path / "c.yaml")
+    assert ran.code == 0, ran
+    assert "did you mean --mode single?" in ran.err

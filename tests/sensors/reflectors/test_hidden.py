@@ -1,0 +1,194 @@
+"""Hidden reflectors, several poses of the same spots, hand-over: on the plain simulator."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tests.plain_pictures import Look, Pinhole, discs, look_at, pair
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors import (
+    Acquirer,
+    LitDark,
+    ReflectorSensor,
+    SixNumbers,
+    find_spots,
+    pose_of,
+    predict_spots,
+)
+from rendezview.sensors.reflectors.choice import mirror
+from rendezview.sensors.reflectors.judgement import common_variance, least_facing
+from rendezview.sensors.reflectors.matching import match_all, match_spots, size_score
+from rendezview.sensors.reflectors.spots import COLUMNS, SIZE
+from rendezview.sensors.reflectors.triplets import expected_size
+
+HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def pinhole(paper_camera):
+    c = paper_camera
+    return Pinhole(c.width, c.height, c.fx, c.cx, c.cy)
+
+
+def frames_of(pinhole, pattern, pose, rng, hidden=(), look=Look()):  # noqa: B008
+    light = discs(
+        pinhole, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
+        pattern.diameters_m, look, hidden,
+    )  # fmt: skip
+    return LitDark(*pair(pinhole, light, look, rng))
+
+
+def wrong(pose, truth):
+    return min(pose.angle_to(truth), pose.angle_to(truth @ HALF_TURN)) > math.radians(5.0)
+
+
+def test_the_plain_simulator_and_the_sensor_agree_on_where_a_disc_is(pinhole, five, paper_camera):
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        pose = Pose(*look_at(rng, pinhole, rng.uniform(1.5, 6.0), 0.5, 130.0))
+        frames = frames_of(pinhole, five, pose, rng, look=Look(noise=0.0))
+        spots = find_spots(frames).centroids_px
+        wanted = predict_spots(paper_camera, five, pose)
+        apart = np.linalg.norm(wanted[:, None] - spots[None], axis=2).min(axis=1)
+        assert apart.max() < 0.01
+
+
+@pytest.mark.parametrize("hidden", [(1, 0), (1, 2), (1, 3), (0, 3)])
+def test_three_of_five_are_never_a_wrong_pose(pinhole, five, paper_camera, hidden):
+    rng = np.random.default_rng(1)
+    acquirer, statuses = Acquirer(paper_camera, [five]), []
+    for _ in range(12):
+        pose = Pose(*look_at(rng, pinhole, rng.uniform(1.5, 6.0), 0.5, 130.0))
+        found = acquirer.acquire(find_spots(frames_of(pinhole, five, pose, rng, hidden)))
+        statuses.append(found.status)
+        if found.refined is not None:
+            assert not wrong(found.refined.camera_from_target, pose)
+    assert Status.AMBIGUOUS in statuses
+
+
+def test_the_other_poses_of_the_same_spots_make_it_ambiguous_and_a_prior_chooses(
+    pinhole, five, paper_camera
+):
+    rng = np.random.default_rng(2)
+    pose = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.3, -0.2), five)
+    spots = find_spots(frames_of(pinhole, five, pose, rng, (1, 2)))
+    acquirer = Acquirer(paper_camera, [five])
+    found = acquirer.acquire(spots)
+    assert found.status is Status.AMBIGUOUS
+    assert "poses show the same 3 spots" in found.reason
+    chosen = acquirer.acquire(spots, pose.perturbed([0.02, -0.03, 0.02, 0.0, 0.0, 0.05]))
+    assert chosen.refined.camera_from_target.angle_to(pose) < 0.02
+
+
+def test_a_wrong_track_is_left_within_three_readings_of_all_reflectors_in_view(
+    pinhole, five, paper_camera
+):
+    rng = np.random.default_rng(3)
+    truth = pose_of(SixNumbers(3.0, 0.03, -0.02, 0.2, 0.35, -0.2), five)
+    seen = np.array([0, 2, 3])
+    false = mirror(truth, five, seen)
+    sensor = ReflectorSensor(paper_camera, [five])
+    sensor.start(0.0, false)
+    statuses = []
+    for k in range(1, 9):
+        hidden = (1, 4) if k < 5 else ()
+        reading = sensor.update(0.1 * k, frames_of(pinhole, five, truth, rng, hidden))
+        statuses.append(reading.status)
+        if k > 5:
+            assert reading.pose is not None
+        if reading.pose is not None and k > 4:
+            assert not wrong(reading.pose, truth)
+    assert Status.AMBIGUOUS in statuses  # that of the reading that says so
+
+
+def test_an_outer_reflector_that_is_larger_tells_the_roll(pinhole, three, paper_camera):
+    rng = np.random.default_rng(4)
+    for ratio in (1.5, 3.0):
+        pattern = replace(three, diameters_m=np.array([0.015, 0.015, 0.015 * ratio]))
+        for roll in (0.3, 2.8):
+            pose = pose_of(SixNumbers(2.0, 0.03, -0.02, roll, 0.1, -0.2), three)
+            found = Acquirer(paper_camera, [pattern]).acquire(
+                find_spots(frames_of(pinhole, pattern, pose, rng))
+            )
+            assert found.status is Status.OK, found.reason
+            assert not found.roll_ambiguous
+            assert found.refined.camera_from_target.angle_to(pose) < 0.02
+
+
+def test_the_mirrored_pose_shows_the_same_spots_in_weak_perspective(five, paper_camera):
+    far = pose_of(SixNumbers(200.0, 0.0, 0.0, 0.4, 0.3, -0.2), five)
+    flat = np.array([0, 2, 3, 4])
+    other = mirror(far, five, flat)
+    assert other.angle_to(far) > 0.5
+    np.testing.assert_allclose(
+        paper_camera.project(other.apply(five.positions_m[flat])),
+        paper_camera.project(far.apply(five.positions_m[flat])),
+        atol=2e-3,
+    )
+    np.testing.assert_allclose(mirror(other, five, flat).rotation, far.rotation, atol=1e-12)
+
+
+def test_scores_of_sizes_are_those_of_numpy():
+    rng = np.random.default_rng(5)
+    rotation = Rotation.from_rotvec([3.0, 0.1, 0.0]).as_matrix()
+    points, normals = rng.normal(0.0, 0.1, (4, 3)), np.tile([0.0, 0.0, 1.0], (4, 1))
+    shift, focal, blur = np.array([0.05, -0.02, 2.0]), 650.0, 0.75
+    turned = normals @ rotation.T
+    places = points @ rotation.T + shift
+    cosine = -(turned * places).sum(axis=1) / np.linalg.norm(places, axis=1)
+    assert least_facing(rotation, shift, points, normals) == pytest.approx(cosine.min())
+    diameters = np.full(4, 0.025)
+    sizes = np.empty(4)
+    shares = np.empty(4)
+    for i, (x, y, z) in enumerate(places):
+        slope = np.array([[1.0, 0.0, -x / z], [0.0, 1.0, -y / z]]) / z * focal
+        spread = slope @ (np.eye(3) - np.outer(turned[i], turned[i])) @ slope.T
+        expected = expected_size(blur, math.sqrt(0.5 * np.trace(spread)) * 0.0125)
+        sizes[i], shares[i] = expected * math.exp(rng.normal(0.0, 0.05)), blur / expected
+        sizes[i] = max(sizes[i], 1e-3)
+        assert common_variance(shares[i], 0.03, 0.1) == pytest.approx(
+            ((1 - shares[i] ** 2) * 0.03) ** 2 + (shares[i] ** 2 * 0.1) ** 2
+        )
+    errors = np.log(sizes * shares / blur)
+    common = np.mean([common_variance(s, 0.03, 0.1) for s in shares])
+    inverse = np.linalg.inv(0.04**2 * np.eye(4) + common)
+    score = size_score(
+        points, normals, diameters, rotation, shift, focal, blur, sizes, (0.04, 0.03, 0.1)
+    )
+    assert score == pytest.approx(errors @ inverse @ errors, rel=1e-9)
+
+
+def test_all_poses_are_matched_as_each_alone(five, paper_camera):
+    from rendezview.sensors.reflectors.discs import camera_numbers
+
+    lens = camera_numbers(paper_camera, 0.75)
+    poses = [pose_of(SixNumbers(r, 0.0, 0.0, 0.2, 0.1, 0.1), five) for r in (3.0, 3.05)]
+    table = np.zeros((5, COLUMNS))
+    table[:, :2] = predict_spots(paper_camera, five, poses[0])[::-1]
+    table[:, SIZE] = 1.6
+    shared = (lens, five.positions_m, five.normals, five.diameters_m)
+    which, where = np.empty((2, 5), np.int64), np.empty((2, 5), np.int64)
+    counts, orders = np.empty(2, np.int64), np.tile(np.arange(5)[::-1], (2, 1))
+    numbers = np.array([np.append(p.rotation.ravel(), p.translation_m) for p in poses])
+    match_all(
+        *shared, numbers, 652.0, 0.75, orders, table, np.arange(5), np.tile([4, 3, 2], (2, 1)),
+        (1.5, 0.28), counts, which, where,
+    )  # fmt: skip
+    for k, pose in enumerate(poses):
+        names, places = np.empty(5, np.int64), np.empty(5, np.int64)
+        count = match_spots(
+            *shared, np.ascontiguousarray(pose.rotation), pose.translation_m, 652.0, 0.75,
+            orders[k], table, np.arange(5), np.array([4, 3, 2]), (1.5, 0.28), names, places,
+        )  # fmt: skip
+        assert counts[k] == count
+        assert which[k, :count].tolist() == sorted(names[:count])
+        assert dict(zip(which[k, :count], where[k, :count], strict=True)) == dict(
+            zip(names[:count], places[:count], strict=True)
+        )
+    assert counts[0] == 5
