@@ -153,6 +153,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "contours",
         "shadows",
         "surface",
+        "sketches",
         "trees",
         "calibration",
     ]

@@ -27,6 +27,8 @@ from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 
+# Of the outline: it was whole, and refinement says why there is no pose.
+_WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 _LEAST_MARGIN = 0.01  # merit; chance decides between two poses nearer to each other
 
 
@@ -180,8 +182,10 @@ def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObse
     """The observation without a pose, and with the reason why refinement gives none."""
     status, reason = seen.status, seen.reason
     if found is None:
-        if status in (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED):
+        if status in _WHOLE_OUTLINE:
             status, reason = Status.UNRECOGNIZED, "no pose of the target fits the edges"
+    elif isinstance(found, SketchFound) and status not in _WHOLE_OUTLINE:
+        pass  # the outline says why
     elif found.rival is not None and found.margin < CLOSE_MARGIN:
         apart = found.best.pose.angle_to(found.rival.pose)
         status = Status.AMBIGUOUS

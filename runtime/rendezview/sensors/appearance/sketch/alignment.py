@@ -71,7 +71,7 @@ _NOTHING_KNOWN = 1e-4
 _LEAST_DEPTH_M = 1e-6  # m; a point must lie before the camera. Source: by construction
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def read_map(plane: Float32s, x: float, y: float) -> float:
     """The map at a place, bilinear; −1 outside."""
     height, width = plane.shape
@@ -84,7 +84,7 @@ def read_map(plane: Float32s, x: float, y: float) -> float:
     return upper * (1.0 - fy) + lower * fy  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def predict_edge(
     point: npt.NDArray[np.int16], tangent: npt.NDArray[np.int8], lens: Lens, place: Array,
     unit_m: float, rotation: Array, centre: Array, row: Array,
@@ -122,7 +122,7 @@ def predict_edge(
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def likeliest_edge(
     plane: Float32s, cover: Float32s, row: Array, reach_px: int, spread_px: float, outline: bool
 ) -> tuple[float, float]:
@@ -152,7 +152,7 @@ def likeliest_edge(
     return at, best
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def measure_sketch(
     maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, reach_px: int,
     spread_px: float, stride: int, inner_weight: float, edges: Array,
@@ -200,7 +200,7 @@ def measure_sketch(
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def align_to_sketch(
     maps: Maps, lens: Lens, views: ViewTables, stages: Array, rotation: Array, centre: Array,
     edges: Array,
@@ -233,7 +233,7 @@ def align_to_sketch(
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def sketch_agreement(
     maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, edges: Array
 ) -> tuple[float, float, float, float]:
