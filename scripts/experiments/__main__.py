@@ -19,6 +19,7 @@ EXPERIMENTS = {
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
         "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
+        "sketch-gain": ("pose.sketch_gain", "first poses with and without sketches, own frames"),
         "sketch-picture": ("pose.sketch_picture", "frames in hard light, their sketches, poses"),
         "pose-speed": ("pose.speed", "time of a pose beside its floors and peers"),
         "visp-tracking": ("pose.visp_tracking", "tracking beside ViSP's model-based tracker"),
