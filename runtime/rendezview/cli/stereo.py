@@ -129,7 +129,7 @@ def track(
             angular_acceleration=float(np.deg2rad(angular)), linear_acceleration=linear
         )
     tracker: Sensor[Sequence[Spots], StereoObservation] = StereoTracker.of_target(
-        loaded, lights, TrackerOptions(motion=motion)
+        loaded, lights, TrackerOptions(motion=motion, calibration_error=True)
     )
     options = SpotOptions(threshold_grey=threshold)
     series = open_readings(readings, loaded, names, rate_hz=rate, options=options)

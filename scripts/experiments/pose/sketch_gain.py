@@ -56,8 +56,9 @@ def run(model: Path, mesh: Path, *, frames: int = 200, seed: int = 902) -> None:
         for kind, some in errors.items():
             error = np.array(some)
             right = error < RIGHT_DEG
+            way = "with" if kind else "without"
             print(
-                f"{name}, {'with' if kind else 'without'} sketch: right {100 * right.mean():.1f} %, "
+                f"{name}, {way} sketch: right {100 * right.mean():.1f} %, "
                 f"wrong {100 * (error >= RIGHT_DEG).mean():.1f} %, "
                 f"median {np.median(error[right]):.3f}°, {1e3 * np.median(times[kind]):.0f} ms"
             )

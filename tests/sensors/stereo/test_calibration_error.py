@@ -13,6 +13,7 @@ from rendezview.geometry.so3 import between
 from rendezview.sensors.stereo import Rig, Spots, StereoTracker
 from rendezview.sensors.stereo.calibration_error import CalibrationError, moved, turned
 from rendezview.sensors.stereo.rig import RigCamera
+from rendezview.sensors.stereo.tracker import TrackerOptions
 
 LEDS = np.array(
     [[0.3, 0, 0], [-0.3, 0, 0], [0, 0.3, 0], [0, -0.3, 0.05], [0, 0, 0.3], [0.2, 0.2, -0.1]]
@@ -62,7 +63,8 @@ def test_poses_of_wrong_calibrations_are_off_by_what_they_claim(rig):
     for _ in range(60):
         taken = wrong(rig, root @ rng.normal(size=len(SIGMA)))
         for chosen, out in ((taken, nees), (replace(taken, covariance=None), without)):
-            reading = StereoTracker(chosen, LEDS).update(0.0, spots(rig, rng))
+            options = TrackerOptions(calibration_error=True)
+            reading = StereoTracker(chosen, LEDS, options=options).update(0.0, spots(rig, rng))
             if reading.pose is None:  # the cameras contradict each other
                 continue
             truth = chosen.cameras[0].camera_from_rig @ POSE

@@ -40,6 +40,8 @@ class TrackerOptions:
 
     motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
     longest_outage_s: float = 5.0  # after that the last estimate is no longer used
+    # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
+    calibration_error: bool = False
     window: float = 0.03  # normalised; unnamed spots are looked for so far from the forecast
 
 
@@ -255,7 +257,8 @@ class StereoTracker:
     def _calibrated(self, observation: StereoObservation) -> StereoObservation:
         """The observation with the calibration's share in its covariance."""
         pose, fit = observation.rig_from_target, observation.fit
-        if not self._calibration or pose is None or fit is None:
+        wanted = self.options.calibration_error and self._calibration
+        if not wanted or pose is None or fit is None:
             return observation
         assert observation.covariance is not None
         added = self._calibration.covariance(pose, fit.sights.weight)
