@@ -7,27 +7,24 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Float32s
-from rendezview.sensors.appearance.sketch.retrieval import towards
+from rendezview.sensors.appearance.sketch.retrieval import nearest_view, towards
 from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches
 
 _HALVES = 2  # times coarser than the sketch: a view's maps are no finer. Source: by construction
 # Source: experiment photo-accuracy
 _LINE_SIGMA_CELLS = 1.2  # σ, cells: lines of the nearest view lie a little aside
-FEATURES = ("overlap", "edges", "creases")
 
 
 class SketchAgreement:
     """Compares one sketch with poses."""
 
-    def __init__(self, views: ViewSketches, directions: Array, maps: Float32s) -> None:
+    def __init__(self, views: ViewSketches, maps: Float32s) -> None:
         """
         Args:
             views: of the model.
-            directions: (V, 3) unit, from the view centre to the camera of each view.
             maps: (MAPS, h, w) of the sketch.
         """
         self._views = views
-        self._directions = directions
         height, width = maps.shape[1:]
         self._size = max(1, width // _HALVES), max(1, height // _HALVES)
         self._maps = np.stack(
@@ -38,7 +35,7 @@ class SketchAgreement:
     def of(
         self, rotation: Array, centre: Array, centre_px: Array, radius_px: float
     ) -> tuple[float, float, float]:
-        """``FEATURES`` of a pose: overlap of covers (intersection over union), correlations.
+        """Overlap of covers (intersection over union), correlations of edges and of creases.
 
         Args:
             rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
@@ -46,9 +43,7 @@ class SketchAgreement:
             radius_px: a target radius there, sketch px.
         """
         ahead = towards(centre / np.linalg.norm(centre)).T @ rotation
-        view = int(np.argmax(self._directions @ -ahead[2]))
-        between = ahead @ self._views.rotation[view].astype(np.float64).T
-        turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+        view, turn = nearest_view(self._views, ahead)
         c, s = np.cos(turn), np.sin(turn)
         spin = np.array([[c, -s], [s, c]])
         middle_px = centre_px + radius_px * spin @ self._views.centre_radii[view]

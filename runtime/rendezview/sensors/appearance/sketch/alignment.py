@@ -49,7 +49,7 @@ class Maps(NamedTuple):
     place: Array  # (3,) of ``Sketch.place``
 
 
-# One more row for each point: the map at its predicted place, and the cover's step across it.
+# Two more columns for each point: the map at its predicted place, and the cover's step across it.
 AT, CONTRAST = COLUMNS, COLUMNS + 1
 WIDTH = COLUMNS + 2  # Source: by construction
 
@@ -164,6 +164,7 @@ def measure_sketch(
         reach_px: how far to look to either side.
         spread_px: σ of the preference for near edges.
         stride: every so many-th point only.
+        inner_weight: of creases and steps, beside the outline.
         edges: (N, WIDTH) measurements.
     """
     nearest = np.zeros(1, dtype=np.int64)
@@ -208,7 +209,7 @@ def align_to_sketch(
     """Move a pose (in place) onto the edges of a sketch; False where it finds no hold.
 
     Args:
-        stages: (K, 4) reach, spread (sketch px), steps, stride.
+        stages: (K, 5) reach, spread (sketch px), steps, stride, weight of inner edges.
         edges: (N, WIDTH) scratch; holds the last measurements afterwards.
     """
     matrix, right = np.empty((6, 6)), np.empty(6)

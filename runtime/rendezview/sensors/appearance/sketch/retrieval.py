@@ -111,9 +111,7 @@ class SketchRetrieval:
         centres = []
         for rotation in rotations:
             seen = ahead.T @ rotation
-            view = int(np.argmax(self._sketches.rotation[:, 2] @ seen[2]))
-            between = seen @ self._sketches.rotation[view].astype(np.float64).T
-            turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+            view, turn = nearest_view(self._sketches, seen)
             bearing, range_m = self._placed(
                 sketch, centre, size, view, exp(np.array([0.0, 0.0, turn]))
             )
@@ -135,6 +133,14 @@ class SketchRetrieval:
         in_frame = (place_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
         ray = np.asarray(self._camera.rays(in_frame[None]))[0]
         return np.asarray(ray / np.linalg.norm(ray))
+
+
+def nearest_view(views: ViewSketches, ahead: Array) -> tuple[int, float]:
+    """The view nearest to an attitude (3, 3) of a camera that looks at the target, and its roll."""
+    view = int(np.argmax(views.rotation[:, 2] @ ahead[2]))
+    between = ahead @ views.rotation[view].astype(np.float64).T
+    turn = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+    return view, float(turn)
 
 
 def towards(bearing: Array) -> Array:

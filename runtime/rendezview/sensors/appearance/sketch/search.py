@@ -76,7 +76,6 @@ class SketchSearch:
         self.sketcher = Sketcher()
         self.retrieval = SketchRetrieval(model, model.sketches, camera)
         self._sketches = model.sketches
-        self._directions = -model.sketches.rotation[:, 2].astype(np.float64)
         self._views = views
         self._lens = (lens_vector(camera), camera.is_distorted)
 
@@ -115,7 +114,7 @@ class SketchSearch:
         maps = _maps(sketch)
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
-        agreement = SketchAgreement(self._sketches, self._directions, sketch.maps)
+        agreement = SketchAgreement(self._sketches, sketch.maps)
         found = []
         for k in np.flatnonzero(scores[:, 0] >= 0.0):
             place, radius_px = self._in_sketch(sketch, centres[k])
