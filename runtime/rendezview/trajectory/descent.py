@@ -29,10 +29,12 @@ from rendezview.trajectory.simplex import (
 )
 from rendezview.trajectory.start import first_guess, hops_of
 
-CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
+# c² of the robust cost over the variance of a point: 3.5 σ counts half. Source: by construction
+CUT = 12.0
 _MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom. Source: by construction
 _NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Source: by construction
-_HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
+# χ² that hops must save: five parameters, and chance. Source: experiment trajectory-accuracy
+_HOPS_WORTH = 30.0
 _SUBSETS = 40  # of three frames: with 40 % outliers nine are clean. Source: by construction
 _LED = 3  # starts that the simplex goes down from. Source: experiment trajectory-methods, seed 1
 _SIDES = 0.02  # of the typical sizes, longest sides of a first simplex. Source: the same
@@ -40,7 +42,8 @@ _LEAST_SIDES = 1e-4  # of the same: the shortest. Source: by construction
 _RESTARTS = 4  # Source: experiment trajectory-methods, seed 1
 # Where either holds, several valleys are likely. Source: experiment trajectory-methods, seed 1
 _FEW_FRAMES = 20
-_OUTLIERS = 0.05  # share of the points that are more than 3.5 σ off
+# Share of the points that are more than 3.5 σ off. Source: experiment trajectory-methods, seed 1
+_OUTLIERS = 0.05
 
 
 class Method(StrEnum):
