@@ -93,6 +93,8 @@ def track(
     moment = parse_epoch(epoch)
     loaded = ViewModel.load(model)
     sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
+    for note in sequence.notes:
+        say(note)
     first = _prior(prior, sequence, loaded)
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)

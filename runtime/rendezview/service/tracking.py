@@ -56,6 +56,8 @@ def camera_message(camera: Camera) -> CameraMessage:
         cx=camera.cx,
         cy=camera.cy,
         distortion=list(camera.distortion),
+        lens_model=camera.lens_model,
+        bit_depth=camera.bit_depth,
     )
 
 
