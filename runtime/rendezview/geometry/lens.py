@@ -12,10 +12,10 @@ from rendezview.geometry.distortion import fisheye_limit_rad, tilt_matrix
 from rendezview.geometry.pose import Array
 
 # Layout of a lens vector: fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6, the model, the rest by model.
-_MODEL = 12
+_MODEL = 12  # Source: by construction
 _EXTENDED, _FISHEYE = 1.0, 2.0  # kinds of lenses; 0: at most 8 terms. Source: by construction
-_LIMIT = 8  # of a fisheye, in k3's place: largest angle, rad
-_PRISM, _TILT = 13, 17  # s1 s2 s3 s4; the homography of the tilt, row-wise
+_LIMIT = 8  # of a fisheye, in k3's place: largest angle, rad. Source: by construction
+_PRISM, _TILT = 13, 17  # s1 s2 s3 s4; the tilt's homography by rows. Source: by construction
 LENS_LENGTH = 26  # Source: by construction
 
 
