@@ -237,7 +237,7 @@ def align(
     """Move a pose (in place) onto the edges.
 
     Args:
-        lens: (12,) camera vector, and whether it distorts.
+        lens: ``lens_vector`` of the camera, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
         stages: (K, 12) from coarse to fine, rows of ``Stage``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
