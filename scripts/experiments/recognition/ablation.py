@@ -15,6 +15,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.outline.voters import LEAF, ODDS_UNIT
 from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.shading import ShadingOptions
 from rendezview.training.mesh import Mesh
@@ -25,6 +26,7 @@ RANGE_RADII = (3.0, 7.0)
 PRIOR_RAD = np.deg2rad(3.0)
 CAMERA = Camera.from_fov(640, 480, float(np.deg2rad(53.0)))
 KINDS = ("learned", "silenced", "random")
+SILENT = round(np.log(0.1 / 0.9) / ODDS_UNIT)  # the share of a node's views among its samples
 
 Record = dict[str, Any]
 
@@ -33,7 +35,13 @@ def with_trees(model: ViewModel, kind: str, rng: np.random.Generator) -> ViewMod
     """The model with its own leaves, with leaves that say nothing, or with shuffled ones."""
     if kind == "learned":
         return model
-    forest = model.forest
+    forest, voters = model.forest, model.voters
+    if voters is not None:
+        leaf = voters.component == LEAF
+        odds = voters.odds.copy()
+        said = voters.odds[leaf]
+        odds[leaf] = SILENT if kind == "silenced" else rng.permutation(said)
+        model = replace(model, voters=replace(voters, odds=odds))
     if kind == "silenced":
         none = np.zeros_like(model.leaf_on)
         silent = replace(forest, category=np.zeros_like(forest.category))
