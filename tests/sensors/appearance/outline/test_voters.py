@@ -88,7 +88,7 @@ def test_the_voters_of_a_view_prefer_its_own_attitude(refining_model):
     for view in range(0, len(refining_model.lattice.nodes), 7):
         attitude = refining_model.views.centred_from_target[view]
         readings = refining_model.views.readings[view].astype(np.float32)
-        turned = Rotation.from_euler("x", [0.0, 60.0, 120.0, 180.0], degrees=True).as_matrix()
+        turned = Rotation.from_rotvec(np.deg2rad([[0, 0, 0], [60, 0, 0], [0, 120, 0]])).as_matrix()
         scores = ballot.scores(Signature(readings, 1.0, np.eye(3)), attitude @ turned)
         right.append(np.argmax(scores) == 0)
     assert np.mean(right) > 0.9

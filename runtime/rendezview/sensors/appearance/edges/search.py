@@ -34,7 +34,6 @@ from rendezview.sensors.appearance.sky import Sky
 
 # Source: commit 7a5ba6e, experiment pose-accuracy
 _CONFIDENT = 0.98  # probability; such a pose needs no further search, nor its shading
-# Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 # Of the log of the rank by similarity, a unit of the voters' log odds. Source: experiment
 # tree-ablation, seed 4101
 _VOTES_WORTH = 0.3
@@ -43,6 +42,7 @@ _REFINED_OF_VOTED = 2  # Source: experiment tree-ablation, seed 4101
 # views among its samples. Source: experiment tree-ablation, seed 4101
 _LEAST_VOTES = -1.0
 _LEAST_LEAD = 1.0  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
+# Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident
 _ASIDE_RAD = np.deg2rad(9.0)  # rad; a local optimum lies about that far from the right pose
 _CLOSE_RAD = np.deg2rad(3.0)  # rad; error of a good prior
