@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from rendezview.errors import RendezviewError
 from rendezview.evaluation.palette import (
@@ -159,7 +160,7 @@ def ring_picture(records: list[dict[str, Any]], where: str) -> Figure:
     dress(grid[-2], y="ellipses")
     grid[-2].step(x, counts, where="mid", color=MUTED, linewidth=1.4)
     grid[-2].set_ylim(bottom=0.0)
-    grid[-2].yaxis.get_major_locator().set_params(integer=True)
+    grid[-2].yaxis.set_major_locator(MaxNLocator(integer=True))
     if posed:
         dress(grid[0], y="distance, m")
         _curve(grid[0], np.array(x), np.array(distance), ESTIMATE)
