@@ -326,8 +326,8 @@ def inlier_ratios(
     view = nearest[0]
     kinds = views.kind[shell, view]
     count = measure_edges(
-        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT, _NO_SUN,
-        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
+        image, lens, frame, views, shell, view, rotation, centre, np.zeros(1), np.zeros(3),
+        int(np.ceil(2.5 * spread_px)), spread_px, _ONE, 0.0, _ONE, stride, spread_px < 0.0, edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
     outlines, inners, visible = 1e-9, 1e-9, 0.0
