@@ -53,6 +53,7 @@ EXPERIMENTS = {
     "trajectory": {
         "trajectory-frames": ("trajectory.frames", "draws paths and recognises their frames"),
         "trajectory-accuracy": ("trajectory.accuracy", "errors of segments, predictions and spin"),
+        "trajectory-methods": ("trajectory.methods", "ways to fit a segment beside scipy"),
         "trajectory-speed": ("trajectory.speed", "time of a fit beside scipy and nlopt"),
         "close-approach": ("trajectory.close_approach", "approach until the target overflows"),
         "closed-loop": ("trajectory.closed_loop", "frames, recognition, fit and correction"),

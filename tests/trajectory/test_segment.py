@@ -8,6 +8,7 @@ from tests.trajectory.paths import RANGE_M, SPAN_S, TIMES, circle, nodes, off, r
 from rendezview.geometry.pose import Pose
 from rendezview.trajectory import (
     FitOptions,
+    Method,
     Nothing,
     PointCloud,
     Segment,
@@ -195,8 +196,45 @@ def test_scattered_points_turn_about_nothing():
     assert "no turn" in found.reason
 
 
-def test_without_simplex_gauss_newton_stands_alone():
+def cluttered(
+    places: np.ndarray, rng: np.random.Generator, share: float, each: int = 5
+) -> PointCloud:
+    """Every fifth place with noise; a share of them a tenth of the range off."""
+    times, some = TIMES[::each], places[::each]
+    some = some + 0.03 * rng.standard_normal(some.shape)
+    far = rng.choice(len(some), round(share * len(some)), replace=False)
+    some[far] += 0.1 * RANGE_M * rng.standard_normal((len(far), 3))
+    return PointCloud.of_places(times, some, np.tile(0.03**2 * np.eye(3), (len(some), 1, 1)))
+
+
+@pytest.mark.parametrize("method", list(Method))
+def test_each_method_finds_a_circle_among_outliers(method):
+    for seed in range(5):
+        rng = np.random.default_rng([12, seed])
+        _, first, _ = circle(rng)
+        cloud = cluttered(first, rng, 0.3)
+        segment = fitted(cloud, Shape.CIRCULAR, options=FitOptions(method=method))
+        assert off(segment.places(TIMES), first) < 3e-3
+        assert (segment.evaluations > 0) == (method is not Method.GAUSS_NEWTON)
+
+
+def test_gauss_newton_alone_is_the_default_on_a_clean_circle():
     rng = np.random.default_rng(12)
     _, first, _ = circle(rng)
-    options = FitOptions(simplex=False)
-    assert fitted(refined(first, rng), Shape.CIRCULAR, options=options).evaluations == 0
+    assert fitted(refined(first, rng), Shape.CIRCULAR).evaluations == 0
+
+
+def test_simplex_finds_hops_that_gauss_newton_misses():
+    errors: dict[Method, list[float]] = {m: [] for m in (Method.GAUSS_NEWTON, Method.BEST)}
+    for seed in range(6):
+        rng = np.random.default_rng([13, seed])
+        distance = 50.0 - 0.05 * TIMES
+        flat = np.stack([0 * TIMES, distance, 0 * TIMES], axis=1)
+        high = 0.03 * distance * np.abs(np.sin(np.pi * (TIMES - 20.0) / 67.0))
+        hopping = flat + np.stack([high, 0 * high, 0 * high], axis=1)
+        cloud = cluttered(hopping, rng, 0.2, each=2)
+        for method, some in errors.items():
+            segment = fitted(cloud, Shape.VBAR, options=FitOptions(method=method))
+            some.append(off(segment.places(TIMES), hopping))
+    assert np.median(errors[Method.BEST]) < 1e-3
+    assert np.median(errors[Method.BEST]) < 0.5 * np.median(errors[Method.GAUSS_NEWTON])

@@ -1,6 +1,7 @@
 """Trajectory: segments of a path fitted to observations, corrections, attitude and spin."""
 
 from rendezview.trajectory.cloud import NodeErrors, PointCloud, camera_place, centre_place
+from rendezview.trajectory.descent import Method
 from rendezview.trajectory.follower import FollowerOptions, PathFollower, Report
 from rendezview.trajectory.guidance import Correction, correct
 from rendezview.trajectory.nothing import Nothing
@@ -13,6 +14,7 @@ __all__ = [
     "Correction",
     "FitOptions",
     "FollowerOptions",
+    "Method",
     "NodeErrors",
     "Nothing",
     "Orbit",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +11,7 @@ import numpy.typing as npt
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.cloud import PointCloud
+from rendezview.trajectory.descent import CUT, Descent, Method, descend
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.scaling import inverse_of, sigmas_of, solved, typical_sizes
 from rendezview.trajectory.shapes import (
@@ -24,21 +24,15 @@ from rendezview.trajectory.shapes import (
 )
 from rendezview.trajectory.simplex import (
     RESIDUALS,
-    downhill_simplex,
-    gauss_newton,
     jacobian,
     normal_equations,
     residuals,
 )
-from rendezview.trajectory.start import first_guess, hops_of
+from rendezview.trajectory.start import first_guess
 
 Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
 
 _LEAST_FRAMES = 6
-_CUT = 12.0  # c² of the robust cost over the variance of a point: 3.5 σ counts half
-_MEDIAN_OF_THREE = 2.366  # of χ² with three degrees of freedom. Source: by construction
-_NEAR = 0.01  # the simplex ends so near, in units of χ²: a tenth of a σ. Source: by construction
-_HOPS_WORTH = 30.0  # χ² that hops must save: five parameters, and chance
 _MOST_CORRELATED = 0.9
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
 # again as goes with time and its square: views alike err alike. On active nodes, poses; nodes:
@@ -51,8 +45,7 @@ _COMMON = (0.35, 1.1)
 class FitOptions:
     """How a segment is fitted."""
 
-    most_evaluations: int = 600  # Source: by construction, a bound only
-    simplex: bool = True  # False: Gauss–Newton's answer only
+    method: Method = Method.BEST  # Source: experiment trajectory-methods, seed 1
     hops: bool = True  # look for hops of a V-bar approach
     least_turn_sigma: float = 3.0  # of circular and spiral: a less certain rate is rejected
 
@@ -70,8 +63,8 @@ class Segment:
     frames: int
     points: int
     scatter: tuple[float, float]  # of active nodes, of poses: over what they claim
-    gap_sigma: float  # largest step from the simplex's answer to Gauss–Newton's, in σ
-    evaluations: int  # of the simplex
+    gap_sigma: float  # largest step of Gauss–Newton from the answer, in σ
+    evaluations: int  # of the simplex; 0: Gauss–Newton alone
     cost: float  # robust χ², of unscaled points
     code: int
     base: Array  # (3, 3)
@@ -156,11 +149,10 @@ def fit_segment(
     previous: Segment | None = None,
     options: FitOptions | None = None,
 ) -> Segment | Nothing:
-    """The segment of a shape that fits a cloud best, by downhill simplex on a robust cost.
+    """The segment of a shape that fits a cloud best, by a robust cost.
 
-    Cleghorn & Sternberg (1991), "Trajectory": the simplex is theirs, as are circular, spiral and
-    V-bar. Gauss–Newton down the same cost gives the starting simplex, its sides one σ long, and
-    the check (``Segment.gap_sigma``); for orbit and drift it is the linear least-squares answer.
+    Cleghorn & Sternberg (1991), "Trajectory": the downhill simplex is theirs, as are circular,
+    spiral and V-bar. See ``descent`` for the simplex, Gauss–Newton, and when each is used.
 
     Args:
         cloud: points about the path's centre.
@@ -189,6 +181,7 @@ def fit_segment(
     guess: tuple[Array, Array] | Nothing | None = None
     if previous is not None and previous.shape is shape:
         guess = _moved(previous, middle_s)
+    near = guess is not None
     if guess is None:
         guess = first_guess(code, times, places_m, cloud.weights, mean_motion_rad_s)
     if isinstance(guess, Nothing):
@@ -196,116 +189,32 @@ def fit_segment(
     base, start = guess
     scales = typical_sizes(code, length_m, 0.5 * (end_s - start_s))
     data = (times, base, constants, ridden, cloud.points, cloud.whitening, cloud.by_node)
-    fit = _settled(_SegmentFit(code, start, scales, data, cloud.weights), data)
-    if shape is Shape.VBAR and options.hops:
-        fit = _with_hops(fit, places_m, length_m)
+    fit = descend(
+        Descent(code, start, scales, data, cloud.weights),
+        places_m,
+        length_m,
+        options.method,
+        hops=options.hops,
+        near=near,
+    )
     return _finished(fit, cloud, shape, middle_s, carrier, options)
 
 
-_Data = tuple[Any, ...]  # see ``simplex``: times, base, constants, carrier, points, …
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _SegmentFit:
-    """Gauss–Newton's answer, and the data with standard deviations that fit their scatter."""
-
-    code: int
-    parameters: Array
-    scales: Array  # (P,) typical sizes of the parameters
-    data: _Data
-    weights: Array
-    scatters: tuple[float, float] = (1.0, 1.0)  # claims over scatter: nodes, poses
-
-    def down(self, cut: float = _CUT, steps: int = 8) -> tuple[Array, float]:
-        """Parameters and cost after at most so many steps of Gauss–Newton."""
-        parameters, cost = gauss_newton(
-            self.code, self.parameters, self.scales, self.data, self.weights, cut, steps
-        )
-        return parameters, float(cost)
-
-
-def _settled(fit: _SegmentFit, data: _Data) -> _SegmentFit:
-    """From least squares to the robust cost.
-
-    Nodes and poses are scaled by their own scatter each, not by their given covariances.
-
-    Args:
-        data: with the standard deviations claimed.
-    """
-    place, out = np.empty((len(data[0]), 3)), np.empty((len(data[0]), RESIDUALS))
-    cut = np.inf
-    for _ in range(4):
-        parameters, _ = fit.down(cut)
-        residuals(fit.code, parameters, data, place, out)
-        squares = np.einsum("ij,ij->i", out, out)
-        whitening = data[5].copy()
-        claims = [1.0, 1.0]
-        for kind, chosen in enumerate((data[6], ~data[6])):
-            if chosen.any():
-                scatter = np.sqrt(np.median(squares[chosen]) / _MEDIAN_OF_THREE)
-                claims[kind] = 1.0 / max(float(scatter), 1e-6)
-                whitening[chosen] *= claims[kind]
-        whitening[data[6], 2, 2] = data[5][data[6], 2, 2]  # the range of a node, no deviation
-        fit = replace(
-            fit,
-            parameters=parameters,
-            data=(*data[:5], whitening, data[6]),
-            scatters=(claims[0], claims[1]),
-        )
-        cut = _CUT
-    return fit
-
-
-def _with_hops(fit: _SegmentFit, places_m: Array, length_m: float) -> _SegmentFit:
-    """A straight line with hops, if the points show them."""
-    _, straight = fit.down()
-    line = fit.parameters
-    times, base, constants, *rest = fit.data
-    far_m = float(np.linalg.norm(line[:3]))
-    closing = -float(line[:3] @ line[3:]) / max(far_m, 1e-9) ** 2
-    start = hops_of(times, places_m, fit.weights, closing)
-    if start is None:
-        return fit
-    half_s = 0.5 * float(times[-1] - times[0])
-    hopping = replace(
-        fit,
-        code=HOPS,
-        parameters=start,
-        scales=typical_sizes(HOPS, length_m, half_s),
-        data=(times, base, np.array([constants[0], closing]), *rest),
-    )
-    parameters, least = hopping.down(steps=20)
-    if straight - least < _HOPS_WORTH or not _sound_hops(parameters, half_s):
-        return fit
-    return replace(hopping, parameters=parameters)
-
-
-def _sound_hops(parameters: Array, half_s: float) -> bool:
-    """A period that the segment can show."""
-    return bool(0.1 * half_s < parameters[9] < 4.0 * half_s)
-
-
 def _finished(
-    fit: _SegmentFit,
+    fit: Descent,
     cloud: PointCloud,
     shape: Shape,
     middle_s: float,
     carrier: Carrier | None,
     options: FitOptions,
 ) -> Segment | Nothing:
-    """The simplex from Gauss–Newton's answer, and the covariance where it ends."""
-    parameters, least = fit.down()
-    matrix, _ = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
-    sigmas = sigmas_of(matrix, fit.scales)
-    evaluations = 0
-    if options.simplex:
-        parameters, least, evaluations = downhill_simplex(
-            fit.code, parameters, sigmas, fit.data, fit.weights, _CUT,
-            options.most_evaluations, _NEAR,
-        )  # fmt: skip
+    """The segment, with the covariance where the descent has ended."""
+    parameters, least = fit.parameters, fit.cost()
+    if options.method is not Method.SIMPLEX:
+        parameters, least = fit.down()
     if not (np.isfinite(parameters).all() and np.isfinite(least)):
         return Nothing("the fit runs away: these points belong to no such segment")
-    matrix, right = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, _CUT)
+    matrix, right = normal_equations(fit.code, parameters, fit.scales, fit.data, fit.weights, CUT)
     gap = np.abs(solved(matrix, right, fit.scales)) / sigmas_of(matrix, fit.scales)
     covariance = _covariance(fit, parameters, matrix)
     if fit.code <= SPIRAL:
@@ -327,7 +236,7 @@ def _finished(
         points=len(cloud),
         scatter=(1.0 / fit.scatters[0], 1.0 / fit.scatters[1]),
         gap_sigma=float(gap.max()),
-        evaluations=int(evaluations),
+        evaluations=fit.evaluations,
         cost=float(least),
         code=fit.code,
         base=fit.data[1],
@@ -336,14 +245,14 @@ def _finished(
     )
 
 
-def _covariance(fit: _SegmentFit, parameters: Array, matrix: Array) -> Array:
+def _covariance(fit: Descent, parameters: Array, matrix: Array) -> Array:
     """(P, P) from the points' own misfits, summed over each frame before they are squared."""
     times = fit.data[0]
     place, out = np.empty((len(times), 3)), np.empty((len(times), RESIDUALS))
     slopes = jacobian(fit.code, parameters, fit.scales, fit.data, place, out)
     residuals(fit.code, parameters, fit.data, place, out)
     squares = np.einsum("ij,ij->i", out, out)
-    weights = fit.weights / (1.0 + squares / _CUT) ** 2
+    weights = fit.weights / (1.0 + squares / CUT) ** 2
     first = np.flatnonzero(np.concatenate([[True], np.diff(times) > 0.0]))
     scores = np.add.reduceat(weights[:, None] * np.einsum("nip,ni->np", slopes, out), first)
     frames, size = len(first), len(parameters)
@@ -365,8 +274,8 @@ def _covariance(fit: _SegmentFit, parameters: Array, matrix: Array) -> Array:
 
 
 def _turned_over(
-    fit: _SegmentFit, parameters: Array, covariance: Array
-) -> tuple[_SegmentFit, Array, Array]:
+    fit: Descent, parameters: Array, covariance: Array
+) -> tuple[Descent, Array, Array]:
     """The same circle with its normal on the other side, so that the rate is positive."""
     turned = so3.exp(parameters[:3])
     over = np.diag([1.0, -1.0, -1.0])  # half a turn about the place of the middle

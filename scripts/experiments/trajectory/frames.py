@@ -23,6 +23,7 @@ FRAMES = 100
 STEP_S = 2.0
 SPAN_S = FRAMES * STEP_S
 RATE_RAD_S = 1.0 / SPAN_S
+MEAN_MOTION_RAD_S = 0.0011
 JITTER_RAD = np.deg2rad(0.3)
 INERTIA = (1.0, 1.6, 2.0)
 CAMERA = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
@@ -82,8 +83,26 @@ def true_path(
     return flown, turned
 
 
+def suns(rotations: Array, still: Array, phase_rad: float, rng: np.random.Generator) -> Array:
+    """(N, 3) towards the Sun in the camera's axes: it stands still in space, the orbit turns.
+
+    Args:
+        rotations: (N, 3, 3) camera_from_target.
+        still: (N, 3, 3) from the axes that keep their place in the orbit to the camera's.
+        phase_rad: angle Sun–target–camera in the middle of the segment.
+    """
+    middle = len(rotations) // 2
+    there = sun_at_phase([0.0, 0.0, 1.0], phase_rad, rng.uniform(0.0, 2.0 * math.pi))
+    first = still[middle].T @ there
+    normal = rng.standard_normal(3)
+    normal /= np.linalg.norm(normal)
+    turns = -MEAN_MOTION_RAD_S * STEP_S * (np.arange(len(rotations)) - middle)
+    moved = Rotation.from_rotvec(turns[:, None] * normal).apply(first)
+    return np.asarray(np.einsum("nij,nj->ni", still, moved))
+
+
 def observations(
-    model: ViewModel, target: str, kind: str, seed: int, sun_phase_rad: float
+    model: ViewModel, target: str, kind: str, seed: int, most_phase_rad: float
 ) -> dict[str, Array]:
     """One segment through the renderer and both trackers, as arrays."""
     found = find_target(target)
@@ -95,16 +114,18 @@ def observations(
     rotations = turns(times_s)[0]
     truth = places(times_s)
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
-    azimuth = rng.uniform(0.0, 2.0 * math.pi)
     jitter = Rotation.from_rotvec(JITTER_RAD * rng.standard_normal((FRAMES, 3))).as_matrix()
+    phase_rad = rng.uniform(0.0, most_phase_rad)
+    # A turning target turns in the axes of the orbit, which are the camera's.
+    turning = kind in ("spin", "tumble")
+    light = suns(jitter @ rotations, jitter if turning else jitter @ rotations, phase_rad, rng)
     options = SceneOptions()
     trackers: tuple[Tracker, Tracker] | None = None
     seen: list[tuple[AppearanceObservation, AppearanceObservation]] = []
     for k in range(FRAMES):
         rotation = jitter[k] @ rotations[k]
         pose = Pose(rotation, -rotation @ truth[k])
-        sun = sun_at_phase(pose.apply(centre_m), sun_phase_rad, azimuth)
-        frame = render_frame(mesh, camera, pose, sun, options, rng, float(times_s[k]))
+        frame = render_frame(mesh, camera, pose, light[k], options, rng, float(times_s[k]))
         if trackers is None:
             trackers = (
                 Tracker(Recognizer(model, camera), pose),
@@ -147,15 +168,17 @@ def observations(
 def run(
     folder: Path, model: Path,
     target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], kinds: list[str], *,
-    seeds: tuple[int, int] = (0, 20), sun_phase: Annotated[float, "degrees"] = 0.0,
+    seeds: tuple[int, int] = (0, 20),
+    sun_phase: Annotated[float, "largest in the middle of a segment, degrees"] = 45.0,
 ) -> None:  # fmt: skip
     """Draw paths, recognise their frames, and keep the observations for trajectory-accuracy.
 
     FOLDER/<target>-<kind>-<seed>.npz has one segment (poses, active nodes, signatures) of 100
-    frames, 2 s apart: 1024 × 768, 53° across, the Sun behind the camera (see --sun-phase). Noise,
-    blur and pointing jitter are those of rendezview simulate; the attitude of the path is random.
-    Two trackers read each frame: one with refinement, one with the trees only. An existing file
-    is kept.
+    frames, 2 s apart: 1024 × 768, 53° across. The Sun stands still in space: 0 to --sun-phase
+    from behind the camera in the middle of the segment, and as far aside as the camera flies and
+    the orbit (0.0011 rad/s) turns before and after that. Noise, blur and pointing jitter are those
+    of rendezview simulate; the attitude of the path is random. Two trackers read each frame: one
+    with refinement, one with the trees only. An existing file is kept.
 
     circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to
     5 radii, with three hops of 3 % of the distance. spin, tumble: the camera is fixed at 3.5 radii,

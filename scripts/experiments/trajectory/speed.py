@@ -15,6 +15,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory import (
     FitOptions,
     FollowerOptions,
+    Method,
     PathFollower,
     PointCloud,
     Segment,
@@ -88,7 +89,9 @@ def problem(shape: Shape, seed: int) -> Problem:
     )
     n = MEAN_MOTION_RAD_S
     fit_segment(cloud, shape, mean_motion_rad_s=n)  # compiles
-    best = fit_segment(cloud, shape, mean_motion_rad_s=n, options=FitOptions(simplex=False))
+    best = fit_segment(
+        cloud, shape, mean_motion_rad_s=n, options=FitOptions(method=Method.GAUSS_NEWTON)
+    )
     assert isinstance(best, Segment)
     data = (
         times - best.middle_s, best.base, best.constants, np.zeros((POINTS, 3)),

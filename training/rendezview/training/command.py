@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from rendezview.training.job import train as train_model
 from rendezview.training.mesh import load_mesh
 from rendezview.training.open_executor import open_executor
 from rendezview.training.options import Neighbourhood, TrainingOptions
-from rendezview.training.renderers import Renderer
+from rendezview.training.renderers import Renderer, working_renderer
 from rendezview.training.symmetries import find_symmetries
 
 _DEFAULT = TrainingOptions()
@@ -90,6 +91,9 @@ def train(
         renderer=renderer,
         seed=seed,
     )
+    if dask is None:  # a cluster has its own OpenGL
+        tell = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        options = replace(options, renderer=working_renderer(options.renderer, mesh, tell))
     if paper:
         options = replace(options.paper(), held_out_views=held_out)
     start = time.perf_counter()

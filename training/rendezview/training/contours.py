@@ -33,6 +33,7 @@ from rendezview.training.drawn_view import draw_view
 from rendezview.training.edge_profiles import edge_profiles
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.projection import SurfaceRenderer
 from rendezview.training.surface_palette import packed_surfaces
 from rendezview.training.zbuffer import Float32s
 
@@ -54,19 +55,21 @@ def contour_points(
     direction: Array,
     range_m: float,
     options: TrainingOptions,
+    renderer: SurfaceRenderer | None = None,
 ) -> dict[str, npt.NDArray[Any]]:
     """Contour points of the target seen from a unit direction (3,) at a range.
 
     Args:
         beside: of ``faces_beside(mesh)``.
         options: gives the number of points and the resolution of the drawn view.
+        renderer: of the mesh, see ``draw_view``.
 
     Returns:
         The fields of `Contours` for this view, with the ``surfaces`` (N, SURFACES, 4) for
         ``surface_palette`` instead of ``strip``.
     """
     size = options.contour_resolution_px
-    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
+    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX, renderer)
     focal, middle, nearness, owner = view.focal, view.middle, view.nearness, view.owner
     albedo = mesh.face_albedo
     normals = face_normals(view.vertices, view.faces)

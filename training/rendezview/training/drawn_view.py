@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
+from rendezview.training.projection import SurfaceRenderer, Window
 from rendezview.training.views import look_from
 from rendezview.training.zbuffer import draw_perspective, empty_buffers
 
@@ -34,13 +35,24 @@ def draw_view(
     range_m: float,
     size_px: int,
     border_px: float,
+    renderer: SurfaceRenderer | None = None,
 ) -> DrawnView:
-    """Draw the target from a unit direction (3,); its sphere ends ``border_px`` from the border."""
+    """Draw the target from a unit direction (3,); its sphere ends ``border_px`` from the border.
+
+    Args:
+        renderer: of the same mesh; ``None``: the z-buffer of this package.
+    """
     rotation = look_from(direction)
     vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
     focal = (0.5 * size_px - border_px) / np.tan(np.arcsin(geometry.target_radius_m / range_m))
     middle = 0.5 * (size_px - 1)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    nearness, owner = empty_buffers(size_px, size_px)
-    draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
+    if renderer is None:
+        nearness, owner = empty_buffers(size_px, size_px)
+        draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
+    else:
+        pose = Pose(rotation, np.array([0.0, 0.0, range_m]) - rotation @ geometry.centre_m)
+        nearness, owner = renderer.draw_surfaces(
+            pose, Window(size_px, size_px, float(focal), middle, middle)
+        )
     return DrawnView(rotation, vertices, faces, float(focal), middle, nearness, owner)

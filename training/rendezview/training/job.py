@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib.util
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +29,8 @@ from rendezview.training.crossings import faces_beside
 from rendezview.training.learn import Decisions, Samples, decide
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry, view_geometry
-from rendezview.training.renderers import make_renderer
+from rendezview.training.pyrender_renderer import PyrenderRenderer
+from rendezview.training.renderers import Renderer, make_renderer
 from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.stages import Progress, Shards
 from rendezview.training.training_stages import TrainingStages
@@ -89,13 +91,14 @@ def train(
     geometry = view_geometry(mesh, options, camera)
     inputs = provenance(mesh, options, camera)
     renderer = make_renderer(options.renderer, mesh)
+    surfaces = renderer if isinstance(renderer, PyrenderRenderer) else None
     beside = faces_beside(mesh)
     shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
         stages = TrainingStages(
-            shards, mesh, beside, renderer, geometry, options, executor, progress
+            shards, mesh, beside, renderer, surfaces, geometry, options, executor, progress
         )
         trained = _train(stages, name, tuple(symmetries), shape_error, inputs)
     finally:
@@ -193,7 +196,9 @@ def provenance(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> d
     digest = hashlib.sha256()
     digest.update(np.ascontiguousarray(mesh.vertices_m, dtype="<f8").tobytes())
     digest.update(np.ascontiguousarray(mesh.faces, dtype="<i4").tobytes())
-    packages = ("rendezview", "numpy", "opencv-python-headless", "numba", "scikit-learn")
+    packages = ["rendezview", "numpy", "opencv-python-headless", "numba", "scikit-learn"]
+    if options.renderer is Renderer.PYRENDER and importlib.util.find_spec("pyrender"):
+        packages.append("pyrender")
     return {
         "mesh_sha256": digest.hexdigest(),
         "triangles": len(mesh.faces),

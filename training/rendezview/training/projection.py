@@ -48,6 +48,18 @@ class SilhouetteRenderer(Protocol):
         """
 
 
+class SurfaceRenderer(Protocol):
+    """Draws the nearest surfaces of one mesh."""
+
+    def draw_surfaces(
+        self, camera_from_target: Pose, window: Window
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+        """(height, width) nearness in 1/m, 0 in the sky; and the face that is seen, −1 in the sky.
+
+        A pixel shows what its centre meets.
+        """
+
+
 def project_vertices(vertices_m: Array, camera_from_target: Pose, window: Window) -> Array:
     """Project vertices (V, 3) to (V, 2) pixels of the window.
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import StrEnum
 
+from rendezview.errors import RendezviewError
 from rendezview.training.mesh import Mesh
 from rendezview.training.projection import SilhouetteRenderer
+from rendezview.training.pyrender_renderer import PyrenderRenderer
 from rendezview.training.rasterizer import NumbaRenderer, NumpyRenderer
 
 
@@ -18,15 +21,21 @@ class Renderer(StrEnum):
 
 
 def make_renderer(kind: Renderer, mesh: Mesh) -> SilhouetteRenderer:
-    """Make a renderer of the mesh.
-
-    Raises:
-        RendezviewError: pyrender is requested but cannot be imported here.
-    """
+    """Make a renderer of the mesh."""
     if kind is Renderer.NUMPY:
         return NumpyRenderer(mesh)
     if kind is Renderer.PYRENDER:
-        from rendezview.training.pyrender_renderer import PyrenderRenderer  # needs OpenGL
-
-        return PyrenderRenderer(mesh)
+        return PyrenderRenderer(mesh)  # its processes need OpenGL, this one does not
     return NumbaRenderer(mesh)
+
+
+def working_renderer(kind: Renderer, mesh: Mesh, tell: Callable[[str], None]) -> Renderer:
+    """``kind``, or the default where ``kind`` does not work; ``tell`` gets one line about it."""
+    if kind is Renderer.PYRENDER:
+        renderer = PyrenderRenderer(mesh)
+        try:
+            tell(f"pyrender draws with {renderer.opengl()}")
+        except RendezviewError as error:
+            tell(f"{error}. The views are drawn with --renderer numba instead")
+            return Renderer.NUMBA
+    return kind

@@ -19,6 +19,7 @@ from rendezview.training.directions import axes_towards
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
+from rendezview.training.projection import SurfaceRenderer
 from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _SUN_ORDER = 1  # of the sphere of Sun directions: 42 of them, 32° apart
@@ -66,19 +67,25 @@ def sun_maps(mesh: Mesh, geometry: ViewGeometry) -> SunMaps:
 
 
 def shadowed_silhouettes(
-    mesh: Mesh, maps: SunMaps, geometry: ViewGeometry, view: int, direction: Array
+    mesh: Mesh,
+    maps: SunMaps,
+    geometry: ViewGeometry,
+    view: int,
+    direction: Array,
+    renderer: SurfaceRenderer | None = None,
 ) -> dict[str, npt.NDArray[Any]]:
     """Shadowed silhouettes of one view, for all Sun directions.
 
     Args:
         view: number of the view in the lattice.
         direction: (3,) unit, from the view centre to the camera.
+        renderer: of the mesh, see ``draw_view``.
 
     Returns:
         The fields of `ShadowedSilhouettes` except ``suns``.
     """
     range_m = _RANGE_RADII * geometry.sphere_radius_m
-    drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX)
+    drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX, renderer)
     rotation, nearness, owner = drawn.rotation, drawn.nearness, drawn.owner
     focal, middle = drawn.focal, drawn.middle
     corners = drawn.vertices[drawn.faces]

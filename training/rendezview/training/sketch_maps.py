@@ -23,6 +23,7 @@ from rendezview.sensors.appearance.sketch.views import (
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
+from rendezview.training.projection import SurfaceRenderer
 from rendezview.training.zbuffer import Int32s
 
 SAMPLES = 2  # a pixel side. Source: by construction
@@ -74,12 +75,15 @@ def sketch_maps(nearness: Float32s, owner: Int32s, normals: Float32s, radius_m: 
 
 
 def sketched_view(
-    mesh: Mesh, geometry: ViewGeometry, direction: Array
+    mesh: Mesh,
+    geometry: ViewGeometry,
+    direction: Array,
+    renderer: SurfaceRenderer | None = None,
 ) -> dict[str, npt.NDArray[Any]]:
     """One view of a model from a unit direction (3,): the fields of ``ViewSketches``."""
     range_m = RANGE_RADII * geometry.target_radius_m
     size = SAMPLES * _PICTURE_PX
-    view = draw_view(mesh, geometry, direction, range_m, size, SAMPLES * _BORDER_PX)
+    view = draw_view(mesh, geometry, direction, range_m, size, SAMPLES * _BORDER_PX, renderer)
     normals = facing_normals(view.vertices, view.faces)
     maps = sketch_maps(view.nearness, view.owner, normals, geometry.target_radius_m)
     centre, extent = centroid(maps[0])

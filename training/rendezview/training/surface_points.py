@@ -13,6 +13,7 @@ from rendezview.training.crossings import face_normals
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.projection import SurfaceRenderer
 from rendezview.training.zbuffer import Int32s
 
 SURFACE_ORDER = 3  # of the sphere of directions: 642, independent of the order of the trees
@@ -44,11 +45,12 @@ def visible_points(
     faces: npt.NDArray[np.int32],
     direction: Array,
     options: TrainingOptions,
+    renderer: SurfaceRenderer | None = None,
 ) -> npt.NDArray[np.uint8]:
     """(N / 8,) bits, lowest first: which of the points are visible from a distant camera."""
     range_m = _AFAR_RADII * geometry.target_radius_m
     size = options.contour_resolution_px
-    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX)
+    view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX, renderer)
     places = points @ view.rotation.T + np.array([0.0, 0.0, range_m])
     visible = np.zeros(len(points), dtype=np.bool_)
     _look_up(places, faces, view.focal, view.middle, view.owner, visible)

@@ -23,7 +23,7 @@ from rendezview.training.contours import contour_points
 from rendezview.training.learn import Samples, TreeSet, learn_trees
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
-from rendezview.training.projection import SilhouetteRenderer
+from rendezview.training.projection import SilhouetteRenderer, SurfaceRenderer
 from rendezview.training.shadowed_silhouettes import SunMaps, shadowed_silhouettes, sun_maps
 from rendezview.training.shard_executor import ShardExecutor, Shared, Task
 from rendezview.training.sketch_maps import sketched_view
@@ -57,6 +57,7 @@ class TrainingStages:
     mesh: Mesh
     beside: npt.NDArray[np.int32]  # (F, 3) faces over the edges
     renderer: SilhouetteRenderer
+    surfaces: SurfaceRenderer | None  # None: the z-buffer of this package
     geometry: ViewGeometry
     options: TrainingOptions
     executor: ShardExecutor
@@ -93,7 +94,7 @@ class TrainingStages:
             return None
         directions = Geodesic.of_order(self.options.order + 1).nodes
         shells_m = np.array(radii) * self.geometry.sphere_radius_m
-        shared = (self.mesh, self.beside, self.geometry, self.options)
+        shared = (self.mesh, self.beside, self.geometry, self.options, self.surfaces)
         parts = [
             (directions[p.start : p.stop], range_m)
             for range_m in shells_m
@@ -115,7 +116,7 @@ class TrainingStages:
             return None
         directions = Geodesic.of_order(self.options.order + 1).nodes
         maps = sun_maps(self.mesh, self.geometry)
-        shared = (self.mesh, maps, self.geometry)
+        shared = (self.mesh, maps, self.geometry, self.surfaces)
         parts = [
             (directions[p.start : p.stop], p.start)
             for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
@@ -130,7 +131,7 @@ class TrainingStages:
             return None
         directions = Geodesic.of_order(SURFACE_ORDER).nodes
         points, faces = candidate_points(self.mesh, self.geometry, self.options)
-        shared = (self.mesh, self.geometry, points, faces, self.options)
+        shared = (self.mesh, self.geometry, points, faces, self.options, self.surfaces)
         parts = [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)]
         shards = self._run("surface", _surface_arrays, shared, parts)
         visible = np.concatenate([a["visible"] for a in shards])
@@ -144,7 +145,8 @@ class TrainingStages:
         parts = [
             (directions[p.start : p.stop],) for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
         ]
-        shards = self._run("sketches", _sketch_arrays, (self.mesh, self.geometry), parts)
+        shared = (self.mesh, self.geometry, self.surfaces)
+        shards = self._run("sketches", _sketch_arrays, shared, parts)
         return ViewSketches(**{n: np.concatenate([a[n] for a in shards]) for n in shards[0]})
 
     def trees(self, samples: Samples) -> TreeSet:
@@ -182,18 +184,27 @@ def _contour_arrays(
     beside: npt.NDArray[np.int32],
     geometry: ViewGeometry,
     options: TrainingOptions,
+    surfaces: SurfaceRenderer | None,
     directions: Array,
     range_m: float,
 ) -> Arrays:
-    views = [contour_points(mesh, beside, geometry, d, range_m, options) for d in directions]
+    views = [
+        contour_points(mesh, beside, geometry, d, range_m, options, surfaces) for d in directions
+    ]
     return {name: np.stack([view[name] for view in views]) for name in views[0]}
 
 
 def _silhouette_arrays(
-    mesh: Mesh, maps: SunMaps, geometry: ViewGeometry, directions: Array, first: int
+    mesh: Mesh,
+    maps: SunMaps,
+    geometry: ViewGeometry,
+    surfaces: SurfaceRenderer | None,
+    directions: Array,
+    first: int,
 ) -> Arrays:
     views = [
-        shadowed_silhouettes(mesh, maps, geometry, first + k, d) for k, d in enumerate(directions)
+        shadowed_silhouettes(mesh, maps, geometry, first + k, d, surfaces)
+        for k, d in enumerate(directions)
     ]
     return {name: np.concatenate([view[name] for view in views]) for name in views[0]}
 
@@ -204,14 +215,19 @@ def _surface_arrays(
     points: Array,
     faces: npt.NDArray[np.int32],
     options: TrainingOptions,
+    surfaces: SurfaceRenderer | None,
     directions: Array,
 ) -> Arrays:
-    views = [visible_points(mesh, geometry, points, faces, d, options) for d in directions]
+    views = [
+        visible_points(mesh, geometry, points, faces, d, options, surfaces) for d in directions
+    ]
     return {"visible": np.stack(views)}
 
 
-def _sketch_arrays(mesh: Mesh, geometry: ViewGeometry, directions: Array) -> Arrays:
-    views = [sketched_view(mesh, geometry, direction) for direction in directions]
+def _sketch_arrays(
+    mesh: Mesh, geometry: ViewGeometry, surfaces: SurfaceRenderer | None, directions: Array
+) -> Arrays:
+    views = [sketched_view(mesh, geometry, direction, surfaces) for direction in directions]
     return {name: np.stack([view[name] for view in views]) for name in views[0]}
 
 

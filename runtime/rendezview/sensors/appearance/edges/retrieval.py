@@ -88,11 +88,11 @@ class Retrieval:
     def __init__(self, model: ViewModel) -> None:
         self.model = model
         self._readings = model.views.readings.astype(np.float32)
-        self._bins = SHADOWED_BINS if model.bins % SHADOWED_BINS == 0 else model.bins
+        self._rebinning = rebinning(model.bins, SHADOWED_BINS)
         self._whole = _Catalogue(self._coarse(self._readings))
         self._directions = np.ascontiguousarray(model.lattice.nodes)
         self._shadowed: _Catalogue | None = None
-        if model.lit is not None and self._bins == SHADOWED_BINS:
+        if model.lit is not None:
             readings = model.lit.readings.astype(np.float32) * np.float32(READING_UNIT)
             self._shadowed = _Catalogue(readings)
 
@@ -167,13 +167,13 @@ class Retrieval:
 
     def _rolls(self, shifts: npt.NDArray[np.intp]) -> Array:
         """Roll of a view that is shifted by some bins, rad."""
-        return np.asarray(-2.0 * np.pi / self._bins * shifts)
+        return np.asarray(-2.0 * np.pi / SHADOWED_BINS * shifts)
 
     def _spread(
         self, views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], most: int
     ) -> npt.NDArray[np.intp]:
         cosine = float(np.cos(_APART_RAD))
-        return np.asarray(_spread(views, shifts, self._directions, cosine, self._bins, most))
+        return np.asarray(_spread(views, shifts, self._directions, cosine, SHADOWED_BINS, most))
 
     def overshoot(self, outlines: list[Array], pose: Pose) -> float:
         """How far outlines reach beyond the silhouette that a pose predicts.
@@ -206,8 +206,19 @@ class Retrieval:
         return float(beyond.mean()) / mean
 
     def _coarse(self, readings: Readings) -> Readings:
-        groups = readings.reshape(*readings.shape[:-1], self._bins, -1)
-        return np.asarray(groups.mean(axis=-1), dtype=np.float32)
+        return np.asarray(readings @ self._rebinning, dtype=np.float32)
+
+
+def rebinning(bins: int, coarse: int) -> npt.NDArray[np.float32]:
+    """(N, C) weights that average the readings of any number of bins over windows of other bins.
+
+    Window k is centred on bin k, so that both signatures have the same roll.
+    """
+    share = coarse / bins  # of a window that one reading covers, if it is narrower
+    apart = np.arange(bins)[:, None] * share - np.arange(coarse)[None, :]
+    apart = np.abs(apart - coarse * np.rint(apart / coarse))
+    cover = np.clip(0.5 * (1.0 + share) - apart, 0.0, min(1.0, share))
+    return np.asarray(cover / cover.sum(axis=0), dtype=np.float32)
 
 
 def _attitudes(quat_wxyz: npt.NDArray[np.float32]) -> Rotation:
