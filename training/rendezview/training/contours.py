@@ -82,10 +82,10 @@ def contour_points(
     pixels, edges = edge_pixels(
         view.vertices, view.faces, normals, albedo, focal, middle, nearness, owner, step_m
     )
-    inside = pixels[:, 3] > OUTLINE
+    inner_ones = pixels[:, 3] > OUTLINE
     kept_pixels = np.empty(len(pixels), dtype=np.bool_)
-    for group, most in ((~inside, count - inner), (inside, inner)):
-        kept_pixels[group] = some_of(np.count_nonzero(group), _PIXELS * most)
+    for group, most in ((~inner_ones, count - inner), (inner_ones, inner)):
+        kept_pixels[group] = some_of(int(np.count_nonzero(group)), _PIXELS * most)
     crossings = edge_crossings(
         view.vertices, view.points, view.faces, normals, beside, pixels[kept_pixels], focal,
         middle, nearness, owner, step_m,
