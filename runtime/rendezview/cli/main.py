@@ -29,7 +29,7 @@ _SUMMARIES = {
     "track": "Recognise and track a target through a sequence of frames.",
     "ring": "Find a docking ring: its ellipses, and with its radius its pose.",
     "stereo": "Track a target's lights with two or more cameras.",
-    "calibrate": "Calibrate one camera from a board; print a card of dots.",
+    "calibrate": "Calibrate a camera, or a target's shape; print a card of dots.",
     "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
     "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
     "serve": "Serve poses: frames in, poses out, a page to watch them.",

@@ -96,6 +96,8 @@ def find(
             raise RendezviewError(f"{name} must be a positive number of metres, not {value}")
     prior = _prior(prior_axis, range_m, known)
     sequence = open_sequence(frames, load_camera(camera) if camera else None)
+    for note in sequence.notes:
+        say(note)
     if overlay:
         make_folder(overlay)
     readings = follow(
@@ -152,6 +154,8 @@ def size(
     """
     check_place(output, "the size")
     sequence = open_sequence(frames, load_camera(camera) if camera else None)
+    for note in sequence.notes:
+        say(note)
     echo_of = read_echoes(read_json_lines(ranges), str(ranges))
     with ProgressBar() as bar, JsonLinesWriter(log) if log else nullcontext() as writer:
         done, advance = count(1), bar.stage("frames", len(sequence))

@@ -101,6 +101,16 @@ class ViewModel:
     surface: Surface | None = None  # points and albedo, for shading; None: trained without
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
+    # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
+    shape_covariance: Array | None = None
+
+    @property
+    def shape_uncertainty(self) -> Array:
+        """(6, 6) covariance of the strain between model and craft, as ``strain_covariance`` reads
+        it: shears times √2."""
+        known = np.zeros((6, 6)) if self.shape_covariance is None else self.shape_covariance
+        factors = np.array([1.0] * 3 + [np.sqrt(2.0)] * 3)
+        return np.asarray(factors[:, None] * known * factors + self.shape_error**2 * np.eye(6))
 
     @property
     def bins(self) -> int:
@@ -154,6 +164,8 @@ class ViewModel:
             "shape_error": self.shape_error,
             "provenance": self.provenance,
         }
+        if self.shape_covariance is not None:
+            header["shape_covariance"] = self.shape_covariance.tolist()
         if self.error_model is not None:
             header["error_model"] = self.error_model.record()
         write_container(Path(path), header, arrays)
@@ -193,6 +205,7 @@ class ViewModel:
                 ),
                 shape_error=float(header.get("shape_error", 0.0)),
                 error_model=_error_model(header),
+                shape_covariance=_shape_covariance(header),
                 provenance=dict(header["provenance"]),
                 **{name: arrays[name] for name in _ARRAYS},
             )
@@ -241,6 +254,16 @@ def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
     if found is None:
         raise KeyError("views")
     return found
+
+
+def _shape_covariance(header: dict[str, Any]) -> Array | None:
+    """Of calibrated models."""
+    if "shape_covariance" not in header:
+        return None
+    covariance = np.array(header["shape_covariance"], dtype=np.float64)
+    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        raise ValueError("shape_covariance must be 6 × 6 finite numbers")
+    return covariance
 
 
 def _error_model(header: dict[str, Any]) -> ErrorModel | None:

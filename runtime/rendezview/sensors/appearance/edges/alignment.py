@@ -171,19 +171,24 @@ def covariance_of(
 
 
 @njit(cache=True, nogil=True)
-def strain_covariance(edges: Array, cut: float, loose: Array, centre: Array, arm: Array) -> Array:
-    """(6, 6) of a pose where the craft is the model strained: per unit of the strain's variance.
+def strain_covariance(
+    edges: Array, cut: float, loose: Array, rotation: Array, centre: Array, arm: Array,
+    strain: Array,
+) -> Array:  # fmt: skip
+    """(6, 6) of a pose where the craft is the model strained.
 
-    A strain S (symmetric, its six components independent) moves the edge of a point q from the
-    view centre by j S q along its normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since
-    J = (q × j, j), and j · (q + centre) = 0 as for every projection, q follows from J.
+    A strain S (symmetric) moves the edge of a point q from the view centre by j S q along its
+    normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since J = (q × j, j), and j · (q + centre) = 0
+    as for every projection, q follows from J.
 
     Args:
         edges, cut, loose, arm: as for ``covariance_of``.
-        centre: (3,) of the view centre, camera frame.
+        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+        strain: (6, 6) covariance of the strain's components xx, yy, zz, √2 xy, √2 xz, √2 yz in
+            target axes: with these factors one that is alike in all directions is diagonal.
     """
     matrix, moved = np.zeros((6, 6)), np.zeros((6, 6))
-    strains = np.empty(6)
+    strains, q, g = np.empty(6), np.empty(3), np.empty(3)
     for a in range(6):
         matrix[a, a] = loose[a]
     for n in range(edges.shape[0]):
@@ -196,17 +201,20 @@ def strain_covariance(edges: Array, cut: float, loose: Array, centre: Array, arm
         q0 = (j[1] * x[2] - j[2] * x[1] + j[0] * along) / square
         q1 = (j[2] * x[0] - j[0] * x[2] + j[1] * along) / square
         q2 = (j[0] * x[1] - j[1] * x[0] + j[2] * along) / square
-        strains[0], strains[1], strains[2] = j[0] * q0, j[1] * q1, j[2] * q2
-        strains[3] = (j[0] * q1 + j[1] * q0) * _HALF_ROOT
-        strains[4] = (j[0] * q2 + j[2] * q0) * _HALF_ROOT
-        strains[5] = (j[1] * q2 + j[2] * q1) * _HALF_ROOT
+        for i in range(3):  # into target axes
+            q[i] = rotation[0, i] * q0 + rotation[1, i] * q1 + rotation[2, i] * q2
+            g[i] = rotation[0, i] * j[0] + rotation[1, i] * j[1] + rotation[2, i] * j[2]
+        strains[0], strains[1], strains[2] = g[0] * q[0], g[1] * q[1], g[2] * q[2]
+        strains[3] = (g[0] * q[1] + g[1] * q[0]) * _HALF_ROOT
+        strains[4] = (g[0] * q[2] + g[2] * q[0]) * _HALF_ROOT
+        strains[5] = (g[1] * q[2] + g[2] * q[1]) * _HALF_ROOT
         for a in range(6):
             wj = w * edges[n, a]
             for b in range(6):
                 matrix[a, b] += wj * edges[n, b]
                 moved[a, b] += wj * strains[b]
     response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
-    return response @ response.T
+    return response @ strain @ response.T
 
 
 @njit(cache=True, nogil=True)
@@ -227,7 +235,7 @@ def align(
     """Move a pose (in place) onto the edges.
 
     Args:
-        lens: (12,) camera vector, and whether it distorts.
+        lens: ``lens_vector`` of the camera, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
         stages: (K, 12) from coarse to fine, rows of ``Stage``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.

@@ -76,9 +76,12 @@ class SketchChoice:
         odds = float(self.features @ _packaged().log_odds)
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))
 
-    def with_covariance(self, covariance: Array, residual_px: float) -> SketchChoice:
-        """The choice with the covariance of independent edges, inflated as errors of poses show."""
-        inflated = covariance * _packaged().inflation
+    def with_covariance(
+        self, covariance: Array, strained: Array, residual_px: float
+    ) -> SketchChoice:
+        """The choice with the covariance of independent edges, inflated as errors of poses show,
+        and that of a strained craft."""
+        inflated = covariance * _packaged().inflation + strained
         return replace(self, covariance=inflated, residual_px=residual_px)
 
 
