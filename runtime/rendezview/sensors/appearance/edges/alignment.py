@@ -252,7 +252,7 @@ def align(
     sun = np.zeros(3)
     explained = 0.0
     points = views.point.shape[2]
-    shell, view, count = 0, 0, np.int64(0)
+    shell, view, count = 0, 0, int(np.int64(0))
     for stage in stages:
         fit = stage[FIT] > 0.0
         nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
@@ -331,10 +331,10 @@ def inlier_ratios(
     shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
     view = nearest[0]
     kinds = views.kind[shell, view]
-    one = np.int64(1)  # as a literal, numba would compile a copy of what is called for it
+    one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
     count = measure_edges(
         image, lens, frame, views, shell, view, rotation, centre, np.zeros(1), np.zeros(3),
-        int(np.ceil(2.5 * spread_px)), spread_px, one, 0.0, one, stride, np.bool_(False), edges,
+        int(np.ceil(2.5 * spread_px)), spread_px, one, 0.0, one, stride, bool(one == 0), edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
     outlines, inners, visible = 1e-9, 1e-9, 0.0
@@ -370,16 +370,9 @@ def align_each(
         ratios[k] = 0.0
         if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != DIVERGED:
             outline, inner, _ = inlier_ratios(
-                image,
-                lens,
-                frame,
-                views,
-                rotations[k],
-                centres[k],
-                _LOOSE_PX,
-                np.int64(_LOOSE_STRIDE),
-                edges,
-            )
+                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX,
+                int(np.int64(_LOOSE_STRIDE)), edges,
+            )  # fmt: skip
             rough[k] = outline + _INNER_SHARE * inner
     order = np.argsort(-rough)
     for i in range(min(survivors, count)):
@@ -388,5 +381,13 @@ def align_each(
             break
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:
             ratios[k] = inlier_ratios(
-                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, np.int64(1), edges
+                image,
+                lens,
+                frame,
+                views,
+                rotations[k],
+                centres[k],
+                CLOSE_PX,
+                int(np.int64(1)),
+                edges,
             )
