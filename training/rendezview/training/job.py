@@ -116,12 +116,12 @@ def _train(
     inputs: dict[str, Any],
 ) -> Trained:
     options, geometry = stages.options, stages.geometry
+    surface, stages = stages.surface()
     lattice, slopes, far_readings = stages.lattice()
     perturbed = stages.perturbed("views", _STREAM_OF_TRAINING, options.perturbed_views)
     held_out = stages.perturbed("held-out", _STREAM_OF_HELD_OUT, options.held_out_views)
     contours = stages.contours()
     silhouettes = stages.shadowed_silhouettes()
-    surface = stages.surface()
     sketches = stages.sketches()
     samples = Samples(options.order, lattice, perturbed)
     trees = stages.trees(samples)
