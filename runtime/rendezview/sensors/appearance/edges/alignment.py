@@ -62,8 +62,6 @@ _LONGEST_TURN_RAD = 0.2  # rad, of one step
 _ALONG = 0.1  # of a move along the line of sight, which shows so much less in the picture
 _SMALL = 0.01  # of the target's radius in pixels: below 100 px a step stops earlier
 _NEAREST_RADII, _FURTHEST_RADII = 1.02, 1e9  # of the target's radius; poses beyond have diverged
-_NO_LIGHT = np.zeros(1)  # Source: by construction
-_NO_SUN = np.zeros(3)  # Source: by construction
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
@@ -254,7 +252,7 @@ def align(
     sun = np.zeros(3)
     explained = 0.0
     points = views.point.shape[2]
-    shell, view, count = 0, 0, 0
+    shell, view, count = 0, 0, int(np.int64(0))
     for stage in stages:
         fit = stage[FIT] > 0.0
         nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
@@ -333,9 +331,10 @@ def inlier_ratios(
     shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
     view = nearest[0]
     kinds = views.kind[shell, view]
+    one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
     count = measure_edges(
-        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT, _NO_SUN,
-        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
+        image, lens, frame, views, shell, view, rotation, centre, np.zeros(1), np.zeros(3),
+        int(np.ceil(2.5 * spread_px)), spread_px, one, 0.0, one, stride, bool(one == 0), edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
     outlines, inners, visible = 1e-9, 1e-9, 0.0
@@ -371,8 +370,9 @@ def align_each(
         ratios[k] = 0.0
         if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != DIVERGED:
             outline, inner, _ = inlier_ratios(
-                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, _LOOSE_STRIDE, edges
-            )
+                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX,
+                int(np.int64(_LOOSE_STRIDE)), edges,
+            )  # fmt: skip
             rough[k] = outline + _INNER_SHARE * inner
     order = np.argsort(-rough)
     for i in range(min(survivors, count)):
@@ -381,5 +381,13 @@ def align_each(
             break
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:
             ratios[k] = inlier_ratios(
-                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, 1, edges
+                image,
+                lens,
+                frame,
+                views,
+                rotations[k],
+                centres[k],
+                CLOSE_PX,
+                int(np.int64(1)),
+                edges,
             )
