@@ -9,6 +9,8 @@ import sys
 EXPERIMENTS = {
     "recognition and pose": {
         "recognition-accuracy": ("recognition.accuracy", "active nodes and views, held-out frames"),
+        "paper-trees": ("recognition.paper", "the paper's Table I, figures 3 and 4, its trees"),
+        "tree-ablation": ("recognition.ablation", "learned, silenced and random trees"),
         "recognition-speed": ("recognition.speed", "time from a frame to the active nodes"),
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
@@ -16,6 +18,7 @@ EXPERIMENTS = {
         "pose-scale": ("pose.scale", "poses over fields of view and picture sizes"),
         "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
+        "pose-shape": ("pose.shape", "a wrong mesh before and after calibration of its shape"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
         "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences.bop_writer import BopSceneWriter
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
+from rendezview.sensors.appearance import ViewModel
 
 CAMERA = Camera(640, 480, 620.0, 625.0, 322.0, 236.0)
 SQUARE = 40  # px of the printed board
@@ -115,3 +121,27 @@ def test_dots_without_a_dark_picture_are_told(run, boards, tmp_path):
     ran = run("reflectors", tmp_path / "card", folder, "--camera", tmp_path / "c.yaml")
     assert ran.code == 0, ran
     assert "did you mean --mode single?" in ran.err
+
+
+def test_the_shape_of_a_target_is_calibrated_from_a_scene(
+    run, refining_model, bumpy_mesh, camera, draw, tmp_path
+):
+    stretched = replace(bumpy_mesh, vertices_m=bumpy_mesh.vertices_m * [1.03, 1.0, 1.0])
+    folder, center = tmp_path / "scene", np.array(refining_model.centre_m)
+    with BopSceneWriter(folder, camera) as scene:
+        for k in range(8):
+            rng = np.random.default_rng([9, k])
+            rotation = Rotation.random(random_state=rng)
+            pose = Pose(rotation.as_matrix(), np.array([0.0, 0.0, 9.0]) - rotation.apply(center))
+            scene.add(k, draw(stretched, pose, camera, rng), pose, float(k))
+    refining_model.save(tmp_path / "cad.rvm")
+    shape = ("calibrate", "shape", tmp_path / "cad.rvm", folder, "-o", tmp_path / "built.rvm")
+    ran = run(*shape, "--poses", "scene", "--length", "x=1.03/1.0")
+    assert ran.code == 0, ran
+    assert "of 8 frames" in ran.err
+    strain = np.array(ViewModel.load(tmp_path / "built.rvm").provenance["strain"])
+    assert strain[0, 0] == pytest.approx(0.03, abs=0.003)
+    assert strain[1, 1] == pytest.approx(0.0, abs=0.006)
+    run(*shape, "--length", "w=1/1").says("--length must be")
+    run(*shape, "--length", "x=1/0").says("--length must be")
+    run(*shape, "--poses", tmp_path / "none.csv").says("none.csv")

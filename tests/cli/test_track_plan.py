@@ -60,7 +60,7 @@ def test_plan_to_words_messages_and_pictures(tmp_path: Path):
     assert "OBJECT_NAME = SAT" in (tmp_path / "turn.aem").read_text()
     show(tmp_path / "log.jsonl", tmp_path / "pictures")
     assert {p.name for p in (tmp_path / "pictures").iterdir()} == {
-        "curves.png", "cloud.png", "path.png", "rates.png",
+        "track.png", "curves.png", "cloud.png", "path.png", "rates.png",
     }  # fmt: skip
 
 

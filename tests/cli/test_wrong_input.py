@@ -243,7 +243,7 @@ def test_a_sheet_of_frames_shows_those_that_cannot_be_read(run, bad_scene: Path)
     assert (bad_scene.parent / "sheet" / "frames.png").is_file()
 
 
-def test_frames_that_are_all_of_another_size_are_all_counted(
+def test_a_camera_that_fits_no_frame_is_refused_before_the_run(
     run, tiny_model_path: Path, scene: Path, tmp_path: Path
 ):
     camera = tmp_path / "camera.json"
@@ -251,6 +251,5 @@ def test_frames_that_are_all_of_another_size_are_all_counted(
     camera.write_text(json.dumps(content))
     out = tmp_path / "p.csv"
     ran = run("track", tiny_model_path, scene, "-o", out, "--camera", camera)
-    assert ran.code == 0
-    assert "0 poses in 9 frames (9 unreadable)" in ran.err
-    assert out.read_text() == "scene_id,im_id,obj_id,score,R,t,time\n"
+    ran.says("the image is 640 × 480", "but its camera 1024 × 480", "camera.json would fit")
+    assert not out.exists()

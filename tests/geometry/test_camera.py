@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
+from rendezview.geometry.lens import distorted, lens_vector
 
 PLAIN = Camera(640, 480, 800.0, 810.0, 310.0, 245.0)
 FOUR = Camera(640, 480, 800.0, 810.0, 310.0, 245.0, (-0.3, 0.1, 0.001, -0.002))
@@ -14,7 +15,16 @@ FIVE = Camera(640, 480, 800.0, 810.0, 310.0, 245.0, (-0.3, 0.1, 0.001, -0.002, 0
 EIGHT = Camera(
     640, 480, 800.0, 810.0, 310.0, 245.0, (0.1, -0.2, 0.001, -0.002, 0.03, 0.4, -0.1, 0.02)
 )
-ALL = pytest.mark.parametrize("camera", [PLAIN, FOUR, FIVE, EIGHT], ids=["0", "4", "5", "8"])
+PRISM = (*EIGHT.distortion, 0.01, -0.02, 0.005, 0.03)
+TWELVE = Camera(640, 480, 800.0, 810.0, 310.0, 245.0, PRISM)
+FOURTEEN = Camera(640, 480, 800.0, 810.0, 310.0, 245.0, (*PRISM, 0.04, -0.03))
+FISHEYE = Camera(
+    640, 480, 320.0, 325.0, 310.0, 245.0, (0.02, -0.01, 0.003, -0.001), LensModel.FISHEYE
+)
+POLYNOMIALS = (PLAIN, FOUR, FIVE, EIGHT, TWELVE, FOURTEEN)
+ALL = pytest.mark.parametrize(
+    "camera", [*POLYNOMIALS, FISHEYE], ids=["0", "4", "5", "8", "12", "14", "fisheye"]
+)
 
 
 def grid(camera):
@@ -24,7 +34,7 @@ def grid(camera):
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-@ALL
+@pytest.mark.parametrize("camera", POLYNOMIALS)
 def test_projection_is_that_of_opencv(camera):
     rng = np.random.default_rng(0)
     points = np.column_stack([rng.uniform(-0.3, 0.3, (200, 2)), np.ones(200)])
@@ -32,6 +42,75 @@ def test_projection_is_that_of_opencv(camera):
     coefficients = np.array(camera.distortion) if camera.distortion else None
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.matrix, coefficients)
     np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_a_fisheye_is_that_of_opencv():
+    rng = np.random.default_rng(1)
+    points = np.column_stack([rng.uniform(-4.0, 4.0, (200, 2)), np.ones(200)])
+    expected, _ = cv2.fisheye.projectPoints(
+        points[:, None], np.zeros(3), np.zeros(3), FISHEYE.matrix, np.array(FISHEYE.distortion)
+    )
+    np.testing.assert_allclose(FISHEYE.project(points), expected[:, 0], atol=1e-9)
+
+
+@ALL
+def test_the_compiled_lens_is_the_cameras(camera):
+    rng = np.random.default_rng(2)
+    points = np.column_stack([rng.uniform(-0.4, 0.4, (100, 2)), np.ones(100)])
+    points[0, :2] = 0.0
+    lens = lens_vector(camera)
+    through = np.array([distorted(x, y, lens) for x, y, _ in points])
+    np.testing.assert_allclose(
+        through * (camera.fx, camera.fy) + (camera.cx, camera.cy), camera.project(points), atol=1e-9
+    )
+
+
+def test_a_fisheye_that_turns_back_has_no_pixels_beyond():
+    # θ (1 − 0.2 θ²) is largest at θ = 1.29 rad: directions beyond would fold back.
+    lens = Camera(640, 480, 200.0, 200.0, 319.5, 239.5, (-0.2, 0.0, 0.0, 0.0), LensModel.FISHEYE)
+    inside, outside = math.tan(1.25), math.tan(1.35)
+    assert np.isfinite(lens.project([inside, 0.0, 1.0])).all()
+    assert np.isnan(lens.project([outside, 0.0, 1.0])).all()
+    assert np.isnan(distorted(outside, 0.0, lens_vector(lens))).all()
+    np.testing.assert_allclose(
+        lens.rays(lens.project([[inside, 0.0, 1.0]])), [[inside, 0.0, 1.0]], rtol=1e-9
+    )
+    assert np.isnan(lens.rays([[319.5 + 200.0, 239.5]])[0, :2]).all()
+
+
+def test_a_fisheye_of_half_the_sky_has_a_finite_cone():
+    wide = Camera(640, 480, 150.0, 150.0, 319.5, 239.5, (0.0,) * 4, LensModel.FISHEYE)
+    assert wide.half_fov_rad == pytest.approx(math.radians(80.0))
+    narrow = Camera(640, 480, 600.0, 600.0, 319.5, 239.5, (0.0,) * 4, LensModel.FISHEYE)
+    assert narrow.half_fov_rad == pytest.approx(240.0 / 600.0)
+
+
+@ALL
+def test_a_region_and_binned_pixels_see_the_same_directions(camera):
+    region = camera.cropped(40, 30, 500, 400)
+    pixels = np.array([[10.0, 20.0], [300.0, 200.5], [499.0, 399.0]])
+    np.testing.assert_allclose(
+        region.rays(pixels), camera.rays(np.add(pixels, (40.0, 30.0))), atol=1e-12
+    )
+    binned = camera.binned(4, 2)
+    assert (binned.width, binned.height) == (160, 240)
+    # The middle of binned pixel (0, 0) is between columns 1 and 2, rows 0 and 1.
+    np.testing.assert_allclose(
+        binned.rays([[0.0, 0.0], [3.0, 5.0]]), camera.rays([[1.5, 0.5], [13.5, 10.5]]), atol=1e-12
+    )
+
+
+def test_regions_outside_the_picture_are_refused():
+    for region in ((-1, 0, 10, 10), (0, 0, 641, 10), (600, 0, 41, 10), (0, 0, 0, 10)):
+        with pytest.raises(ValueError, match="is not inside a picture of 640 × 480"):
+            PLAIN.cropped(*region)
+    with pytest.raises(ValueError, match="binning must be"):
+        PLAIN.binned(0)
+
+
+def test_the_pinhole_of_a_camera_has_no_lens():
+    assert FISHEYE.is_distorted
+    assert FISHEYE.pinhole == Camera(640, 480, 320.0, 325.0, 310.0, 245.0)
 
 
 @ALL
@@ -97,7 +176,7 @@ def test_half_field_of_view_is_that_of_the_nearest_border():
     assert Camera(100, 100, 100.0, 100.0, -20.0, 49.5).half_fov_rad == 0.0
 
 
-@pytest.mark.parametrize("camera", [FOUR, FIVE, EIGHT])
+@pytest.mark.parametrize("camera", [FOUR, FIVE, EIGHT, TWELVE, FOURTEEN, FISHEYE])
 def test_the_cone_of_a_distorted_camera_lies_in_the_picture_and_touches_it(camera):
     def inside(half_angle):
         turn = np.linspace(0.0, 2.0 * np.pi, 2000)
@@ -134,7 +213,10 @@ def test_cameras_are_equal_by_value_and_fields_become_plain_numbers():
         ({"fy": -1.0}, "fy must be positive"),
         ({"cx": math.nan}, "cx must be finite"),
         ({"fx": math.inf}, "fx"),
-        ({"distortion": (1.0, 2.0)}, "distortion must be 0, 4, 5 or 8"),
+        ({"distortion": (1.0, 2.0)}, "distortion must be 0, 4, 5, 8, 12 or 14"),
+        ({"lens_model": "fisheye"}, "4 finite numbers"),
+        ({"lens_model": "cylinder"}, "cylinder"),
+        ({"bit_depth": 11}, "bit_depth must be one of"),
         ({"distortion": (1.0, 2.0, 3.0, math.nan)}, "finite"),
     ],
 )

@@ -1,13 +1,14 @@
 """Camera files of every origin: OpenCV, ROS, SPEED, BOP, and what is none."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
 from rendezview.io.camera_files import load_camera, save_camera
 
 PLAIN = Camera(640, 480, 800.0, 810.0, 310.0, 245.0)
@@ -16,13 +17,19 @@ FIVE = Camera(640, 480, 800.0, 810.0, 310.0, 245.0, (-0.3, 0.1, 0.001, -0.002, 0
 EIGHT = Camera(
     640, 480, 800.0, 810.0, 310.0, 245.0, (0.1, -0.2, 0.001, -0.002, 0.03, 0.4, -0.1, 0.02)
 )
-ALL = pytest.mark.parametrize("camera", [PLAIN, FOUR, FIVE, EIGHT], ids=["0", "4", "5", "8"])
+FOURTEEN = replace(EIGHT, distortion=(*EIGHT.distortion, 0.1, 0.2, 0.3, 0.4, 0.05, 0.06))
+FISHEYE = replace(FOUR, lens_model=LensModel.FISHEYE, bit_depth=12)
+ALL = pytest.mark.parametrize(
+    "camera",
+    [PLAIN, FOUR, FIVE, EIGHT, FOURTEEN, FISHEYE],
+    ids=["0", "4", "5", "8", "14", "fisheye"],
+)
 
 
 @ALL
 def test_a_saved_camera_is_loaded_unchanged_and_read_by_opencv(camera, tmp_path):
     path = tmp_path / "camera.yaml"
-    camera = Camera(640, 480, camera.fx / 3.0, camera.fy / 7.0, 1e-7, 1e5, camera.distortion)
+    camera = replace(camera, fx=camera.fx / 3.0, fy=camera.fy / 7.0, cx=1e-7, cy=1e5)
     save_camera(camera, path)
     assert load_camera(path) == camera
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -164,11 +171,75 @@ def test_ros_rational_polynomial_is_read(tmp_path):
     assert load_camera(tmp_path / "c.yaml").distortion[4:] == (0.0, 0.1, 0.2, 0.3)
 
 
-@pytest.mark.parametrize("model", ["equidistant", "fisheye", "thin_prism"])
-def test_other_lens_models_are_refused(tmp_path, model):
-    (tmp_path / "c.yaml").write_text(ROS_CALIBRATION.replace("plumb_bob", model))
-    with pytest.raises(RendezviewError, match=rf"c\.yaml: distortion_model: '{model}'"):
+def test_other_lens_models_are_refused(tmp_path):
+    (tmp_path / "c.yaml").write_text(ROS_CALIBRATION.replace("plumb_bob", "fov"))
+    with pytest.raises(RendezviewError, match=r"c\.yaml: distortion_model: 'fov'"):
         load_camera(tmp_path / "c.yaml")
+
+
+@pytest.mark.parametrize("model", ["equidistant", "fisheye", "kannala_brandt"])
+def test_a_fisheye_is_read_by_each_of_its_names(tmp_path, model):
+    text = ROS_CALIBRATION.replace("plumb_bob", model).replace("0.000505, 0.000000]", "0.000505]")
+    (tmp_path / "c.yaml").write_text(text)
+    assert load_camera(tmp_path / "c.yaml") == Camera(
+        640, 480, 438.783367, 437.302876, 305.593336, 243.738352,
+        (-0.361976, 0.110510, 0.001014, 0.000505), LensModel.FISHEYE,
+    )  # fmt: skip
+
+
+def test_a_fisheye_calibrated_by_opencv_is_read(tmp_path):
+    path = tmp_path / "c.yaml"
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("image_width", 640)
+    file.write("image_height", 480)
+    file.write("fisheye_model", 1)
+    file.write("camera_matrix", PLAIN.matrix)
+    file.write("distortion_coefficients", np.zeros((4, 1)))
+    file.release()
+    camera = load_camera(path)
+    assert camera.lens_model is LensModel.FISHEYE
+    assert camera.distortion == (0.0,) * 4
+
+
+KALIBR = """\
+cam0:
+  camera_model: pinhole
+  distortion_coeffs: [0.01, -0.02, 0.003, 0.004]
+  distortion_model: MODEL
+  intrinsics: [800.0, 810.0, 310.0, 245.0]
+  resolution: [640, 480]
+  rostopic: /cam0/image_raw
+"""
+
+
+@pytest.mark.parametrize(("model", "lens"), [("radtan", "opencv"), ("equidistant", "fisheye")])
+def test_kalibrs_files_are_read(tmp_path, model, lens):
+    (tmp_path / "c.yaml").write_text(KALIBR.replace("MODEL", model))
+    assert load_camera(tmp_path / "c.yaml") == replace(
+        PLAIN, distortion=(0.01, -0.02, 0.003, 0.004), lens_model=lens
+    )
+    (tmp_path / "two.yaml").write_text(KALIBR + KALIBR.replace("cam0", "cam1"))
+    with pytest.raises(RendezviewError, match="several cameras"):
+        load_camera(tmp_path / "two.yaml")
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("roi: {x_offset: 0, y_offset: 0, width: 0, height: 0}\nbinning_x: 0\n", PLAIN),
+        ("roi: {x_offset: 40, y_offset: 30, width: 500, height: 400}\n",
+         PLAIN.cropped(40, 30, 500, 400)),
+        ("roi: {x_offset: 40, y_offset: 30}\nbinning: 2\n",
+         PLAIN.cropped(40, 30, 600, 450).binned(2)),
+        ("binning_x: 4\nbinning_y: 2\n", PLAIN.binned(4, 2)),
+        ("bit_depth: 12\n", replace(PLAIN, bit_depth=12)),
+    ],
+)  # fmt: skip
+def test_region_binning_and_depth_are_those_of_the_images(tmp_path, keys, expected):
+    (tmp_path / "c.yaml").write_text(
+        "width: 640\nheight: 480\nK: [800, 0, 310, 0, 810, 245, 0, 0, 1]\n" + keys
+    )
+    assert load_camera(tmp_path / "c.yaml") == expected
 
 
 SPEED = {
@@ -232,8 +303,21 @@ def test_bop_camera_is_read(tmp_path):
             "D: 2 coefficients",
         ),
         (
-            b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [1,2,3,4,5,6,7,8,9]\nwidth: 4\nheight: 4\n",
-            "D: 9 coefficients; thin-prism",
+            b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [1,2,3,4,5,6]\nwidth: 4\nheight: 4\n",
+            "D: 6 coefficients; expected 4, 5, 8, 12 or 14",
+        ),
+        (
+            b"fisheye_model: 1\nK: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nD: [1]\nwidth: 4\nheight: 4\n",
+            "D: 1 coefficients; a fisheye has 4",
+        ),
+        (
+            b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: 4\nheight: 4\nroi: {x_offset: 2, width: 4}\n",
+            "a region of 4 × 4 px at .2, 0. is not inside",
+        ),
+        (b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: 4\nheight: 4\nroi: 3\n", "roi: give x_offset"),
+        (
+            b"K: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nwidth: 4\nheight: 4\nbit_depth: 11\n",
+            "bit_depth must be one of",
         ),
         (b'{"fx": 1, "fy": 1, "cx": 1, "width": 4, "height": 4}', "cy: missing"),
         (b'{"fx": 1, "fy": 1, "ppx": 0, "ppy": 1, "Nu": 4, "Nv": 4}', "ppx: must be positive"),

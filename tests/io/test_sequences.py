@@ -187,7 +187,7 @@ def test_a_folder_of_scenes_says_to_choose_one(tmp_path):
 
 
 def test_a_missing_damaged_or_wrong_picture_is_named_when_read(tmp_path, capfd):
-    write_scene(tmp_path / "s", numbers=(0, 1, 2, 3, 4))
+    write_scene(tmp_path / "s", numbers=(0, 1, 2, 3, 4, 5))
     gray = tmp_path / "s" / "gray"
     (gray / "000000.png").unlink()
     (gray / "000001.png").write_bytes(b"no picture")
@@ -263,7 +263,7 @@ def test_a_picture_is_not_turned_by_its_exif_tag(tmp_path):
         ("none", "no such file or folder"),
         ("empty", "no images in it"),
         ("notes.txt", "no sequence of images"),
-        ("a.png", "a single image"),
+        ("a.png", "not an image that can be read"),
         ("a.json", "no sequence of images"),
         ("a.mp4", "not a video that can be read"),
     ],

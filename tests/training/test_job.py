@@ -146,15 +146,16 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
 
     train(bumpy_mesh, tmp_path / "m.rvm", name="b", options=SMALL, jobs=2, progress=progress)
     assert list(reported) == [
+        "surface",
         "lattice",
         "perspective",
         "views",
         "held-out",
         "contours",
         "shadows",
-        "surface",
         "sketches",
         "trees",
+        "voters",
         "calibration",
     ]
     for stage, counts in reported.items():

@@ -10,15 +10,17 @@ from rendezview.training.contours import _free_runs
 from rendezview.training.crossings import (
     KIND,
     STEP_RADII,
-    _edge_kind,
     depth_on,
     edge_crossings,
+    edge_pixels,
     face_normals,
     faces_beside,
     line_in_face,
+    some_of,
 )
 from rendezview.training.drawn_view import DrawnView, draw_view
 from rendezview.training.edge_profiles import _joined
+from rendezview.training.faces_along import faces_along, scratch_for
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.projection import Window, project_vertices
 from rendezview.training.surface_points import _look_up, candidate_points
@@ -99,6 +101,56 @@ def test_a_ray_meets_the_plane_of_a_face_where_the_equations_say():
         assert found == pytest.approx(z, rel=1e-9)
 
 
+def test_normals_of_faces_are_unit_and_look_at_the_camera(view):
+    corners = view.vertices[view.faces]
+    plain = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    plain /= np.linalg.norm(plain, axis=1)[:, None]
+    plain[np.sum(plain * corners[:, 0], axis=1) > 0.0] *= -1.0
+    assert np.allclose(face_normals(view.vertices, view.faces), plain, atol=1e-12)
+    flat = face_normals(np.ones((3, 3)), np.array([[0, 1, 2]], dtype=np.int32))
+    assert flat.tolist() == [[0.0, 0.0, -1.0]]
+
+
+def test_some_of_many_are_spread_evenly():
+    some = np.flatnonzero(some_of(10_000, 1000))
+    assert len(some) == pytest.approx(1000, abs=10)
+    assert np.diff(some).max() <= 21
+    assert some_of(50, 100).all()
+
+
+def test_faces_along_a_line_are_the_nearest_at_each_place(bumpy_mesh, view):
+    """Against every face of the mesh, place by place; the sky's border is the z-buffer's."""
+    normals = face_normals(view.vertices, view.faces)
+    places = np.linspace(-3.0, 9.0, 49)
+    scratch = scratch_for(len(places), len(view.faces))
+    p, q, r = (view.points[view.faces[:, k]] for k in range(3))
+    plane = np.sum(normals * view.vertices[view.faces[:, 0]], axis=1)
+    rng = np.random.default_rng(8)
+    agree = total = 0
+    for y, x in rng.permutation(np.argwhere(view.owner >= 0))[:60]:
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        line = np.array([x, y, np.cos(turn), np.sin(turn)])
+        faces_along(
+            line, places, view.vertices, view.points, view.faces, faces_beside(bumpy_mesh),
+            view.focal, view.middle, view.owner, normals, scratch,
+        )  # fmt: skip
+        for i, place in enumerate(places):
+            at = line[:2] + place * line[2:]
+            sides = [
+                np.linalg.det(np.stack([b - a, at - a], -2)) for a, b in ((p, q), (q, r), (r, p))
+            ]
+            inside = np.all(np.array(sides) >= 0, axis=0) | np.all(np.array(sides) <= 0, axis=0)
+            ray = np.array([*(at - view.middle) / view.focal, 1.0])
+            near = np.where(inside, (normals @ ray) / plane, 0.0)
+            best = int(np.argmax(near)) if near.max() > 0.0 else -1
+            total += 1
+            same = scratch.visible[i] == best
+            if same and best >= 0:
+                assert scratch.nearness[i] == pytest.approx(near[best], rel=1e-9)
+            agree += bool(same)
+    assert agree > 0.99 * total
+
+
 def test_edges_between_pixels_are_outlines_steps_and_creases(bumpy_mesh, view):
     albedo = np.random.default_rng(4).uniform(0.1, 0.9, len(view.faces))
     normals = face_normals(view.vertices, view.faces)
@@ -106,7 +158,7 @@ def test_edges_between_pixels_are_outlines_steps_and_creases(bumpy_mesh, view):
     owner, near = view.owner, view.nearness.astype(float)
     y, x = (index[1:-1, 1:-1] for index in np.indices(owner.shape))
     face = owner[1:-1, 1:-1]
-    found = dict.fromkeys(range(3), 0)
+    found, expected = dict.fromkeys(range(3), 0), set()
     for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1)):
         beyond = owner[y + dy, x + dx]
         rays = np.stack([x + dx - view.middle, y + dy - view.middle, 0 * x + view.focal], -1)
@@ -121,23 +173,29 @@ def test_edges_between_pixels_are_outlines_steps_and_creases(bumpy_mesh, view):
         bent = (cosine <= np.cos(np.deg2rad(30.0))) | (abs(albedo[face] - albedo[beyond]) >= 0.12)
         crease = ~is_step & (dx + dy > 0) & (abs(gap) < step) & bent
         plain = np.where(beyond < 0, 0, np.where(is_step, 1, np.where(crease, 2, -1)))
-        for i, j in np.argwhere((face >= 0) & (beyond != face)):
-            kind = _edge_kind(
-                view.vertices, view.faces, normals, albedo, view.focal, view.middle,
-                view.nearness, owner, step, int(x[i, j]), int(y[i, j]), dx, dy,
-            )  # fmt: skip
-            assert kind == plain[i, j]
-            if kind >= 0:
-                found[kind] += 1
+        for i, j in np.argwhere((face >= 0) & (beyond != face) & (plain >= 0)):
+            side = ((1, 0), (0, 1), (-1, 0), (0, -1)).index((dx, dy))
+            expected.add((int(x[i, j]), int(y[i, j]), side, int(plain[i, j])))
+            found[int(plain[i, j])] += 1
+    pixels, marks = edge_pixels(
+        view.vertices, view.faces, normals, albedo, view.focal, view.middle, view.nearness, owner,
+        step,
+    )  # fmt: skip
+    assert {tuple(row) for row in pixels.tolist()} == expected
+    assert len(pixels) == len(expected)
+    assert {(int(c), int(r)) for r, c in np.argwhere(marks)} == {e[:2] for e in expected}
     assert min(found[0], found[2]) > 50
 
 
 def test_crossings_lie_on_edges_of_the_mesh_and_project_to_their_pixels(bumpy_mesh, view):
     normals = face_normals(view.vertices, view.faces)
-    points = view.vertices[:, :2] / view.vertices[:, 2:] * view.focal + view.middle
+    pixels, _ = edge_pixels(
+        view.vertices, view.faces, normals, bumpy_mesh.face_albedo, view.focal, view.middle,
+        view.nearness, view.owner, 0.02,
+    )  # fmt: skip
     rows = edge_crossings(
-        view.vertices, points, view.faces, normals, faces_beside(bumpy_mesh),
-        bumpy_mesh.face_albedo, view.focal, view.middle, view.nearness, view.owner, 0.02,
+        view.vertices, view.points, view.faces, normals, faces_beside(bumpy_mesh), pixels,
+        view.focal, view.middle, view.nearness, view.owner, 0.02,
     )  # fmt: skip
     assert len(rows) > 100
     assert set(rows[:, KIND]) <= {0.0, 1.0, 2.0}

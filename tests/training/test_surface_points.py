@@ -24,7 +24,7 @@ def surface_of(mesh: Mesh, order: int = 2):
     geometry = view_geometry(mesh, OPTIONS, None)
     points, faces = candidate_points(mesh, geometry, OPTIONS)
     nodes = Geodesic.of_order(order).nodes
-    seen = np.stack([visible_points(mesh, geometry, points, faces, d, OPTIONS) for d in nodes])
+    seen = np.stack([visible_points(mesh, geometry, points, faces, d, OPTIONS)[0] for d in nodes])
     surface = chosen_surface(mesh, geometry, points, faces, seen, OPTIONS)
     metres = surface.point * (POINT_UNIT * geometry.target_radius_m) + geometry.centre_m
     bits = np.unpackbits(surface.seen, axis=1, count=len(metres), bitorder="little").astype(bool)

@@ -1,4 +1,4 @@
-"""``rendezview calibrate camera`` and ``rendezview calibrate card``."""
+"""``rendezview calibrate``: a camera, a card of dots, the shape of a target."""
 
 from __future__ import annotations
 
@@ -13,14 +13,24 @@ from rich.table import Table
 
 from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
-from rendezview.io.camera_files import save_camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.files import check_place, make_folder
+from rendezview.io.results import read_results
+from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.as_built import (
+    AsBuilt,
+    ShapeEstimator,
+    strain_names,
+    strained,
+)
 from rendezview.sensors.reflectors.card import write_card
 from rendezview.sensors.stereo.board import Chessboard
 from rendezview.sensors.stereo.one_camera import CharucoBoard, calibrate_camera
 
 calibrate = typer.Typer(
-    help="Calibrate one camera from pictures of a board; print a card of dots.",
+    help="Calibrate a camera from pictures of a board, or a target's shape from frames.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -88,4 +98,103 @@ def card(
     say(
         f"{output}/card.pdf, {output}/target.toml: print at 100 %, fold, then "
         f"rendezview reflectors {output}/target.toml 0 --camera webcam.yaml --invert"
+    )
+
+
+@calibrate.command()
+def shape(
+    model: Annotated[Path, typer.Argument(help="Model file (*.rvm) trained on the CAD mesh.")],
+    scene: Annotated[
+        Path, typer.Argument(help="Fly-around: BOP scene, SPEED folder, folder of images, video.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Model file to write.")],
+    camera: Annotated[Path | None, typer.Option(help="Camera file; wins over the scene's.")] = None,
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            help="Rough poses (10°): 'scene' for its truth, or a results CSV of track. Without: "
+            "the recognizer finds them."
+        ),
+    ] = None,
+    length: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A known length along an axis, measured over modelled: 'x=0.571/0.560'. "
+            "Without one the overall size stays the model's."
+        ),
+    ] = None,
+    length_error: Annotated[float, typer.Option(help="One σ of these ratios.")] = 1e-3,
+    frames: Annotated[int, typer.Option(help="At most, evenly spaced.")] = 200,
+    obj_id: Annotated[
+        int | None, typer.Option(help="Which object of a BOP scene is the target.")
+    ] = None,
+) -> None:
+    """Estimate how a target differs from its CAD model, from a fly-around, and correct the model.
+
+    \b
+    The difference is a strain: other sizes along x, y and z, and shears. Poses need not be known.
+    Example: rendezview calibrate shape tango.rvm fly-around -o as-built.rvm --length x=0.571/0.560
+    """
+    check_place(output, "the model")
+    loaded = ViewModel.load(model)
+    sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
+    if frames < 1 or not len(sequence):
+        raise RendezviewError(f"{scene}: calibration needs frames")
+    cameras = {frame.camera for frame in sequence}
+    if len(cameras) > 1:
+        raise RendezviewError(f"{scene}: the frames have several cameras: give one with --camera")
+    known = dict(_known_length(text, length_error) for text in length or [])
+    chosen = np.unique(np.linspace(0, len(sequence) - 1, max(1, frames)).round().astype(int))
+    priors = _rough_poses(poses, sequence)
+    found = ShapeEstimator(loaded, cameras.pop()).estimate(
+        [sequence.frames[int(k)].read() for k in chosen],
+        None if priors is None else [priors[int(k)] for k in chosen],
+        known,
+        say,
+    )
+    strained(loaded, found.strain, found.covariance).save(output)
+    _tell(found, output, len(chosen))
+
+
+def _known_length(text: str, error: float) -> tuple[int, tuple[float, float]]:
+    """A component of the strain, its value and σ."""
+    parted = re.fullmatch(r"([xyz])=([0-9.eE+-]+)/([0-9.eE+-]+)", text.strip())
+    try:
+        ratio = float(parted[2]) / float(parted[3]) if parted else np.nan
+    except (ValueError, ZeroDivisionError):
+        ratio = np.nan
+    if parted is None or not 0.5 < ratio < 2.0:
+        raise RendezviewError(
+            f"--length must be AXIS=MEASURED/MODELLED like x=0.571/0.560, not {text!r}"
+        )
+    if not 0.0 < error < 1.0:
+        raise RendezviewError(f"--length-error must be a share above 0, not {error}")
+    return "xyz".index(parted[1]), (ratio - 1.0, error)
+
+
+def _rough_poses(text: str | None, sequence: Sequence) -> list[Pose | None] | None:
+    """A pose for each frame of the sequence, where there is one."""
+    if text is None:
+        return None
+    if text == "scene":
+        return [frame.camera_from_target for frame in sequence.frames]
+    rows = {row.im_id: row.camera_from_target for row in read_results(text)}
+    return [rows.get(frame.im_id) for frame in sequence.frames]
+
+
+def _tell(found: AsBuilt, output: Path, given: int) -> None:
+    table = Table("strain", "%", "σ, %")
+    sigmas = np.sqrt(np.diag(found.covariance))
+    for name, value, sigma in zip(strain_names(), found.components, sigmas, strict=True):
+        table.add_row(name, f"{100 * value:+.2f}", f"{100 * sigma:.2f}")
+    Console(stderr=True).print(table)
+    if not found.size_known:
+        say(
+            "one camera does not see the overall size: it stays the model's, give a --length to "
+            "correct it"
+        )
+    say(
+        f"{output}: from {found.used} of {given} frames; edges lie "
+        f"{100 * found.rms_before:.2f} % of the target's radius aside before, "
+        f"{100 * found.rms_after:.2f} % after"
     )

@@ -122,6 +122,8 @@ def reflectors(
         pairs = pair_up_live(live_frames(places[0], seen_by), mode or Mode.SINGLE, invert)
     else:
         sequences = [open_sequence(place, seen_by) for place in places]
+        for note in dict.fromkeys(note for sequence in sequences for note in sequence.notes):
+            say(note)
         if rate is not None:
             sequences = [with_rate(sequence, rate) for sequence in sequences]
         chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)

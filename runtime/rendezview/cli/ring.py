@@ -128,6 +128,8 @@ def find(
             )
         prior = priors_of_poses(track, known)
     sequence = open_sequence(frames, load_camera(camera) if camera else None)
+    for note in sequence.notes:
+        say(note)
     if overlay:
         make_folder(overlay)
     readings = follow(
@@ -185,6 +187,8 @@ def size(
     """
     check_place(output, "the size")
     sequence = open_sequence(frames, load_camera(camera) if camera else None)
+    for note in sequence.notes:
+        say(note)
     echo_of = read_echoes(read_json_lines(ranges), str(ranges))
     with ProgressBar() as bar, JsonLinesWriter(log) if log else nullcontext() as writer:
         done, advance = count(1), bar.stage("frames", len(sequence))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -19,13 +20,14 @@ from rendezview.io.files import check_place, read_json
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
+from rendezview.sensors.appearance.video import video_of
 from rendezview.sensors.run import Line, run
 
 
 def track(
     model: Annotated[Path, typer.Argument(help="Model file (*.rvm).")],
     scene: Annotated[
-        Path, typer.Argument(help="BOP scene, SPEED folder, folder of images, or video.")
+        Path, typer.Argument(help="BOP scene, SPEED folder, images, video or recording.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Results, BOP CSV.")],
     log: Annotated[Path | None, typer.Option(help="Everything of each frame, JSON lines.")] = None,
@@ -66,6 +68,10 @@ def track(
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(help="Frames with the result drawn over them (.mp4, .webm, .avi or .gif)."),
+    ] = None,
     plan: Annotated[
         Path | None,
         typer.Option(help="Planned path (TOML): errors and corrections, spin, of each segment."),
@@ -89,14 +95,17 @@ def track(
     \b
     Example: rendezview track hubble.rvm approach -o poses.csv --log log.jsonl --prior scene
     """
-    _check_places(output, log, model, oem, aem, plan, chaser)
+    _check_places(output, log, video, model, oem, aem, plan, chaser)
     moment = parse_epoch(epoch)
     loaded = ViewModel.load(model)
     sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
+    for note in sequence.notes:
+        say(note)
     first = _prior(prior, sequence, loaded)
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
+    drawn = video_of(video, sequence, loaded) if video else None
     frames = follow(
         loaded,
         sequence,
@@ -106,6 +115,7 @@ def track(
         sun_camera=light,
         refine=refine,
         sketch=sketch,
+        watch=drawn.watch if drawn else None,
     )
 
     def lines() -> Iterator[Line]:
@@ -119,7 +129,7 @@ def track(
             row = result_row(sequence.scene_id, frame, observation)
             yield Line(noted, observation.status, row, sum(observation.stage_ms.values()))
 
-    with ProgressBar() as bar:
+    with drawn or nullcontext(), ProgressBar() as bar:
         progress = bar.stage("frames", len(sequence))
         summary = run(lines(), log=log, results=output, progress=progress)
     if guide is not None:

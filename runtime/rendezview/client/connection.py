@@ -33,7 +33,7 @@ import numpy.typing as npt
 from rendezview.client.messages import Frame, ServiceError, StateDict, frame_content
 from rendezview.client.stream import StreamClient
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import read_bytes
 from rendezview.io.results import json_line
@@ -118,6 +118,10 @@ class Client:
             names = ("width", "height", "fx", "fy", "cx", "cy")
             request["camera"] = {n: getattr(camera, n) for n in names}
             request["camera"]["distortion"] = list(camera.distortion)
+            if camera.lens_model is not LensModel.OPENCV:
+                request["camera"]["lens_model"] = camera.lens_model
+            if camera.bit_depth is not None:
+                request["camera"]["bit_depth"] = camera.bit_depth
         if prior is not None:
             request["prior"] = prior.as_dict()
         if sun_camera is not None:

@@ -1,4 +1,4 @@
-"""The pinhole camera with OpenCV's lens distortion.
+"""The pinhole camera with OpenCV's lens models.
 
 Camera frame: x right, y down, z along the boresight. Pixel (0, 0) is the *centre*
 of the top-left pixel, so the picture spans -0.5 … width - 0.5.
@@ -7,33 +7,51 @@ of the top-left pixel, so the picture spans -0.5 … width - 0.5.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.geometry.distortion import (
+    distort,
+    distort_fisheye,
+    undistort,
+    undistort_fisheye,
+)
+
 Array = npt.NDArray[np.float64]
 
-DISTORTION_LENGTHS = (0, 4, 5, 8)  # coefficients. Source: OpenCV, calib3d
+DISTORTION_LENGTHS = (0, 4, 5, 8, 12, 14)  # coefficients. Source: OpenCV, calib3d
+BIT_DEPTHS = (8, 10, 12, 14, 16)  # bits a pixel. Source: cameras as sold
 # Points along each border; odd, so that the middle is one of them.
 _BORDER_SAMPLES = 65  # Source: by construction
-_UNDISTORT_ITERATIONS = 200  # a bound for strong lenses. Source: by construction
-_UNDISTORT_STEP = 1e-13  # normalised; converged. Source: float64 rounding
 # px; a ray that projects further from its pixel is no answer. Far below any centroid's error.
 _UNDISTORT_ERROR_PX = 1e-3  # Source: by construction
+# A border of a fisheye's picture that no ray reaches counts as this far off the boresight.
+_WIDEST_RAD = math.radians(80.0)  # Source: a chosen limit, tan 80° = 5.7
+
+
+class LensModel(StrEnum):
+    """How a lens bends rays; both are OpenCV's."""
+
+    OPENCV = "opencv"  # polynomial, rational, thin prism and tilt: cv2.projectPoints
+    FISHEYE = "fisheye"  # Kannala–Brandt, "equidistant": cv2.fisheye
 
 
 @dataclass(frozen=True, slots=True)
 class Camera:
     """A calibrated camera, ``u = fx x' + cx``, ``v = fy y' + cy``.
 
-    (x', y') are the distorted normalised coordinates, with OpenCV's polynomial
-    (radial k1 k2 k3), rational (k4 k5 k6) and tangential (p1 p2) terms.
+    (x', y') are the distorted normalised coordinates, by OpenCV's polynomial with radial (k1 …
+    k6), tangential (p1 p2), thin-prism (s1 … s4) and tilt (τx τy) terms, or by the fisheye model
+    of Kannala and Brandt (k1 … k4). Directions 90° or more from the boresight have no pixel.
 
     Raises:
         ValueError: a size is not positive, a number not finite, a focal length not
-            positive, or the number of coefficients none of 0, 4, 5 and 8.
+            positive, a number of coefficients that the lens model does not have (0, 4, 5, 8, 12 or
+            14; fisheye: 4), or a bit depth other than 8, 10, 12, 14 and 16.
     """
 
     width: int  # px
@@ -42,7 +60,9 @@ class Camera:
     fy: float  # px
     cx: float  # px, from the centre of the left column
     cy: float  # px, from the centre of the top row
-    distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3 [k4 k5 k6]]
+    distortion: tuple[float, ...] = ()  # k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]
+    lens_model: LensModel = LensModel.OPENCV
+    bit_depth: int | None = None  # of pictures with 16-bit levels; None: from the picture file
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -57,12 +77,22 @@ class Camera:
                 raise ValueError(f"{name} must be {kind}, not {value}")
             object.__setattr__(self, name, value)
         distortion = tuple(float(value) for value in self.distortion)
-        if len(distortion) not in DISTORTION_LENGTHS or not all(map(math.isfinite, distortion)):
+        finite = all(map(math.isfinite, distortion))
+        object.__setattr__(self, "lens_model", LensModel(self.lens_model))
+        if self.lens_model is LensModel.FISHEYE:
+            if len(distortion) != 4 or not finite:
+                raise ValueError(
+                    f"distortion of a fisheye must be 4 finite numbers (k1 k2 k3 k4), "
+                    f"not {distortion}"
+                )
+        elif len(distortion) not in DISTORTION_LENGTHS or not finite:
             raise ValueError(
-                f"distortion must be 0, 4, 5 or 8 finite numbers "
-                f"(k1 k2 p1 p2 [k3 [k4 k5 k6]]), not {distortion}"
+                f"distortion must be 0, 4, 5, 8, 12 or 14 finite numbers "
+                f"(k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]), not {distortion}"
             )
         object.__setattr__(self, "distortion", distortion)
+        if self.bit_depth is not None and self.bit_depth not in BIT_DEPTHS:
+            raise ValueError(f"bit_depth must be one of {BIT_DEPTHS}, not {self.bit_depth}")
 
     @classmethod
     def from_fov(cls, width: int, height: int, horizontal_fov_rad: float) -> Camera:
@@ -82,14 +112,58 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether any distortion coefficient differs from zero."""
-        return any(self.distortion)
+        """Whether the lens is other than a pinhole."""
+        return self.lens_model is LensModel.FISHEYE or any(self.distortion)
+
+    @property
+    def pinhole(self) -> Camera:
+        """The camera with the same matrix and size, without its lens."""
+        return replace(self, distortion=(), lens_model=LensModel.OPENCV)
+
+    def cropped(self, x_px: int, y_px: int, width: int, height: int) -> Camera:
+        """The camera of a region of interest; (x_px, y_px) is its top-left pixel.
+
+        Raises:
+            ValueError: the region is empty or not inside the picture.
+        """
+        inside = 0 <= x_px <= self.width - width and 0 <= y_px <= self.height - height
+        if not (inside and width > 0 and height > 0):
+            raise ValueError(
+                f"a region of {width} × {height} px at ({x_px}, {y_px}) is not inside a picture of "
+                f"{self.width} × {self.height} px"
+            )
+        return replace(self, width=width, height=height, cx=self.cx - x_px, cy=self.cy - y_px)
+
+    def binned(self, across: int, down: int | None = None) -> Camera:
+        """The camera whose pixels are ``across`` × ``down`` pixels of this one (default: square).
+
+        An incomplete pixel at the right or lower border is left out.
+
+        Raises:
+            ValueError: not positive, or larger than the picture.
+        """
+        down = across if down is None else down
+        if not (1 <= across <= self.width and 1 <= down <= self.height):
+            raise ValueError(
+                f"binning must be between 1 and the picture's size, not {across} × {down}"
+            )
+        if across == down == 1:
+            return self
+        return replace(
+            self,
+            width=self.width // across,
+            height=self.height // down,
+            fx=self.fx / across,
+            fy=self.fy / down,
+            cx=(self.cx + 0.5) / across - 0.5,
+            cy=(self.cy + 0.5) / down - 0.5,
+        )
 
     def rays(self, points_px: npt.ArrayLike) -> Array:
         """Undistorted rays of pixels: (N, 2) px → (N, 3) with z = 1, camera frame.
 
-        Distortion is inverted by fixed-point iteration. A point that no ray
-        reaches (outside the range where the lens model is invertible) gives NaN for x and y.
+        Distortion is inverted by iteration. A point that no ray reaches (outside the
+        range where the lens model is invertible) gives NaN for x and y.
         """
         points = np.asarray(points_px, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 2:
@@ -141,39 +215,19 @@ class Camera:
         )
         tangents = np.hypot(*self.rays(border)[:, :2].T)
         reached = tangents[np.isfinite(tangents)]
+        if self.lens_model is LensModel.FISHEYE:
+            return float(min([_WIDEST_RAD, *np.arctan(reached)]))
         return math.atan(reached.min()) if reached.size else 0.0
 
-    def _lens(self, xy: Array) -> tuple[Array, Array]:
-        """Radial factor (..., 1) and tangential shift (..., 2) of OpenCV's model at ``xy``."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *([0.0] * 8))[:8]
-        x, y = xy[..., 0], xy[..., 1]
-        r2 = x * x + y * y
-        radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        shift = np.stack(
-            [
-                2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-                p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-            ],
-            axis=-1,
-        )
-        return radial[..., None], shift
-
     def _distort(self, xy: Array) -> Array:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            radial, shift = self._lens(xy)
-            return np.asarray(xy * radial + shift)
+        bend = distort_fisheye if self.lens_model is LensModel.FISHEYE else distort
+        return bend(xy, self.distortion)
 
     def _undistort(self, distorted: Array) -> Array:
-        """Solve ``x' = x radial(x) + shift(x)`` for x; NaN where that does not converge."""
-        xy = distorted.copy()
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            for _ in range(_UNDISTORT_ITERATIONS):
-                radial, shift = self._lens(xy)
-                updated = (distorted - shift) / radial
-                step = np.abs(updated - xy)
-                xy = updated
-                if not np.any(step > _UNDISTORT_STEP):
-                    break
+        """The coordinates (N, 2) that are distorted to these; NaN where there are none."""
+        straighten = undistort_fisheye if self.lens_model is LensModel.FISHEYE else undistort
+        xy = straighten(distorted, self.distortion)
+        with np.errstate(over="ignore", invalid="ignore"):
             error_px = np.abs(self._distort(xy) - distorted) * (self.fx, self.fy)
         xy[~(error_px < _UNDISTORT_ERROR_PX).all(axis=1)] = np.nan
         return xy

@@ -1,15 +1,20 @@
-"""Camera files of OpenCV, ROS, BOP and SPEED.
+"""Camera files of OpenCV, ROS, Kalibr, BOP and SPEED.
 
 The content of a file decides its kind, not its name:
 
 - OpenCV YAML, XML or JSON: ``camera_matrix`` and ``distortion_coefficients`` with
   ``image_width`` and ``image_height``; also ``cameraMatrix``/``distCoeffs``, ``K``/``D``
-  and ``M1``/``D1`` (the left camera of a stereo calibration).
+  and ``M1``/``D1`` (the left camera of a stereo calibration). ``fisheye_model: 1`` for a fisheye.
 - ROS ``CameraInfo`` YAML, as a calibration file or as a printed message; lens models
-  ``plumb_bob`` and ``rational_polynomial``.
+  ``plumb_bob``, ``rational_polynomial`` and ``equidistant``.
+- Kalibr ``camchain.yaml`` of one camera: ``intrinsics``, ``resolution``, ``distortion_coeffs``;
+  lens models ``radtan``, ``equidistant`` and ``none``.
 - BOP ``camera.json``: ``fx fy cx cy width height``, and ``distCoeffs`` in our own files.
 - SPEED ``camera.json``: ``fx``, ``fy`` in metres, pixel pitch ``ppx``, ``ppy`` in metres, size
   ``Nu`` × ``Nv``; SPEED+ also has ``cameraMatrix`` and ``distCoeffs``, which take precedence.
+
+In all kinds, ``roi`` and ``binning`` say which part of the calibrated picture the images are, as in
+ROS, and ``bit_depth`` how many bits of 16-bit levels are used.
 
 SPEED's principal point is (Nu/2, Nv/2), as in its own projection code and in
 SPEED+'s ``cameraMatrix``. Both are used unchanged: SPEED+'s matrix is for OpenCV, whose pixel (0,
@@ -21,13 +26,13 @@ Measured from the corner of the picture, it would be half a pixel less: 0.2 mrad
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
 from rendezview.io.calibration_yaml import parse_yaml
 from rendezview.io.files import StrPath, atomic_write_text, parse_json, read_text
 
@@ -36,53 +41,25 @@ _MATRIX_KEYS = (
 )  # fmt: skip
 _DISTORTION_KEYS = (
     "distortion_coefficients", "distCoeffs", "dist_coeffs", "Distortion_Coefficients", "D", "d",
-    "D1", "distortion",
+    "D1", "distortion", "distortion_coeffs",
 )  # fmt: skip
 _WIDTH_KEYS = ("image_width", "image_Width", "imageWidth", "width", "Nu")
 _HEIGHT_KEYS = ("image_height", "image_Height", "imageHeight", "height", "Nv")
-_LENS_MODELS = ("plumb_bob", "rational_polynomial")
+_POLYNOMIALS = ("plumb_bob", "rational_polynomial", "thin_prism", "tilted", "radtan", "opencv")
+_FISHEYES = ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye")
 _LIMIT_BYTES = 4_000_000  # a video given by mistake is not read whole. Source: a chosen limit
-
-
-class Intrinsics(NamedTuple):
-    """The fields of `rendezview.geometry.camera.Camera`, in order, not validated."""
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, ...]
 
 
 def load_camera(path: StrPath) -> Camera:
     """Read a camera file; its content decides its kind.
 
-    OpenCV YAML, XML and JSON; ROS ``CameraInfo`` YAML; SPEED and SPEED+ ``camera.json``; BOP
-    ``camera.json``.
+    OpenCV YAML, XML and JSON; ROS ``CameraInfo`` YAML; Kalibr YAML; SPEED and SPEED+
+    ``camera.json``; BOP ``camera.json``. The camera is that of the images: ``roi`` and ``binning``
+    are applied.
 
     Raises:
         RendezviewError: missing, not a camera file, an unknown lens model, or
             impossible numbers.
-    """
-    try:
-        return Camera(*read_intrinsics(path))
-    except ValueError as error:
-        raise RendezviewError(f"{path}: {error}: correct the camera file") from error
-
-
-def save_camera(camera: Camera, path: StrPath) -> None:
-    """Write an OpenCV YAML file that `load_camera` and ``cv2.FileStorage`` read, atomically."""
-    text = intrinsics_to_opencv_yaml(camera.width, camera.height, camera.matrix, camera.distortion)
-    atomic_write_text(path, text)
-
-
-def read_intrinsics(path: StrPath) -> Intrinsics:
-    """The intrinsics in a camera file of any kind above.
-
-    Raises:
-        RendezviewError: missing, not a camera file, or of an unknown lens model.
     """
     text = read_text(path, "a camera file", limit_bytes=_LIMIT_BYTES)
     data = _parse(text, str(path))
@@ -91,33 +68,39 @@ def read_intrinsics(path: StrPath) -> Intrinsics:
             f"{path}: not a camera file (no keys in it): give an OpenCV or ROS YAML file, "
             f"or a BOP or SPEED camera.json"
         )
-    return intrinsics_of(data, str(path))
+    return camera_from_keys(data, str(path))
 
 
-def intrinsics_of(data: dict[Any, Any], where: str) -> Intrinsics:
-    """The intrinsics in the content of a camera file or of a recorded message.
+def camera_from_keys(data: dict[Any, Any], where: str) -> Camera:
+    """The camera in the content of a camera file or of a recorded message.
 
     Raises:
-        RendezviewError: not those of a camera, or of an unknown lens model.
+        RendezviewError: not one of a camera, of an unknown lens model, or impossible numbers.
     """
     try:
-        return _interpret(data)
+        return _imaged(data, _calibrated(_only_camera(data)))
     except ValueError as error:
-        raise RendezviewError(f"{where}: {error}") from error
+        raise RendezviewError(f"{where}: {error}: correct the camera file") from error
 
 
-def intrinsics_to_opencv_yaml(
-    width: int, height: int, matrix: npt.ArrayLike, distortion: tuple[float, ...]
-) -> str:
-    """The text of an OpenCV YAML camera file; every number keeps its full precision."""
-    coefficients = distortion or (0.0,) * 5  # OpenCV's readers require some
-    return (
+def save_camera(camera: Camera, path: StrPath) -> None:
+    """Write an OpenCV YAML file that `load_camera` and ``cv2.FileStorage`` read, atomically.
+
+    Every number keeps its full precision.
+    """
+    coefficients = camera.distortion or (0.0,) * 5  # OpenCV's readers require some
+    text = (
         "%YAML:1.0\n---\n"
-        f"image_width: {width}\n"
-        f"image_height: {height}\n"
-        f"camera_matrix: {_opencv_matrix(np.asarray(matrix))}"
+        f"image_width: {camera.width}\n"
+        f"image_height: {camera.height}\n"
+        f"camera_matrix: {_opencv_matrix(camera.matrix)}"
         f"distortion_coefficients: {_opencv_matrix(np.atleast_2d(coefficients))}"
     )
+    if camera.lens_model is LensModel.FISHEYE:
+        text += "fisheye_model: 1\ndistortion_model: equidistant\n"
+    if camera.bit_depth is not None:
+        text += f"bit_depth: {camera.bit_depth}\n"
+    atomic_write_text(path, text)
 
 
 def _opencv_matrix(matrix: npt.NDArray[Any]) -> str:
@@ -158,21 +141,39 @@ def _xml_value(element: ElementTree.Element) -> Any:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
-def _interpret(data: dict[Any, Any]) -> Intrinsics:
+def _only_camera(data: dict[Any, Any]) -> dict[Any, Any]:
+    """The keys of the only camera of a Kalibr file; other files as they are."""
+    if not isinstance(data.get("cam0"), dict):
+        return data
+    if isinstance(data.get("cam1"), dict):
+        raise ValueError(
+            "several cameras (cam0, cam1 …): copy the keys of the one that took the images into a "
+            "file of their own"
+        )
+    return dict(data["cam0"])
+
+
+def _calibrated(data: dict[Any, Any]) -> Camera:
+    """The camera of the whole calibrated picture."""
     size_keys = _find(data, _WIDTH_KEYS), _find(data, _HEIGHT_KEYS)
     matrix_key = _find(data, _MATRIX_KEYS)
     if matrix_key is not None:
         matrix = _numbers(data[matrix_key], matrix_key)
         if len(matrix) != 9:
             raise ValueError(
-                f"{matrix_key}: has {len(matrix)} numbers, needs the 9 of a 3 × 3 matrix: "
-                f"correct the file"
+                f"{matrix_key}: has {len(matrix)} numbers, needs the 9 of a 3 × 3 matrix"
             )
         fx, skew, cx, below, fy, cy, *last = matrix
         if abs(skew) > 1e-6 * abs(fx) or below != 0.0 or last != [0.0, 0.0, 1.0]:
             raise ValueError(
                 f"{matrix_key}: must be [fx 0 cx; 0 fy cy; 0 0 1] (no skew), not {matrix}: "
                 f"calibrate without skew"
+            )
+    elif "intrinsics" in data:
+        fx, fy, cx, cy = _counted(data, "intrinsics", 4)
+        if data.get("camera_model", "pinhole") != "pinhole":
+            raise ValueError(
+                f"camera_model: {data['camera_model']!r} is not supported: calibrate with pinhole"
             )
     elif "ppx" in data or "ppy" in data:
         fx = _number(data, "fx") / _positive(data, "ppx")
@@ -182,41 +183,72 @@ def _interpret(data: dict[Any, Any]) -> Intrinsics:
         fx, fy, cx, cy = (_number(data, key) for key in ("fx", "fy", "cx", "cy"))
     else:
         raise ValueError(
-            "no camera matrix in it (looked for camera_matrix, cameraMatrix, K, M1 and fx): "
-            "give an OpenCV or ROS YAML file, or a BOP or SPEED camera.json"
+            "no camera matrix in it (looked for camera_matrix, cameraMatrix, K, M1, intrinsics and "
+            "fx): give an OpenCV, ROS or Kalibr YAML file, or a BOP or SPEED camera.json"
         )
-    if size_keys[0] is None or size_keys[1] is None:
+    if "resolution" in data:
+        width, height = map(int, _counted(data, "resolution", 2))
+    elif size_keys[0] is None or size_keys[1] is None:
         raise ValueError(
             "the image size is missing: add image_width and image_height (pixels) to the file"
         )
-    width, height = (_whole(data, key) for key in size_keys if key is not None)
-    return Intrinsics(width, height, fx, fy, cx, cy, _distortion(data))
+    else:
+        width, height = (_whole(data, key) for key in size_keys if key is not None)
+    depth = None if data.get("bit_depth") is None else _whole(data, "bit_depth")
+    return Camera(width, height, fx, fy, cx, cy, *_lens(data), depth)
 
 
-def _distortion(data: dict[Any, Any]) -> tuple[float, ...]:
+def _imaged(data: dict[Any, Any], camera: Camera) -> Camera:
+    """The camera of the images, by ROS's rules: the region, in calibrated pixels, then binning.
+
+    0 means the whole picture and no binning. Source: sensor_msgs/CameraInfo.
+    """
+    region = data.get("roi")
+    if isinstance(region, dict):
+        keys = ("x_offset", "y_offset", "width", "height")
+        x, y, width, height = (_whole(region, key, least=0) if key in region else 0 for key in keys)
+        if x or y or width or height:
+            camera = camera.cropped(x, y, width or camera.width - x, height or camera.height - y)
+    elif region is not None:
+        raise ValueError("roi: give x_offset, y_offset, width and height (pixels)")
+    both = _whole(data, "binning", least=0) if "binning" in data else 1
+    across, down = (
+        _whole(data, key, least=0) if key in data else both for key in ("binning_x", "binning_y")
+    )
+    return camera.binned(across or 1, down or 1)
+
+
+def _lens(data: dict[Any, Any]) -> tuple[tuple[float, ...], LensModel]:
     key = _find(data, _DISTORTION_KEYS)
     values = [] if key is None or data[key] is None else _numbers(data[key], key)
     model = data.get("distortion_model")
-    if model not in (None, "", *_LENS_MODELS) and any(values):
+    if data.get("fisheye_model") or model in _FISHEYES:
+        while len(values) > 4 and values[-1] == 0.0:
+            values.pop()
+        if len(values) != 4:
+            raise ValueError(
+                f"{key or 'distortion_coefficients'}: {len(values)} coefficients; a fisheye has 4 "
+                "(k1 k2 k3 k4)"
+            )
+        return tuple(values), LensModel.FISHEYE
+    if model not in (None, "", "none", *_POLYNOMIALS) and any(values):
         raise ValueError(
-            f"distortion_model: {model!r} is not supported: calibrate with "
-            f"{' or '.join(_LENS_MODELS)}, or undistort the images first"
+            f"distortion_model: {model!r} is not supported: calibrate with plumb_bob, "
+            "rational_polynomial or equidistant, or undistort the images first"
         )
     # OpenCV writes 12 or 14 numbers for some models, although their terms may be zero.
     while len(values) > 8 and values[-1] == 0.0:
         values.pop()
-    if len(values) > 8:
-        raise ValueError(
-            f"{key}: {len(values)} coefficients; thin-prism and tilt terms are not supported: "
-            f"calibrate with at most 8"
-        )
     if not any(values):
-        return ()
-    if len(values) not in (4, 5, 8):
+        return (), LensModel.OPENCV
+    if len(values) not in (4, 5, 8) and not 8 < len(values) <= 14:
         raise ValueError(
-            f"{key}: {len(values)} coefficients; expected 4, 5 or 8 (k1 k2 p1 p2 [k3 [k4 k5 k6]])"
+            f"{key}: {len(values)} coefficients; expected 4, 5, 8, 12 or 14 "
+            "(k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]])"
         )
-    return tuple(values)
+    if len(values) > 8:  # zeros at the end were dropped
+        values += [0.0] * ((12 if len(values) <= 12 else 14) - len(values))
+    return tuple(values), LensModel.OPENCV
 
 
 def _find(data: dict[Any, Any], keys: tuple[str, ...]) -> str | None:
@@ -230,30 +262,38 @@ def _numbers(value: Any, key: str) -> list[float]:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{key}: must be a list of numbers: correct the file") from error
+        raise ValueError(f"{key}: must be a list of numbers") from error
     if value is None or not np.isfinite(array).all():
-        raise ValueError(f"{key}: must be finite numbers: correct the file")
+        raise ValueError(f"{key}: must be finite numbers")
     return [float(number) for number in array.ravel()]
 
 
 def _number(data: dict[Any, Any], key: str) -> float:
     value = data.get(key)
     if key not in data:
-        raise ValueError(f"{key}: missing: add it to the file")
+        raise ValueError(f"{key}: missing: add it")
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{key}: must be a number, not {value!r}: correct the file")
+        raise ValueError(f"{key}: must be a number, not {value!r}")
     return float(value)
 
 
 def _positive(data: dict[Any, Any], key: str) -> float:
     value = _number(data, key)
     if not value > 0.0:
-        raise ValueError(f"{key}: must be positive, not {value}: correct the file")
+        raise ValueError(f"{key}: must be positive, not {value}")
     return value
 
 
-def _whole(data: dict[Any, Any], key: str) -> int:
+def _whole(data: dict[Any, Any], key: str, least: int = 1) -> int:
     value = _number(data, key)
-    if not value.is_integer() or value <= 0:
-        raise ValueError(f"{key}: must be a positive whole number of pixels, not {value}")
+    if not value.is_integer() or value < least:
+        kind = "positive whole number" if least else "whole number, 0 or more"
+        raise ValueError(f"{key}: must be a {kind}, not {value:g}")
     return int(value)
+
+
+def _counted(data: dict[Any, Any], key: str, count: int) -> list[float]:
+    values = _numbers(data[key], key)
+    if len(values) != count:
+        raise ValueError(f"{key}: has {len(values)} numbers, needs {count}")
+    return values

@@ -76,7 +76,7 @@ def read_frame(content: Bytes, camera: Camera) -> GreyImage:
             f"the frame is {size[0]} × {size[1]} pixels but the camera has {camera.width} × "
             f"{camera.height}: send frames of the session's camera"
         )
-    image = decode_grey(content)
+    image = decode_grey(content, camera.bit_depth or 16)
     if image is None or image.shape != (camera.height, camera.width):
         raise RendezviewError(damaged)
     return image

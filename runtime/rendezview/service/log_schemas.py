@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
 from rendezview.service.frames import Bytes, FrameKind
 from rendezview.service.fusion_messages import LoggedMeasurement
 from rendezview.service.messages import State
@@ -97,16 +97,18 @@ def transform_bytes(time_s: float, pose: dict[str, list[float]]) -> bytes:
 def calibration_bytes(time_s: float, camera: Camera) -> bytes:
     """foxglove.CameraCalibration."""
     matrix = camera.matrix
+    fisheye = camera.lens_model is LensModel.FISHEYE
     distortion = list(camera.distortion) or [0.0] * 5
-    if len(distortion) == 4:
+    if len(distortion) == 4 and not fisheye:
         distortion.append(0.0)
+    polynomial = "plumb_bob" if len(distortion) == 5 else "rational_polynomial"
     projection = [*matrix[0], 0.0, *matrix[1], 0.0, *matrix[2], 0.0]
     message = CameraCalibration(
         timestamp=stamp(time_s),
         frame_id=CAMERA_FRAME,
         width=camera.width,
         height=camera.height,
-        distortion_model="plumb_bob" if len(distortion) == 5 else "rational_polynomial",
+        distortion_model="kannala_brandt" if fisheye else polynomial,
         D=distortion,
         K=matrix.ravel().tolist(),
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],

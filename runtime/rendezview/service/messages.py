@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, FiniteFloat
 
+from rendezview.geometry.camera import LensModel
 from rendezview.service.fusion_messages import Fused, FusionRequest, Marks
 from rendezview.service.message_parts import Matrix6, Message, Name, PoseMessage, Three
 
@@ -27,7 +28,16 @@ class CameraMessage(Message):
     cx: FiniteFloat = Field(ge=-1e6, le=1e6, description="px")
     cy: FiniteFloat = Field(ge=-1e6, le=1e6, description="px")
     distortion: list[FiniteFloat] = Field(
-        default=[], max_length=8, description="k1 k2 p1 p2 [k3 [k4 k5 k6]], OpenCV's order"
+        default=[],
+        max_length=14,
+        description="OpenCV's order: k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [τx τy]]]]; "
+        "of a fisheye k1 k2 k3 k4",
+    )
+    lens_model: LensModel = Field(
+        default=LensModel.OPENCV, description="fisheye: Kannala–Brandt, as cv2.fisheye"
+    )
+    bit_depth: int | None = Field(
+        default=None, ge=8, le=16, description="of PNG frames with 16-bit levels; null: 16"
     )
 
 

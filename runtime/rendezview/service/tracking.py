@@ -17,8 +17,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_value
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.sensor import AidedSensor
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
@@ -56,6 +55,8 @@ def camera_message(camera: Camera) -> CameraMessage:
         cx=camera.cx,
         cy=camera.cy,
         distortion=list(camera.distortion),
+        lens_model=camera.lens_model,
+        bit_depth=camera.bit_depth,
     )
 
 
@@ -245,20 +246,11 @@ def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) 
 
 def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
     """Contour points of the view nearest to a pose, projected; None if the model has none."""
-    contours = model.contours
-    if contours is None:
+    found = contour_pixels(model, camera, pose)
+    if found is None:
         return None
-    centre = pose.apply(model.centre_m)
-    nearest = np.zeros(1, dtype=np.int64)
-    shell = nearest_views(model.lattice.nodes, contours.shells_m, pose.rotation, centre, nearest)
-    view = nearest[0]
-    kinds = contours.kind[shell, view]
-    used = kinds != NO_POINT
-    points_m = contours.point[shell, view][used] * (POINT_UNIT * model.target_radius_m)
-    points_px = camera.project(points_m @ pose.rotation.T + centre)
-    inside = np.isfinite(points_px).all(axis=1) & (np.abs(points_px) < 1e5).all(axis=1)
     return Contour.model_construct(
-        points_px=np.round(points_px[inside], 1).tolist(), kinds=kinds[used][inside].tolist()
+        points_px=np.round(found.points_px, 1).tolist(), kinds=found.kinds.tolist()
     )
 
 

@@ -12,6 +12,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.reflectors import SixNumbers, pose_of, predict_spots
 from rendezview.sensors.reflectors.discs import (
+    LAW,
     camera_numbers,
     disc_radius,
     placed,
@@ -155,7 +156,7 @@ def test_the_adjusted_pose_is_the_minimum_and_its_covariance_the_inverse_normal_
     wanted = np.linalg.inv(normal)
     # Even light, 1 / 0.6 σ away, would move all spots together.
     even = lens.copy()
-    even[13] = 0.0
+    even[LAW] = 0.0
     pulls = []
     for arm, normal_ in zip(arms @ rotation.T + shift, five.normals @ rotation.T, strict=True):
         there = [project_disc(law, *arm, *normal_, 0.0125) for law in (lens, even)]

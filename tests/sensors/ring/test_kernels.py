@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eig
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import lens_vector
+from rendezview.geometry.lens import LENS_LENGTH, lens_vector
 from rendezview.sensors.ring.arcs import FIRST, LAST, TURN, find_arcs, group_arcs
 from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_circle
 from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
@@ -193,7 +193,7 @@ def test_bend_is_the_cameras_distortion():
     for x, y in np.random.default_rng(6).uniform((0, 0), (640, 480), (30, 2)):
         ray = [(x - CAMERA.cx) / CAMERA.fx, (y - CAMERA.cy) / CAMERA.fy, 1.0]
         np.testing.assert_allclose(bend(x, y, lens), CAMERA.project(np.array(ray)), atol=1e-9)
-    lens[12] = 0.0
+    lens[LENS_LENGTH] = 0.0
     assert bend(3.0, 4.0, lens) == (3.0, 4.0)
     row = np.zeros(COLUMNS)
     begin_sample(row, SHAPE, lens, 0.0, 1.0, 0.0, 5.0, 640, 480)

@@ -19,14 +19,18 @@ from rendezview.evaluation.comparison import (
     score_table,
     scores_dict,
 )
+from rendezview.evaluation.error_pictures import share_picture
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.evaluation import Evaluation
+from rendezview.evaluation.palette import png
 from rendezview.evaluation.scores import scores
 from rendezview.evaluation.surface import ModelPoints, alike_of
+from rendezview.evaluation.track_pictures import error_curves
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
+from rendezview.io.files import atomic_write, make_folder
 from rendezview.io.results import read_results
 from rendezview.io.sequences import open_sequence
 from rendezview.training.mesh import load_mesh
@@ -56,6 +60,7 @@ def evaluate(
             "--speed-plus", help="Apply the thresholds of SPEED+ to each frame's SPEED score."
         ),
     ] = False,
+    plots: Annotated[Path | None, typer.Option(help="Folder for pictures of the errors.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
@@ -83,6 +88,8 @@ def evaluate(
             speed_plus=speed_plus,
             surface=reference.surface,
         )
+    if plots is not None:
+        _draw(evaluations, plots)
     single = next(iter(evaluations.values())) if len(evaluations) == 1 else None
     if as_json:
         if single is None:
@@ -105,6 +112,18 @@ def evaluate(
             console.print(f"{name}: {note}", highlight=False, soft_wrap=True)
     for note in reference.notes:
         console.print(note, highlight=False, soft_wrap=True)
+
+
+def _draw(evaluations: dict[str, Evaluation], folder: Path) -> None:
+    """The share of frames below each error, and the errors of each result over the frames."""
+    make_folder(folder)
+    figures = {"share.png": share_picture(evaluations)}
+    for name, part in evaluations.items():
+        figures[f"errors-{Path(name).stem}.png"] = error_curves(part)
+    for name, figure in figures.items():
+        with atomic_write(folder / name, durable=False) as file:
+            file.write(png(figure))
+        Console(stderr=True).print(str(folder / name), highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,44 +14,70 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from rendezview.errors import RendezviewError
+from rendezview.evaluation.camera_pictures import camera_picture, rig_picture
+from rendezview.evaluation.log_pictures import (
+    Track,
+    measurement_picture,
+    range_picture,
+    ring_picture,
+    track_of_records,
+    track_picture,
+)
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.sphere_pictures import model_picture
 from rendezview.evaluation.track_pictures import observation_curves, point_cloud
 from rendezview.evaluation.trajectory_pictures import path_picture, rate_picture
 from rendezview.geometry.pose import Array, Pose
+from rendezview.interchange.runs import moments
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write, atomic_write_text, make_folder
-from rendezview.io.results import read_json_lines
+from rendezview.io.results import read_json_lines, read_results
 from rendezview.io.sequences import Frame, Sequence, open_sequence
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.sequences.images import write_png
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.stereo.rig_files import load_rig
 
+_SCENE_FILES = ("scene_camera.json", "scene_gt.json")
 _SHEET = (4, 3)  # frames across and down
 _CELL_PX = 320  # px; width of a frame on the sheet
 
 
 def show(
-    what: Annotated[Path, typer.Argument(help="Model (*.rvm), log (*.jsonl) or scene.")],
+    what: Annotated[
+        Path,
+        typer.Argument(
+            help="Model (*.rvm), log (*.jsonl, *.mcap), results (*.csv), rig, camera or scene."
+        ),
+    ],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder; default NAME-pictures.")
     ] = None,
     camera: Annotated[Path | None, typer.Option(help="Camera file, if the scene has none.")] = None,
 ) -> None:
-    """Draw a model, a scene or a log.
+    """Draw any file that rendezview writes.
 
-    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log: range, active nodes
-    and the point cloud; with `track --plan` also path and rates. A scene: a sheet of frames.
+    A model: the accuracy of its nodes over the sphere, and nodes.csv. A log of any sensor, of
+    fuse or of the service: distance, attitude, σ and status of every frame; of track also active
+    nodes, the point cloud, path and rates; of fuse also its measurements. Results: distance and
+    attitude. A rig: its cameras in space. A camera file: what its lens does. A scene: a sheet of
+    frames.
 
+    \b
     Example: rendezview show hubble.rvm -o hubble-pictures
     """
     if not what.exists():
-        raise RendezviewError(f"{what}: no such model, log or scene")
+        raise RendezviewError(f"{what}: no such file or folder")
     folder = output or Path(f"{what.stem if what.is_file() else what.resolve().name}-pictures")
-    if what.suffix == ".rvm":
+    suffix = what.suffix.lower() if what.is_file() else ""
+    if suffix == ".rvm":
         written = _show_model(ViewModel.load(what), folder)
-    elif what.suffix == ".jsonl":
+    elif suffix in (".jsonl", ".mcap"):
         written = _show_log(what, folder)
+    elif suffix == ".csv":
+        written = _show_results(what, folder)
+    elif suffix in (".json", ".yaml", ".yml", ".xml") and what.name not in _SCENE_FILES:
+        written = _show_calibration(what, folder)
     else:
         sequence = open_sequence(what, load_camera(camera) if camera else None)
         written = [_show_scene(sequence, folder)]
@@ -61,6 +87,7 @@ def show(
 
 
 def _save(figure: Figure, path: Path) -> Path:
+    make_folder(path.parent)
     with atomic_write(path, durable=False) as file:
         file.write(png(figure))
     return path
@@ -101,9 +128,55 @@ def _show_model(model: ViewModel, folder: Path) -> list[Path]:
 
 
 def _show_log(path: Path, folder: Path) -> list[Path]:
-    records = list(read_json_lines(path))
+    if path.suffix.lower() == ".mcap":
+        records = [moment.record | {"time_s": moment.time_s} for moment in moments(path)]
+    else:
+        records = list(read_json_lines(path))
     if not records:
         raise RendezviewError(f"{path}: the log is empty")
+    first = records[0]
+    if "ellipses" in first:
+        return [_save(ring_picture(records, str(path)), folder / "ring.png")]
+    if "range_m" in first and "pose" not in first:
+        return [_save(range_picture(records, str(path)), folder / "range.png")]
+    track = track_of_records(records, str(path))
+    written = [_save(track_picture(track, path.name), folder / "track.png")]
+    if "on_nodes" in first and "points_m" in first:
+        return written + _show_nodes(path, records, folder)
+    measured = measurement_picture(records)
+    return written + ([] if measured is None else [_save(measured, folder / "measurements.png")])
+
+
+def _show_results(path: Path, folder: Path) -> list[Path]:
+    rows = read_results(path)
+    if not rows:
+        raise RendezviewError(f"{path}: holds no poses")
+    poses = [row.camera_from_target for row in rows]
+    track = Track.of(
+        [r.im_id for r in rows], "frame", poses, [None] * len(rows), ["ok"] * len(rows)
+    )
+    places = np.array([pose.inverse().translation_m for pose in poses])
+    cloud = point_cloud(
+        np.zeros((0, 3)), target_radius_m=0.1 * float(np.median(track.distance_m)),
+        estimates_m=places,
+    )  # fmt: skip
+    return [
+        _save(track_picture(track, path.name), folder / "track.png"),
+        _save(cloud, folder / "cloud.png"),
+    ]
+
+
+def _show_calibration(path: Path, folder: Path) -> list[Path]:
+    """A rig, or a single camera."""
+    try:
+        figure, name = rig_picture(load_rig(path)), "rig.png"
+    except RendezviewError:
+        figure, name = camera_picture(load_camera(path)), "camera.png"
+    return [_save(figure, folder / name)]
+
+
+def _show_nodes(path: Path, records: list[dict[str, Any]], folder: Path) -> list[Path]:
+    """Active nodes, point cloud and path of a log of `rendezview track`."""
     try:
         poses = [_pose(r["pose"]) for r in records]
         points = [p for r in records for p in r["points_m"]]
@@ -122,7 +195,6 @@ def _show_log(path: Path, folder: Path) -> list[Path]:
         target_radius_m=0.1 * float(np.nanmedian(ranges)) if points else 1.0,
         estimates_m=places,
     )
-    make_folder(folder)
     written = [_save(curves, folder / "curves.png"), _save(cloud, folder / "cloud.png")]
     if all("trajectory" in r for r in records):
         try:

@@ -55,7 +55,7 @@ def widened(camera: Camera) -> Widened | None:
     Raises:
         RendezviewError: the corner rays are too oblique, or cannot be computed.
     """
-    if not any(camera.distortion):
+    if not camera.is_distorted:
         return None
     rays = pixel_rays(camera)
     x, y = rays[..., 0], rays[..., 1]

@@ -27,7 +27,9 @@ from rendezview.training.crossings import (
     LENGTH,
     STEP_RADII,
     edge_crossings,
+    edge_pixels,
     face_normals,
+    some_of,
 )
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.edge_profiles import edge_profiles
@@ -43,6 +45,7 @@ _CLEAR_RADII = 3.0 / 196.0  # target radii beyond _THIN_PX; from there an edge i
 _FREE_RADII = 64.0 / 196.0  # target radii; length along the normal in which a free run ends
 _INNER_SHARE = 0.25  # share of the points for steps and creases inside the outline
 _CANDIDATES = 4  # candidates per kept point, for which free runs are measured
+_PIXELS = 16  # pixels per kept point, for which the exact crossing is computed
 _LEAST_RELIABILITY = 0.02  # weight of an unreliable edge: chosen only where there is no other
 _CELL_PX = 4.0  # px; cells of the space-filling curve
 _OWN_LINE_PX = 2.5  # px; nearer, the marks of an edge's own line block the search
@@ -74,23 +77,19 @@ def contour_points(
     albedo = mesh.face_albedo
     normals = face_normals(view.vertices, view.faces)
     step_m = STEP_RADII * geometry.target_radius_m
-    crossings = edge_crossings(
-        view.vertices,
-        view.vertices[:, :2] / view.vertices[:, 2:] * focal + middle,
-        view.faces,
-        normals,
-        beside,
-        albedo,
-        focal,
-        middle,
-        nearness,
-        owner,
-        step_m,
-    )
-    edges = np.zeros(owner.shape, dtype=np.bool_)
-    _mark(crossings, edges)
     count = options.contour_points
     inner = round(_INNER_SHARE * count)
+    pixels, edges = edge_pixels(
+        view.vertices, view.faces, normals, albedo, focal, middle, nearness, owner, step_m
+    )
+    inner_ones = pixels[:, 3] > OUTLINE
+    kept_pixels = np.empty(len(pixels), dtype=np.bool_)
+    for group, most in ((~inner_ones, count - inner), (inner_ones, inner)):
+        kept_pixels[group] = some_of(int(np.count_nonzero(group)), _PIXELS * most)
+    crossings = edge_crossings(
+        view.vertices, view.points, view.faces, normals, beside, pixels[kept_pixels], focal,
+        middle, nearness, owner, step_m,
+    )  # fmt: skip
     candidates = _chosen(crossings, _CANDIDATES * (count - inner), _CANDIDATES * inner)
     crossings = crossings[candidates]
     radius_px = 0.5 * size - _BORDER_PX
@@ -196,13 +195,6 @@ def _morton(x: Array, y: Array) -> npt.NDArray[np.int64]:
         code |= ((a >> bit) & 1) << (2 * bit)
         code |= ((b >> bit) & 1) << (2 * bit + 1)
     return code
-
-
-@njit(cache=True, nogil=True)
-def _mark(crossings: Array, edges: npt.NDArray[np.bool_]) -> None:
-    """Set the pixels of all crossings."""
-    for k in range(crossings.shape[0]):
-        edges[int(np.rint(crossings[k, 1])), int(np.rint(crossings[k, 0]))] = True
 
 
 @njit(cache=True, nogil=True)

@@ -19,7 +19,10 @@ from rendezview.training.zbuffer import Float32s, Int32s
 STEP_RADII = 0.02  # target radii; a surface that much deeper is another surface
 _CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle form a crease
 _FAINT_COLOUR = 0.12  # albedo; facets that differ by more form a crease, too
-_ROWS = 4096  # crossings; first size of the table, which doubles when it is full
+# Source: by construction
+_ROWS = 32768  # pixels; first size of the table, which grows when it is full
+# Source: by construction, the least repetitive sequence of places
+_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _OUTLINE, _STEP, _CREASE = 0, 1, 2  # kinds of edges: against the sky, in depth, in normal or albedo
 # Columns of a crossing: u v, point (3), tangent (3), then
 KIND, LENGTH = 8, 9  # kind of the edge; length of the outline that it represents, px
@@ -43,14 +46,22 @@ def faces_beside(mesh: Mesh) -> npt.NDArray[np.int32]:
     return beside.reshape(-1, 3)
 
 
-def face_normals(vertices: Array, faces: npt.NDArray[np.int32]) -> Array:
+@njit(cache=True, nogil=True)
+def face_normals(vertices: Array, faces: Int32s) -> Array:
     """Unit normals (F, 3) towards the camera; (0, 0, −1) for a face without area."""
-    corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(length, 1e-30)[:, None]
-    normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0
-    normals[length < 1e-30] = (0.0, 0.0, -1.0)
+    normals = np.empty((faces.shape[0], 3))
+    for f in range(faces.shape[0]):
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        px, py, pz = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        ax, ay, az = vertices[j, 0] - px, vertices[j, 1] - py, vertices[j, 2] - pz
+        bx, by, bz = vertices[k, 0] - px, vertices[k, 1] - py, vertices[k, 2] - pz
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = np.sqrt(x * x + y * y + z * z)
+        if length < 1e-30:
+            x, y, z, length = 0.0, 0.0, -1.0, 1.0
+        elif x * px + y * py + z * pz > 0.0:
+            length = -length
+        normals[f, 0], normals[f, 1], normals[f, 2] = x / length, y / length, z / length
     return normals
 
 
@@ -60,14 +71,11 @@ def depth_on(
 ) -> float:
     """Depth z where the ray (rx, ry, 1) meets the plane of a face; 0 for a parallel ray."""
     a = faces[face, 0]
-    normal = normals[face]
-    down = normal[0] * rx + normal[1] * ry + normal[2]
+    nx, ny, nz = normals[face, 0], normals[face, 1], normals[face, 2]
+    down = nx * rx + ny * ry + nz
     if abs(down) < 1e-9:
         return 0.0
-    meeting = (
-        normal[0] * vertices[a, 0] + normal[1] * vertices[a, 1] + normal[2] * vertices[a, 2]
-    ) / down
-    return float(meeting)
+    return (nx * vertices[a, 0] + ny * vertices[a, 1] + nz * vertices[a, 2]) / down  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True)
@@ -102,31 +110,17 @@ def line_in_face(
 
 
 @njit(cache=True, nogil=True)
-def _edge_kind(
-    vertices: Array, faces: Int32s, normals: Array, albedo: Array, focal: float, middle: float,
-    nearness: Float32s, owner: Int32s, step: float, x: int, y: int, dx: int, dy: int,
-) -> int:  # fmt: skip
-    """Kind of the edge between pixel (x, y) and its neighbour at (dx, dy); −1: no edge.
+def _is_step(
+    vertices: Array, faces: Int32s, normals: Array, focal: float, middle: float, face: int,
+    near: float, other: float, step: float, x: int, y: int,
+) -> bool:  # fmt: skip
+    """Whether the nearer face, prolonged to the pixel (x, y) beside it, stays before what is there.
 
-    A step belongs to its nearer pixel. A crease is counted once, from its left or upper pixel.
+    ``near`` and ``other`` are 1/z of both; they differ by more than a step in depth.
     """
-    face, beyond = owner[y, x], owner[y + dy, x + dx]
-    if beyond < 0:
-        return _OUTLINE
-    rx, ry = (x + dx - middle) / focal, (y + dy - middle) / focal
-    z_here = depth_on(vertices, faces, face, normals, rx, ry)
-    z_there = 1.0 / nearness[y + dy, x + dx]
-    z_own = 1.0 / nearness[y, x]
-    if z_there - z_own > step and (z_here <= 0.0 or z_there - z_here > step):
-        return _STEP
-    if dx + dy > 0 and abs(z_there - z_own) < step:
-        n, m = normals[face], normals[beyond]
-        cosine = n[0] * m[0] + n[1] * m[1] + n[2] * m[2]
-        paint = abs(albedo[face] - albedo[beyond])
-        if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
-            return -1
-        return _CREASE
-    return -1
+    rx, ry = (x - middle) / focal, (y - middle) / focal
+    z = depth_on(vertices, faces, face, normals, rx, ry)
+    return 1.0 / other - 1.0 / near > step and (z <= 0.0 or 1.0 / other - z > step)
 
 
 @njit(cache=True, nogil=True)
@@ -203,55 +197,126 @@ def _write_crossing(
     return True
 
 
-@njit(cache=True, nogil=True)
-def edge_crossings(
-    vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, albedo: Array,
-    focal: float, middle: float, nearness: Float32s, owner: Int32s, step: float,
-) -> Array:  # fmt: skip
-    """Every edge between neighbouring pixels: (M, 10) rows.
+def edge_pixels(
+    vertices: Array, faces: Int32s, normals: Array, albedo: Array, focal: float, middle: float,
+    nearness: Float32s, owner: Int32s, step: float,
+) -> tuple[Int32s, npt.NDArray[np.bool_]]:  # fmt: skip
+    """The pixels beside an edge, and (H, W) whether a pixel is one of them.
+
+    An outline belongs to the target, a step to the nearer surface, a crease to its left or upper
+    pixel.
 
     Args:
-        vertices: (V, 3), camera frame, and ``points``: (V, 2), their pixels.
-        faces: (F, 3), with ``normals`` (F, 3), ``beside`` (F, 3) and ``albedo`` (F,).
-        focal: px, and ``middle``: px, of both axes.
-        nearness: (H, W) 1/z, and ``owner``: (H, W) visible face, −1 for the sky.
-        step: m; a surface that much deeper is another surface.
+        vertices: (V, 3), camera frame.
+        faces: (F, 3), with ``normals`` (F, 3) and ``albedo`` (F,).
+        focal, middle, nearness, owner, step: as of ``edge_crossings``.
+
+    Returns:
+        (M, 4) column, row, side on which the edge lies (0 right, 1 below, 2 left, 3 above), kind.
+    """
+    look = np.column_stack([normals, albedo]).astype(np.float32)
+    marks = np.zeros(owner.shape, dtype=np.bool_)
+    rows = np.empty((_ROWS, 4), dtype=np.int32)
+    while True:
+        count = _edge_pixels(
+            vertices, faces, normals, look, focal, middle, nearness, owner, step, rows, marks
+        )
+        if count <= len(rows):
+            return rows[:count], marks
+        rows = np.empty((count, 4), dtype=np.int32)
+
+
+@njit(cache=True, nogil=True)
+def _edge_pixels(
+    vertices: Array, faces: Int32s, normals: Array, look: Float32s, focal: float, middle: float,
+    nearness: Float32s, owner: Int32s, step: float, rows: Int32s, marks: npt.NDArray[np.bool_],
+) -> int:  # fmt: skip
+    """Fill ``rows`` and ``marks`` of ``edge_pixels``; how many rows there are, or would be.
+
+    ``look`` (F, 4) holds normals and albedo: most neighbours differ in neither.
     """
     height, width = owner.shape
-    rows = np.empty((_ROWS, _COLUMNS))
     count = 0
     for y in range(1, height - 1):
         for x in range(1, width - 1):
             face = owner[y, x]
-            if face < 0:
-                continue
-            for side in range(4):
-                dx, dy = (1, 0, -1, 0)[side], (0, 1, 0, -1)[side]
-                if owner[y + dy, x + dx] == face:
+            for down in range(2):
+                dx, dy = 1 - down, down
+                beyond = owner[y + dy, x + dx]
+                if beyond == face:
                     continue
-                kind = _edge_kind(
-                    vertices, faces, normals, albedo, focal, middle, nearness, owner, step,
-                    x, y, dx, dy,
-                )  # fmt: skip
-                if kind < 0:
-                    continue
-                enter, leave, edge = line_in_face(points, faces, face, x, y, dx, dy)
-                if edge < 0 or enter > 0.5 or leave < -0.5:
-                    continue
-                last = face
-                if kind != _CREASE:
-                    last, leave, edge = _followed(
-                        vertices, points, faces, normals, beside, focal, middle, nearness, owner,
-                        step, x, y, dx, dy, face, leave, edge,
-                    )  # fmt: skip
-                if leave < -0.01 or leave > 1.01:
-                    continue
-                if count == rows.shape[0]:
-                    grown = np.empty((2 * count, _COLUMNS))
-                    grown[:count] = rows
-                    rows = grown
-                a, b = faces[last, edge], faces[last, (edge + 1) % 3]
-                u, v = x + dx * leave, y + dy * leave
-                if _write_crossing(rows[count], vertices, a, b, u, v, dx, dy, focal, middle, kind):
-                    count += 1
+                next_one = False
+                if face < 0 or beyond < 0:
+                    kind, next_one = _OUTLINE, face < 0
+                else:
+                    near, other = nearness[y, x], nearness[y + dy, x + dx]
+                    if abs(near - other) <= step * near * other:
+                        cosine = look[face, 0] * look[beyond, 0]
+                        cosine += look[face, 1] * look[beyond, 1]
+                        cosine += look[face, 2] * look[beyond, 2]
+                        paint = abs(look[face, 3] - look[beyond, 3])
+                        if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
+                            continue
+                        kind = _CREASE
+                    else:
+                        kind, next_one = _STEP, other > near
+                        if next_one:
+                            is_step = _is_step(vertices, faces, normals, focal, middle, beyond,
+                                               other, near, step, x, y)  # fmt: skip
+                        else:
+                            is_step = _is_step(vertices, faces, normals, focal, middle, face,
+                                               near, other, step, x + dx, y + dy)  # fmt: skip
+                        if not is_step:
+                            continue
+                u, v = (x + dx, y + dy) if next_one else (x, y)
+                marks[v, u] = True
+                if count < rows.shape[0]:
+                    rows[count, 0], rows[count, 1] = u, v
+                    rows[count, 2], rows[count, 3] = down + 2 * next_one, kind
+                count += 1
+    return count
+
+
+def some_of(count: int, most: int) -> npt.NDArray[np.bool_]:
+    """(count,) about ``most`` of them, spread evenly but in no period."""
+    if count <= most:
+        return np.ones(count, dtype=np.bool_)
+    return np.asarray(np.arange(count) * _GOLDEN % 1.0 < most / count)
+
+
+@njit(cache=True, nogil=True)
+def edge_crossings(
+    vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, pixels: Int32s,
+    focal: float, middle: float, nearness: Float32s, owner: Int32s, step: float,
+) -> Array:  # fmt: skip
+    """Where the edges beside some pixels cross the lines to their neighbours: (M, 10) rows.
+
+    Args:
+        vertices: (V, 3), camera frame, and ``points``: (V, 2), their pixels.
+        faces: (F, 3), with ``normals`` (F, 3) and ``beside`` (F, 3).
+        pixels: (N, 4) of ``edge_pixels``.
+        focal: px, and ``middle``: px, of both axes.
+        nearness: (H, W) 1/z, and ``owner``: (H, W) visible face, −1 for the sky.
+        step: m; a surface that much deeper is another surface.
+    """
+    rows = np.empty((pixels.shape[0], _COLUMNS))
+    count = 0
+    for k in range(pixels.shape[0]):
+        x, y, side, kind = pixels[k, 0], pixels[k, 1], pixels[k, 2], pixels[k, 3]
+        dx, dy = (1, 0, -1, 0)[side], (0, 1, 0, -1)[side]
+        last = owner[y, x]
+        enter, leave, edge = line_in_face(points, faces, last, x, y, dx, dy)
+        if edge < 0 or enter > 0.5 or leave < -0.5:
+            continue
+        if kind != _CREASE:
+            last, leave, edge = _followed(
+                vertices, points, faces, normals, beside, focal, middle, nearness, owner,
+                step, x, y, dx, dy, last, leave, edge,
+            )  # fmt: skip
+        if leave < -0.01 or leave > 1.01:
+            continue
+        a, b = faces[last, edge], faces[last, (edge + 1) % 3]
+        u, v = x + dx * leave, y + dy * leave
+        if _write_crossing(rows[count], vertices, a, b, u, v, dx, dy, focal, middle, kind):
+            count += 1
     return rows[:count]

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
-from rendezview.training.projection import SurfaceRenderer, Window
+from rendezview.training.projection import NEAREST_M, SurfaceRenderer, Window
 from rendezview.training.views import look_from
-from rendezview.training.zbuffer import draw_perspective, empty_buffers
+from rendezview.training.zbuffer import draw_parallel, draw_perspective, empty_buffers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,6 +21,7 @@ class DrawnView:
 
     rotation: Array  # (3, 3) camera_from_target
     vertices: Array  # (V, 3) camera frame, m
+    points: Array  # (V, 2) their pixels
     faces: npt.NDArray[np.int32]  # (F, 3)
     focal: float  # px
     middle: float  # px, of both axes
@@ -47,12 +48,19 @@ def draw_view(
     focal = (0.5 * size_px - border_px) / np.tan(np.arcsin(geometry.target_radius_m / range_m))
     middle = 0.5 * (size_px - 1)
     faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+    points = vertices[:, :2] / vertices[:, 2:] * focal + middle
     if renderer is None:
         nearness, owner = empty_buffers(size_px, size_px)
-        draw_perspective(vertices, faces, focal, focal, middle, middle, 1e-3, nearness, owner)
+        if vertices[:, 2].min() > NEAREST_M:
+            on_plane = np.column_stack([points, 1.0 / vertices[:, 2]])
+            draw_parallel(on_plane, faces, nearness, owner)
+        else:
+            draw_perspective(
+                vertices, faces, focal, focal, middle, middle, NEAREST_M, nearness, owner
+            )
     else:
         pose = Pose(rotation, np.array([0.0, 0.0, range_m]) - rotation @ geometry.centre_m)
         nearness, owner = renderer.draw_surfaces(
             pose, Window(size_px, size_px, float(focal), middle, middle)
         )
-    return DrawnView(rotation, vertices, faces, float(focal), middle, nearness, owner)
+    return DrawnView(rotation, vertices, points, faces, float(focal), middle, nearness, owner)

@@ -13,8 +13,9 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.contours import REACH_RADII, SURFACES
-from rendezview.training.crossings import KIND, STEP_RADII, depth_on
+from rendezview.training.crossings import KIND, STEP_RADII
 from rendezview.training.drawn_view import DrawnView
+from rendezview.training.faces_along import Scratch, faces_along, scratch_for
 from rendezview.training.zbuffer import Int32s
 
 # Lengths are shares of the target's radius in the picture. 1/196 is one pixel of a view 400 px
@@ -28,8 +29,6 @@ _AROUND = 0.3  # share of sunlight; light from all around, in a difference that 
 _ALIKE = 1e-4 / 196.0  # albedo² × width; a smaller difference is negligible
 _STEP = 0.1**2  # albedo²; the difference that a step in depth counts as
 _FAINT = 0.25  # of the brightest stretch; fainter ones may be merged with the sky
-_ON_EDGE_PX = 1e-6  # px; a place that close to an edge lies on it
-_SAME_DEPTH = 2e-6  # relative; closer depths are equal
 
 
 def _places(outside: float) -> tuple[Array, Array]:
@@ -66,67 +65,11 @@ def edge_profiles(
         (N, SURFACES) mean albedo; (N, SURFACES − 1, 2) where all surfaces but the first begin:
         the distance inwards of the point, in target radii, and z, 0 where there is no surface.
     """
-    corners = view.vertices[:, :2] / view.vertices[:, 2:] * view.focal + view.middle
     outer, inner = _places(_OUTSIDE), _places(REACH_RADII)
     return _profiles(
-        crossings, *outer, *inner, view.vertices, corners, view.faces, beside, view.focal,
+        crossings, *outer, *inner, view.vertices, view.points, view.faces, beside, view.focal,
         view.middle, view.owner, normals, albedo, radius_px,
     )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _inside(corners: Array, face: Int32s, x: float, y: float) -> bool:
-    """Whether a place lies in a projected face or on its edge."""
-    least, most = 1e9, -1e9
-    for k in range(3):
-        a, b = corners[face[k]], corners[face[(k + 1) % 3]]
-        ex, ey = b[0] - a[0], b[1] - a[1]
-        away = (ex * (y - a[1]) - ey * (x - a[0])) / (np.sqrt(ex * ex + ey * ey) + 1e-30)
-        least, most = min(least, away), max(most, away)
-    return least >= -_ON_EDGE_PX or most <= _ON_EDGE_PX
-
-
-@njit(cache=True, nogil=True)
-def _face_at(
-    x: float, y: float, vertices: Array, corners: Array, faces: Int32s, beside: Int32s,
-    focal: float, middle: float, owner: Int32s, normals: Array,
-) -> int:  # fmt: skip
-    """The visible face at a place between pixel centres; −1: none.
-
-    It is the nearest face that covers the place, among the faces of the 3 × 3 pixels around and
-    then the faces beside those, which may own no pixel. If no face covers the place, the result
-    is the pixel's own face, or the sky if a pixel around shows it.
-    """
-    height, width = owner.shape
-    column, row = int(np.rint(x)), int(np.rint(y))
-    own = owner[row, column]
-    rx, ry = (x - middle) / focal, (y - middle) / focal
-    visible, nearest = -1, np.inf
-    for around in range(2):
-        last = -1
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                if not (0 <= row + dy < height and 0 <= column + dx < width):
-                    continue
-                owning = owner[row + dy, column + dx]
-                if owning < 0:
-                    own = -1
-                if owning < 0 or owning == last:
-                    continue
-                last = owning
-                for side in range(3 if around else 1):
-                    face = beside[owning, side] if around else owning
-                    if face < 0 or face == visible or not _inside(corners, faces[face], x, y):
-                        continue
-                    z = depth_on(vertices, faces, face, normals, rx, ry)
-                    if z <= 0.0 or z > nearest * (1.0 + _SAME_DEPTH):
-                        continue
-                    # Of two coplanar faces the first, as in the z-buffer.
-                    if z < nearest * (1.0 - _SAME_DEPTH) or face < visible:
-                        visible, nearest = face, min(z, nearest)
-        if visible >= 0 or own >= 0:
-            break
-    return visible if visible >= 0 else own
 
 
 @njit(cache=True, nogil=True)
@@ -187,29 +130,28 @@ def _joined(
 
 @njit(cache=True, nogil=True)
 def _sample(
-    point: Array, tx: float, ty: float, places: Array, aside: float, radius_px: float,
-    vertices: Array, corners: Array, faces: Int32s, beside: Int32s, focal: float, middle: float,
-    owner: Int32s, normals: Array, albedo: Array, samples: Array, depth: Array,
+    point: Array, tx: float, ty: float, places_px: Array, aside: float, vertices: Array,
+    corners: Array, faces: Int32s, beside: Int32s, focal: float, middle: float, owner: Int32s,
+    normals: Array, albedo: Array, scratch: Scratch, samples: Array, depth: Array,
 ) -> None:  # fmt: skip
     """Light and depth at places along one normal, averaged over five lines along the edge."""
-    height, width = owner.shape
-    for i in range(len(places)):
-        inside = places[i] * radius_px
-        samples[i], depth[i] = 0.0, 0.0
-        for b in range(-2, 3):
-            u = point[0] - inside * ty + aside * b * tx
-            v = point[1] + inside * tx + aside * b * ty
-            if not (0.0 <= u <= width - 1.0 and 0.0 <= v <= height - 1.0):
-                continue
-            face = _face_at(u, v, vertices, corners, faces, beside, focal, middle, owner, normals)
+    count = len(places_px)
+    samples[:count], depth[:count] = 0.0, 0.0
+    for b in range(-2, 3):
+        line = np.array([point[0] + aside * b * tx, point[1] + aside * b * ty, -ty, tx])
+        faces_along(
+            line, places_px, vertices, corners, faces, beside, focal, middle, owner, normals,
+            scratch,
+        )  # fmt: skip
+        for i in range(count):
+            face = scratch.visible[i]
             if face < 0:
                 continue
             for k in range(3):
                 samples[i, k] += 0.2 * albedo[face] * normals[face, k]
             samples[i, 3] += 0.2 * albedo[face] * _AROUND
             if b == 0:
-                rx, ry = (u - middle) / focal, (v - middle) / focal
-                depth[i] = depth_on(vertices, faces, face, normals, rx, ry)
+                depth[i] = 1.0 / scratch.nearness[i]
 
 
 @njit(cache=True, nogil=True)
@@ -264,6 +206,10 @@ def _profiles(
     starts = np.zeros((points.shape[0], SURFACES - 1, 2))
     starts[:, :, 0] = REACH_RADII
     samples, depth = np.empty((len(inner), 4)), np.empty(len(inner))
+    scratch = scratch_for(len(inner), faces.shape[0])
+    outer_px, inner_px = radius_px * outer, radius_px * inner
+    outer_weights = outer_wide * np.exp(-np.abs(outer) / _NEAR)
+    inner_weights = inner_wide * np.exp(-np.abs(inner) / _NEAR)
     for j in range(points.shape[0]):
         x, y, z = points[j, 2], points[j, 3], points[j, 4]
         tx, ty = points[j, 5] - x / z * points[j, 7], points[j, 6] - y / z * points[j, 7]
@@ -272,12 +218,12 @@ def _profiles(
         outline = points[j, KIND] == 0.0
         step = STEP_RADII * radius_px * z / focal
         places, wide = (outer, outer_wide) if outline else (inner, inner_wide)
+        weights = outer_weights if outline else inner_weights
         count = len(places)
         _sample(
-            points[j], tx, ty, places, aside, radius_px, vertices, corners, faces, beside, focal,
-            middle, owner, normals, albedo, samples, depth,
+            points[j], tx, ty, outer_px if outline else inner_px, aside, vertices, corners, faces,
+            beside, focal, middle, owner, normals, albedo, scratch, samples, depth,
         )  # fmt: skip
-        weights = wide * np.exp(-np.abs(places) / _NEAR)
         first = _joined(samples[:count], depth[:count], weights, SURFACES + outline, step)
         sky = _nearest_start(first, places, wide) if outline else 0
         _average(first, sky, places, wide, weights, samples, depth, normal[j], colour[j], starts[j])

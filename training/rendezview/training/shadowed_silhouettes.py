@@ -15,6 +15,7 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outlines_of_mask
+from rendezview.training.crossings import face_normals
 from rendezview.training.directions import axes_towards
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
@@ -88,19 +89,16 @@ def shadowed_silhouettes(
     drawn = draw_view(mesh, geometry, direction, range_m, _PICTURE_PX, _BORDER_PX, renderer)
     rotation, nearness, owner = drawn.rotation, drawn.nearness, drawn.owner
     focal, middle = drawn.focal, drawn.middle
-    corners = drawn.vertices[drawn.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1), 1e-30)[:, None]
-    normals[np.einsum("fi,fi->f", normals, corners[:, 0]) > 0.0] *= -1.0
+    normals = face_normals(drawn.vertices, drawn.faces)
     phase = np.arccos(np.clip(maps.suns @ direction, -1.0, 1.0))
     chosen = np.flatnonzero((phase >= _PHASES_RAD[0]) & (phase <= _PHASES_RAD[1]))
-    incidence = normals @ (maps.suns[chosen] @ rotation.T).T  # (F, C)
+    towards = maps.suns[chosen] @ rotation.T  # (C, 3) camera frame
     whole = int(np.count_nonzero(owner >= 0))
     rows: list[tuple[int, Array, npt.NDArray[np.float32], float, Array]] = []
     mask = np.empty((_PICTURE_PX, _PICTURE_PX), dtype=np.uint8)
     for k, sun in enumerate(chosen):
         _light(
-            nearness, owner, focal, middle, range_m, rotation, incidence[:, k],
+            nearness, owner, focal, middle, range_m, rotation, normals, towards[k],
             maps.axes[sun], maps.corner[sun], maps.texel_m[sun], maps.nearness[sun], mask,
         )  # fmt: skip
         if np.count_nonzero(mask) < _LEAST_SHARE * whole:
@@ -143,7 +141,7 @@ def _rays(points_px: Array, focal: float, middle: float) -> Array:
 @njit(cache=True, nogil=True)
 def _light(
     nearness: Float32s, owner: Int32s, focal: float, middle: float, range_m: float,
-    rotation: Array, incidence: Array, axes: Array, corner: Array, texel_m: float,
+    rotation: Array, normals: Array, towards: Array, axes: Array, corner: Array, texel_m: float,
     sunward: Float32s, mask: npt.NDArray[np.uint8],
 ) -> None:  # fmt: skip
     """Mask of the sunlit pixels: their faces look towards the Sun, and nothing shades them."""
@@ -153,7 +151,14 @@ def _light(
         for j in range(owner.shape[1]):
             mask[i, j] = 0
             face = owner[i, j]
-            if face < 0 or incidence[face] <= _LEAST_COSINE:
+            if face < 0:
+                continue
+            incidence = (
+                normals[face, 0] * towards[0]
+                + normals[face, 1] * towards[1]
+                + normals[face, 2] * towards[2]
+            )
+            if incidence <= _LEAST_COSINE:
                 continue
             z = 1.0 / nearness[i, j]
             x, y = z * (j - middle) / focal, z * (i - middle) / focal
@@ -166,7 +171,7 @@ def _light(
             w = axes[2, 0] * p0 + axes[2, 1] * p1 + axes[2, 2] * p2 - corner[2]
             column, row = int(np.rint(u / texel_m)), int(np.rint(v / texel_m))
             # A sloping face rises above its own texel by the slope.
-            free = w + slack + texel_m / max(incidence[face], 0.1)
+            free = w + slack + texel_m / max(incidence, 0.1)
             on_map = 0 <= column < side and 0 <= row < side
             if not (on_map and sunward[row, column] > free):
                 mask[i, j] = 255

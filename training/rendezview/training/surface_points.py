@@ -14,6 +14,7 @@ from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.projection import SurfaceRenderer
+from rendezview.training.shown_faces import bits_of
 from rendezview.training.zbuffer import Int32s
 
 SURFACE_ORDER = 3  # of the sphere of directions: 642, independent of the order of the trees
@@ -46,15 +47,28 @@ def visible_points(
     direction: Array,
     options: TrainingOptions,
     renderer: SurfaceRenderer | None = None,
-) -> npt.NDArray[np.uint8]:
-    """(N / 8,) bits, lowest first: which of the points are visible from a distant camera."""
+) -> tuple[npt.NDArray[np.uint8], Int32s]:
+    """(N / 8,) bits, lowest first: which of the points are visible from a distant camera.
+
+    And (H, W) the face that each pixel of its picture shows, −1 in the sky.
+    """
     range_m = _AFAR_RADII * geometry.target_radius_m
     size = options.contour_resolution_px
     view = draw_view(mesh, geometry, direction, range_m, size, _BORDER_PX, renderer)
     places = points @ view.rotation.T + np.array([0.0, 0.0, range_m])
     visible = np.zeros(len(points), dtype=np.bool_)
     _look_up(places, faces, view.focal, view.middle, view.owner, visible)
-    return np.packbits(visible, bitorder="little")
+    return np.packbits(visible, bitorder="little"), view.owner
+
+
+def shown_from_near(
+    mesh: Mesh, geometry: ViewGeometry, direction: Array, options: TrainingOptions
+) -> npt.NDArray[np.uint8]:
+    """(F / 8,) bits, lowest first: which faces a camera at the nearest range sees."""
+    radii = min(options.range_radii[0], *options.contour_radii)
+    range_m = radii * geometry.sphere_radius_m
+    view = draw_view(mesh, geometry, direction, range_m, options.contour_resolution_px, _BORDER_PX)
+    return bits_of(view.owner, len(mesh.faces))
 
 
 def chosen_surface(

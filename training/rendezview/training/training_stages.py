@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSil
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.signature import Readings
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.outline.voters import Voters
 from rendezview.sensors.appearance.sketch.views import ViewSketches
 from rendezview.training.calibrate import prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
@@ -24,8 +25,10 @@ from rendezview.training.learn import Samples, TreeSet, learn_trees
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.projection import SilhouetteRenderer, SurfaceRenderer
+from rendezview.training.renderers import Renderer
 from rendezview.training.shadowed_silhouettes import SunMaps, shadowed_silhouettes, sun_maps
 from rendezview.training.shard_executor import ShardExecutor, Shared, Task
+from rendezview.training.shown_faces import ShownFaces, ShownRenderer, bits_of
 from rendezview.training.sketch_maps import sketched_view
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
@@ -33,6 +36,7 @@ from rendezview.training.surface_points import (
     SURFACE_ORDER,
     candidate_points,
     chosen_surface,
+    shown_from_near,
     visible_points,
 )
 from rendezview.training.views import (
@@ -42,11 +46,13 @@ from rendezview.training.views import (
     lattice_slopes,
     perturbed_views,
 )
+from rendezview.training.voters import VoterSamples, joined, learn_voters
 
 # Shards take about a second each.
 _VIEWS_PER_SHARD = 256
 _SLOW_VIEWS_PER_SHARD = 64  # of contours and shadowed silhouettes
 _NODES_PER_SHARD = 16
+_VIEWS_PER_LIST = 8  # views drawn per list of faces; with fewer, lists cost more than they save
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,17 +131,36 @@ class TrainingStages:
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         return ShadowedSilhouettes(suns=maps.suns, **views)
 
-    def surface(self) -> Surface | None:
-        """Points of the surface, and the directions from which each is visible, for shading."""
-        if 0 in (self.options.surface_points, self.options.contour_points):
-            return None
+    def surface(self) -> tuple[Surface | None, TrainingStages]:
+        """Points of the surface, and the directions from which each is visible, for shading.
+
+        And the stages that draw only the faces that a direction shows, if views enough follow.
+        """
+        options = self.options
+        shading = 0 not in (options.surface_points, options.contour_points)
+        count = 2 + (len(options.contour_radii) if options.contour_points else 0)
+        count *= len(Geodesic.of_order(options.order + 1).nodes)
         directions = Geodesic.of_order(SURFACE_ORDER).nodes
-        points, faces = candidate_points(self.mesh, self.geometry, self.options)
-        shared = (self.mesh, self.geometry, points, faces, self.options, self.surfaces)
-        parts = [(directions[p.start : p.stop],) for p in shares(len(directions), _VIEWS_PER_SHARD)]
+        many = count + options.perturbed_views > _VIEWS_PER_LIST * len(directions)
+        lists = many and options.renderer is Renderer.NUMBA
+        if not (shading or lists):
+            return None, self
+        points, faces = candidate_points(self.mesh, self.geometry, options)
+        shared = (self.mesh, self.geometry, points, faces, options, self.surfaces, lists)
+        parts = [
+            (directions[p.start : p.stop],) for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
+        ]
         shards = self._run("surface", _surface_arrays, shared, parts)
-        visible = np.concatenate([a["visible"] for a in shards])
-        return chosen_surface(self.mesh, self.geometry, points, faces, visible, self.options)
+        stages, surface = self, None
+        if lists:
+            bits = np.concatenate([a["faces"] for a in shards])
+            shown = ShownFaces(directions, bits, len(self.mesh.faces))
+            renderer = ShownRenderer(self.mesh, shown, self.geometry.centre_m)
+            stages = dataclasses.replace(self, renderer=renderer, surfaces=renderer)
+        if shading:
+            visible = np.concatenate([a["visible"] for a in shards])
+            surface = chosen_surface(self.mesh, self.geometry, points, faces, visible, options)
+        return surface, stages
 
     def sketches(self) -> ViewSketches | None:
         """Every node's view as the sketch network would draw it."""
@@ -155,6 +180,17 @@ class TrainingStages:
         parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
         shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
         return TreeSet.joined([_tree_set(a) for a in shards])
+
+    def voters(
+        self, lattice: ViewSet, perturbed: ViewSet | None, lit: ShadowedSilhouettes | None
+    ) -> Voters | None:
+        """Voters of all nodes; None without shadowed silhouettes."""
+        if self.options.voters == 0 or lit is None:
+            return None
+        samples = VoterSamples.of(self.options.order, lattice, perturbed, lit)
+        nodes = len(Geodesic.of_order(self.options.order).nodes)
+        parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
+        return joined(self._run("voters", learn_voters, (samples, self.options), parts))
 
     def calibration(self, model: ViewModel, held_out: ViewSet) -> Array:
         """Errors of recognition on the held-out views."""
@@ -216,12 +252,19 @@ def _surface_arrays(
     faces: npt.NDArray[np.int32],
     options: TrainingOptions,
     surfaces: SurfaceRenderer | None,
+    lists: bool,
     directions: Array,
 ) -> Arrays:
-    views = [
-        visible_points(mesh, geometry, points, faces, d, options, surfaces) for d in directions
-    ]
-    return {"visible": np.stack(views)}
+    visible, shown = [], []
+    for direction in directions:
+        points_bits, afar = visible_points(
+            mesh, geometry, points, faces, direction, options, surfaces
+        )
+        visible.append(points_bits)
+        if lists:
+            near = shown_from_near(mesh, geometry, direction, options)
+            shown.append(near | bits_of(afar, len(mesh.faces)))
+    return {"visible": np.stack(visible)} | ({"faces": np.stack(shown)} if lists else {})
 
 
 def _sketch_arrays(

@@ -127,6 +127,23 @@ def draw_parallel(vertices: Float64s, faces: Int32s, nearness: Float32s, owner: 
         )  # fmt: skip
 
 
+@njit(cache=True, nogil=True)
+def draw_chosen(
+    vertices: Float64s, faces: Int32s, chosen: npt.NDArray[np.intp], nearness: Float32s,
+    owner: Int32s,
+) -> None:  # fmt: skip
+    """``draw_parallel`` of some of the faces, in the given order."""
+    for k in range(chosen.shape[0]):
+        face = chosen[k]
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        fill_triangle(
+            vertices[a, 0], vertices[a, 1], vertices[a, 2],
+            vertices[b, 0], vertices[b, 1], vertices[b, 2],
+            vertices[c, 0], vertices[c, 1], vertices[c, 2],
+            face, nearness, owner,
+        )  # fmt: skip
+
+
 def empty_buffers(height: int, width: int) -> tuple[Float32s, Int32s]:
     """Empty ``nearness`` (0 is infinitely far) and ``owner`` buffers."""
     return np.zeros((height, width), np.float32), np.full((height, width), NOBODY, np.int32)

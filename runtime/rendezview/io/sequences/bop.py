@@ -19,6 +19,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_json
+from rendezview.io.sequences.fitting import bits_of, check_sizes, depth_note, sampled
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey
 
@@ -80,6 +81,9 @@ def open_bop_scene(
         )
     images_folder, images = _images(folder)
     base = camera if camera is not None else _scene_camera(folder, next(iter(images.values())))
+    samples = sampled(list(images.values()))
+    check_sizes(samples, base, images_folder)
+    bits = bits_of(samples, base)
     frames = []
     for im_id, entry in sorted(cameras.items()):
         own = camera
@@ -97,10 +101,15 @@ def open_bop_scene(
                 if target is None
                 else _pose(target, f"{truth_path}: {im_id}"),
                 obj_id=target.obj_id if target is not None else (obj_id or 1),
-                fetch=partial(read_grey, path),
+                fetch=partial(read_grey, path, bits),
             )
         )
-    return Sequence(scene_id=_scene_id(folder), frames=tuple(frames), source=folder)
+    return Sequence(
+        scene_id=_scene_id(folder),
+        frames=tuple(frames),
+        source=folder,
+        notes=depth_note(bits, base),
+    )
 
 
 def _by_number(entries: dict[str, Entry], path: Path) -> dict[int, Entry]:

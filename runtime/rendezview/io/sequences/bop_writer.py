@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import StrPath, atomic_write_text, make_folder
 from rendezview.io.sequences.images import write_png
@@ -143,6 +143,7 @@ class BopSceneWriter:
                 "cx": camera.cx,
                 "cy": camera.cy,
                 "distCoeffs": list(camera.distortion),
+                **({"fisheye_model": 1} if camera.lens_model is LensModel.FISHEYE else {}),
                 "depth_scale": 1.0,
                 "scene_id": self.scene_id,
             },

@@ -7,11 +7,13 @@ import struct
 import threading
 import zlib
 from collections.abc import Iterator
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.errors import RendezviewError
 from rendezview.io.sequences.frame import GreyImage
 
 PNG = b"\x89PNG\r\n\x1a\n"  # first bytes of a file
@@ -28,9 +30,11 @@ _AT_ONCE = 1 << 20  # bytes that are unpacked at once. Source: chosen
 _INTERLACED_ROWS = 8  # filter bytes a row and pass, at most. Source: PNG, section 8.2
 
 # A picture rotated by its EXIF tag does not fit its calibration.
-_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+# IMREAD_GRAYSCALE alone drops the low eight of 16 bits.
+_AS_STORED = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 _ANIMATED = (b"acTL", b"fcTL", b"fdAT")
 
+Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]  # grey, (height, width), as stored
 Bytes = bytes | bytearray | memoryview | npt.NDArray[np.uint8]
 
 
@@ -69,12 +73,47 @@ class _Silence:
 _silence = _Silence()
 
 
-def decode_grey(content: Bytes) -> GreyImage | None:
+def decode_grey(content: Bytes, bits: int = 16) -> GreyImage | None:
     """A PNG, JPEG … as grey uint8 (height, width), as stored: not rotated by its EXIF tag.
 
-    None if it is damaged, cut short, animated, or not a picture; or if a small file would cost much
-    time: a JPEG of hundreds of scans, a PNG that unpacks to more than its picture. The checksums of
-    a PNG are checked first, because OpenCV's decoder can hang over a damaged one.
+    Args:
+        content: the file.
+        bits: of 16-bit levels, those in use, counted from the lowest; the highest eight are kept.
+
+    Returns:
+        None as `decode_levels`.
+
+    Raises:
+        RendezviewError: a level needs more bits.
+    """
+    levels = decode_levels(content)
+    return None if levels is None else eight_bits(levels, bits)
+
+
+def eight_bits(levels: npt.NDArray[Any], bits: int) -> GreyImage:
+    """Grey levels in eight bits, the highest of ``bits``.
+
+    Raises:
+        RendezviewError: a level needs more bits.
+    """
+    if levels.dtype == np.uint8:
+        return np.asarray(levels, dtype=np.uint8)
+    peak = int(levels.max(initial=0))
+    if peak >= 1 << bits:
+        raise RendezviewError(
+            f"a level of {peak} needs more than {bits} bits: put the camera's bit_depth into the "
+            "camera file"
+        )
+    return (levels >> (bits - 8)).astype(np.uint8)
+
+
+def decode_levels(content: Bytes) -> Levels | None:
+    """A PNG, JPEG … as grey levels of 8 or 16 bits, as stored: not rotated by its EXIF tag.
+
+    None if it is damaged, cut short, animated, of floating-point levels, or not a picture; or if
+    a small file would cost much time: a JPEG of hundreds of scans, a PNG that unpacks to more than
+    its picture. The checksums of a PNG are checked first, because OpenCV's decoder can hang over a
+    damaged one.
     """
     if len(content) == 0:
         return None
@@ -89,7 +128,9 @@ def decode_grey(content: Bytes) -> GreyImage | None:
             image = cv2.imdecode(data, _AS_STORED)
     except cv2.error:
         return None
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        return None
+    return image  # type: ignore[return-value]  # its type was checked
 
 
 def _png_is_whole(view: memoryview) -> bool:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.io.sequences.fitting import bits_of, check_sizes, depth_note, sampled
 from rendezview.io.sequences.frame import Frame, Sequence
 from rendezview.io.sequences.images import list_images, read_grey, required_camera
 
@@ -27,17 +28,28 @@ def open_image_folder(folder: Path, camera: Camera | None = None) -> Sequence:
             f"{folder}: no images in it, and it is no BOP scene (scene_camera.json) and no "
             f"SPEED folder (camera.json and labels): check the path"
         )
-    found = required_camera(camera, folder, folder)
+    return open_images(images, required_camera(camera, folder, folder), folder)
+
+
+def open_images(images: list[Path], camera: Camera, source: Path) -> Sequence:
+    """Image files of one camera as a sequence, numbered from 0, without times and truth.
+
+    Raises:
+        RendezviewError: they are not of the camera's size.
+    """
+    samples = sampled(images)
+    check_sizes(samples, camera, images[0].parent)
+    bits = bits_of(samples, camera)
     frames = tuple(
         Frame(
             im_id=index,
             name=path.name,
             time_s=None,
-            camera=found,
+            camera=camera,
             camera_from_target=None,
             obj_id=1,
-            fetch=partial(read_grey, path),
+            fetch=partial(read_grey, path, bits),
         )
         for index, path in enumerate(images)
     )
-    return Sequence(scene_id=1, frames=frames, source=folder)
+    return Sequence(scene_id=1, frames=frames, source=source, notes=depth_note(bits, camera))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.io.sequences.misfit import misfit
 
 GreyImage = npt.NDArray[np.uint8]  # (height, width)
 
@@ -37,10 +38,7 @@ class Frame:
         image = self.fetch()
         height, width = image.shape
         if (width, height) != (self.camera.width, self.camera.height):
-            raise RendezviewError(
-                f"{self.name}: the image is {width} × {height} pixels but its camera "
-                f"{self.camera.width} × {self.camera.height}: use the camera file of these images"
-            )
+            raise RendezviewError(f"{self.name}: {misfit(width, height, self.camera)}")
         return image
 
 
@@ -51,6 +49,7 @@ class Sequence:
     scene_id: int
     frames: tuple[Frame, ...]
     source: Path
+    notes: tuple[str, ...] = ()  # what a user should check, one line each
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -22,14 +22,21 @@ IMAGE_SUFFIXES = frozenset(
 CAMERA_NAMES = ("camera.json", "camera.yaml", "camera.yml")
 
 
-def read_grey(path: Path) -> GreyImage:
+def read_grey(path: Path, bits: int | None = None) -> GreyImage:
     """An image file as grey uint8 (height, width), not rotated by its EXIF tag.
 
+    Args:
+        path: the file.
+        bits: in use of 16-bit levels; None: all.
+
     Raises:
-        RendezviewError: missing, unreadable, not an image, or cut short.
+        RendezviewError: missing, unreadable, not an image, cut short, or a level needs more bits.
     """
     content = read_bytes(path, "an image")
-    image = decode_grey(content)
+    try:
+        image = decode_grey(content, bits or 16)
+    except RendezviewError as error:
+        raise RendezviewError(f"{path}: {error}") from error
     if image is None:
         raise RendezviewError(
             f"{path}: not an image that can be read (damaged, cut short or of another "

@@ -7,6 +7,7 @@ ROS's ``sensor_msgs/image_encodings.h``.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,8 +15,8 @@ import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
-from rendezview.io.camera_files import intrinsics_of
-from rendezview.io.sequences.decoding import decode_grey
+from rendezview.io.camera_files import camera_from_keys
+from rendezview.io.sequences.decoding import decode_levels, eight_bits
 from rendezview.io.sequences.frame import GreyImage
 
 # Channels, and the conversion to grey; None: already grey.
@@ -40,6 +41,18 @@ _EIGHT_BIT: dict[str, tuple[int, int | None]] = {
 }
 
 
+_SIXTEEN_BIT: dict[str, tuple[int, int | None]] = {
+    "mono16": (1, None),
+    "16UC1": (1, None),
+    "rgb16": (3, cv2.COLOR_RGB2GRAY),
+    "bgr16": (3, cv2.COLOR_BGR2GRAY),
+    "bayer_rggb16": (1, cv2.COLOR_BayerBG2GRAY),
+    "bayer_bggr16": (1, cv2.COLOR_BayerRG2GRAY),
+    "bayer_gbrg16": (1, cv2.COLOR_BayerGR2GRAY),
+    "bayer_grbg16": (1, cv2.COLOR_BayerGB2GRAY),
+}
+
+
 @dataclass(frozen=True, slots=True)
 class RawPicture:
     """Pixels row by row."""
@@ -49,6 +62,7 @@ class RawPicture:
     step: int  # bytes from a row to the next
     encoding: str
     data: bytes | bytearray | memoryview | npt.NDArray[np.uint8]
+    big_endian: bool = False  # of 16-bit levels
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +82,8 @@ class Calibration:
     distortion: tuple[float, ...]
     matrix: tuple[float, ...]  # K, 9, row-wise
     projection: tuple[float, ...]  # P, 12, row-wise: of rectified pictures
+    region: tuple[int, int, int, int] = (0, 0, 0, 0)  # x y width height, calibrated px; 0: all
+    binning: tuple[int, int] = (1, 1)  # across, down; 0: none
 
     def camera(self, where: str, *, rectified: bool = False) -> Camera:
         """The camera; for rectified pictures that of P, without distortion.
@@ -81,44 +97,51 @@ class Calibration:
                 raise RendezviewError(f"{where}: no 3 × 4 projection in it: give a camera file")
             p = self.projection
             matrix, distortion = [*p[0:3], *p[4:7], *p[8:11]], []
-        found = intrinsics_of(
+        x_px, y_px, width, height = self.region
+        return camera_from_keys(
             {
                 "width": self.width,
                 "height": self.height,
-                "distortion_model": self.model,
+                "distortion_model": "" if rectified else self.model,
                 "K": matrix,
                 "D": distortion,
+                "roi": {"x_offset": x_px, "y_offset": y_px, "width": width, "height": height},
+                "binning_x": self.binning[0],
+                "binning_y": self.binning[1],
             },
             where,
         )
-        try:
-            return Camera(*found)
-        except ValueError as error:
-            raise RendezviewError(f"{where}: {error}: give a camera file") from error
 
 
-def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
+def grey(picture: RawPicture | PackedPicture, where: str, bits: int | None = None) -> GreyImage:
     """The picture as grey uint8 (height, width).
+
+    Args:
+        picture: as recorded.
+        where: it is, for messages.
+        bits: in use of 16-bit levels; None: not known.
 
     Raises:
         RendezviewError: cut short, damaged, or of an unsupported encoding.
     """
     if isinstance(picture, PackedPicture):
-        image = decode_grey(picture.data)
-        if image is None:
+        levels = decode_levels(picture.data)
+        if levels is None:
             raise RendezviewError(
                 f"{where}: not a PNG, JPEG or WebP picture that can be read (damaged or cut short)"
             )
-        return image
+        return _eight(levels, where, bits)
     content = np.frombuffer(picture.data, dtype=np.uint8)
-    if picture.encoding not in _EIGHT_BIT:
+    known = {**_EIGHT_BIT, **_SIXTEEN_BIT}
+    if picture.encoding not in known:
         raise RendezviewError(
-            f"{where}: encoding {picture.encoding!r} is not supported (it does not give which bits "
-            f"count): record one of {', '.join(_EIGHT_BIT)}"
+            f"{where}: encoding {picture.encoding!r} is not supported: record one of "
+            f"{', '.join(known)}"
         )
-    channels, to_grey = _EIGHT_BIT[picture.encoding]
+    channels, to_grey = known[picture.encoding]
+    wide = picture.encoding in _SIXTEEN_BIT
     width, height, step = picture.width, picture.height, picture.step
-    row = width * channels
+    row = width * channels * (2 if wide else 1)
     if not (width > 0 and height > 0 and step >= row and len(content) >= step * (height - 1) + row):
         raise RendezviewError(
             f"{where}: {len(content)} bytes for {width} × {height} pixels of {picture.encoding}, "
@@ -127,12 +150,26 @@ def grey(picture: RawPicture | PackedPicture, where: str) -> GreyImage:
     short = step * height - len(content)  # the last row may end with its last pixel
     whole = np.concatenate([content, np.zeros(short, np.uint8)]) if short > 0 else content
     rows = whole[: step * height].reshape(height, step)[:, :row]
-    pixels = np.ascontiguousarray(rows.reshape(height, width, channels))
+    kind = np.dtype(">u2" if picture.big_endian else "<u2") if wide else np.dtype(np.uint8)
+    pixels = np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
+    pixels = pixels.astype(np.uint16 if wide else np.uint8)
     if to_grey is None:
-        return np.array(pixels[:, :, 0])
+        return _eight(pixels[:, :, 0], where, bits)
     try:
-        return np.asarray(cv2.cvtColor(pixels, to_grey), dtype=np.uint8)
+        return _eight(cv2.cvtColor(pixels, to_grey), where, bits)
     except cv2.error as error:
         raise RendezviewError(
             f"{where}: {width} × {height} pixels cannot be {picture.encoding}: {error.err}"
         ) from error
+
+
+def _eight(levels: npt.NDArray[Any], where: str, bits: int | None) -> GreyImage:
+    if levels.dtype == np.uint16 and bits is None:
+        raise RendezviewError(
+            f"{where}: the levels have 16 bits, and nothing gives how many of them are used: give "
+            "a camera file with bit_depth (10, 12, 14 or 16)"
+        )
+    try:
+        return np.array(eight_bits(levels, bits or 8))
+    except RendezviewError as error:
+        raise RendezviewError(f"{where}: {error}") from error

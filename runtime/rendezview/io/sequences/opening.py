@@ -8,9 +8,9 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.files import StrPath
 from rendezview.io.sequences.bop import open_bop_scene
-from rendezview.io.sequences.folder import open_image_folder
+from rendezview.io.sequences.folder import open_image_folder, open_images
 from rendezview.io.sequences.frame import Sequence
-from rendezview.io.sequences.images import IMAGE_SUFFIXES
+from rendezview.io.sequences.images import IMAGE_SUFFIXES, read_grey, required_camera
 from rendezview.io.sequences.mcap_messages import mcap_messages
 from rendezview.io.sequences.recordings import open_recording, split_topic
 from rendezview.io.sequences.ros_messages import BAG_SUFFIXES, bag_messages, is_ros2_folder
@@ -26,13 +26,13 @@ from rendezview.io.sequences.video import VIDEO_SUFFIXES, open_video
 def open_sequence(
     path: StrPath, camera: Camera | None = None, *, obj_id: int | None = None
 ) -> Sequence:
-    """Open a BOP scene, a SPEED folder, a folder of images, a video, a ROS bag or an MCAP file.
+    """Open a BOP scene, a SPEED folder, images, a video, a ROS bag or an MCAP file.
 
-    Only the first image is read (of a recording, all messages once); frames are read on demand.
+    At most five images are read (of a recording, all messages once); frames are read on demand.
 
     Args:
-        path: the folder; or a video, a ``scene_camera.json``, a SPEED labels file; or a
-            recording, with ``#topic`` after it if several topics have pictures.
+        path: the folder; or an image, a video, a ``scene_camera.json``, a SPEED labels file; or
+            a recording, with ``#topic`` after it if several topics have pictures.
         camera: of all frames; takes precedence over the sequence's own. Required for a folder of
             images or a video without a ``camera.json`` or ``camera.yaml``, and for a recording
             without calibration messages.
@@ -67,7 +67,8 @@ def open_sequence(
     if suffix in VIDEO_SUFFIXES:
         return open_video(source, camera)
     if suffix in IMAGE_SUFFIXES:
-        raise RendezviewError(f"{path}: a single image: give the folder it is in")
+        read_grey(source)
+        return open_images([source], required_camera(camera, source.parent, source), source)
     raise RendezviewError(
         f"{path}: no sequence of images: give a BOP scene, a folder of images, a SPEED folder, a "
         f"ROS bag (.bag .db3), an .mcap file or a video ({' '.join(sorted(VIDEO_SUFFIXES))})"

@@ -72,7 +72,7 @@ def open_recording(
     own = camera if camera is not None else _camera(path, found, chosen)
     stamps_s = found.stamps_s[chosen]
     times_s = stamps_s if any(stamps_s) else found.logged_s[chosen]
-    reader = RecordingReader(path, messages, chosen)
+    reader = RecordingReader(path, messages, chosen, own.bit_depth)
     frames = tuple(
         Frame(
             im_id=index,
@@ -94,13 +94,13 @@ class RecordingReader:
     Several threads may use one reader, and it can be sent to another process.
     """
 
-    def __init__(self, path: Path, messages: Messages, topic: str) -> None:
-        self._source = path, messages, topic
+    def __init__(self, path: Path, messages: Messages, topic: str, bits: int | None = None) -> None:
+        self._source = path, messages, topic, bits
         self._pass: Iterator[Message] | None = None
         self._next = 0  # number of the picture that comes next
         self._lock = threading.Lock()
 
-    def __reduce__(self) -> tuple[type[RecordingReader], tuple[Path, Messages, str]]:
+    def __reduce__(self) -> tuple[type[RecordingReader], tuple[Path, Messages, str, int | None]]:
         return RecordingReader, self._source
 
     def read(self, index: int) -> GreyImage:
@@ -109,7 +109,7 @@ class RecordingReader:
         Raises:
             RendezviewError: the recording has changed, or the picture is damaged.
         """
-        path, messages, topic = self._source
+        path, messages, topic, bits = self._source
         where = f"{path}#{topic}, frame {index}"
         with self._lock:
             if self._pass is None or index < self._next:
@@ -120,7 +120,7 @@ class RecordingReader:
                     content = _decoded(path, message)[1]
                     if isinstance(content, Calibration):
                         break
-                    return grey(content, where)
+                    return grey(content, where, bits)
             self._pass = None
         raise RendezviewError(f"{where}: is no longer there: the recording has changed")
 

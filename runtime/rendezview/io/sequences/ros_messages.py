@@ -89,11 +89,19 @@ def message(
 def _content(type_name: str, found: Any) -> Content:
     kind = short_name(type_name)
     if kind == "sensor_msgs/Image":
-        return RawPicture(found.width, found.height, found.step, found.encoding, found.data)
+        return RawPicture(
+            found.width,
+            found.height,
+            found.step,
+            found.encoding,
+            found.data,
+            bool(found.is_bigendian),
+        )
     if kind == "sensor_msgs/CompressedImage":
         return PackedPicture(found.data)
     ros1 = hasattr(found, "K")  # ROS 1 has capitals
     k, d, p = (found.K, found.D, found.P) if ros1 else (found.k, found.d, found.p)
+    roi = found.roi
     return Calibration(
         width=int(found.width),
         height=int(found.height),
@@ -101,4 +109,6 @@ def _content(type_name: str, found: Any) -> Content:
         distortion=tuple(map(float, d)),
         matrix=tuple(map(float, k)),
         projection=tuple(map(float, p)),
+        region=(roi.x_offset, roi.y_offset, roi.width, roi.height),
+        binning=(found.binning_x, found.binning_y),
     )

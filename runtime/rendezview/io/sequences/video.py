@@ -13,6 +13,7 @@ import numpy as np
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.decoding import quiet_opencv
+from rendezview.io.sequences.fitting import check_sizes
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 from rendezview.io.sequences.images import required_camera
 
@@ -46,6 +47,7 @@ def open_video(path: Path, camera: Camera | None = None) -> Sequence:
     found = required_camera(camera, path.parent, path)
     timed = math.isfinite(rate_hz) and rate_hz > 0.0
     reader = VideoReader(path)
+    check_sizes(_first(VideoReader(path)), found, path.parent)
     frames = tuple(
         Frame(
             im_id=index,
@@ -112,6 +114,14 @@ class VideoReader:
             )
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         return np.asarray(grey, dtype=np.uint8)
+
+
+def _first(reader: VideoReader) -> list[GreyImage]:
+    """The first frame; none if it cannot be read, which the run reports."""
+    try:
+        return [reader.read(0)]
+    except RendezviewError:
+        return []
 
 
 def _capture(path: Path) -> cv2.VideoCapture:

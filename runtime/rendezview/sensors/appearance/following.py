@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy.typing as npt
@@ -32,6 +32,7 @@ def follow(
     sun_camera: npt.ArrayLike | None = None,
     refine: bool = True,
     sketch: bool = True,
+    watch: Callable[[Frame, GreyImage | None, AppearanceObservation], None] | None = None,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
 
@@ -46,6 +47,7 @@ def follow(
         sun_camera: (3,) towards the Sun, camera frame, if it is known.
         refine: move poses onto the edges, if the model has contour points.
         sketch: search on a sketch of the frame where the edges give no pose, see ``Recognizer``.
+        watch: called with every frame, its picture (None: unreadable) and its observation.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
 
@@ -69,9 +71,11 @@ def follow(
         sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = tracker
         return sensor.update(time_s, image, sun_camera)
 
-    for frame, _, observation in observe(
+    for frame, image, observation in observe(
         sequence, look, AppearanceObservation, ordered=not independent
     ):
+        if watch is not None:
+            watch(frame, image, observation)
         yield frame, observation
 
 

@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.outline.voters import Voters
 from rendezview.sensors.appearance.sketch.views import ViewSketches
 
 _Part = TypeVar("_Part")
@@ -99,8 +100,19 @@ class ViewModel:
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
     surface: Surface | None = None  # points and albedo, for shading; None: trained without
+    voters: Voters | None = None  # order and confirm first poses; None: trained without, or earlier
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
+    # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
+    shape_covariance: Array | None = None
+
+    @property
+    def shape_uncertainty(self) -> Array:
+        """(6, 6) covariance of the strain between model and craft, as ``strain_covariance`` reads
+        it: shears times √2."""
+        known = np.zeros((6, 6)) if self.shape_covariance is None else self.shape_covariance
+        factors = np.array([1.0] * 3 + [np.sqrt(2.0)] * 3)
+        return np.asarray(factors[:, None] * known * factors + self.shape_error**2 * np.eye(6))
 
     @property
     def bins(self) -> int:
@@ -136,6 +148,8 @@ class ViewModel:
             }
         if self.surface is not None:
             arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
+        if self.voters is not None:
+            arrays |= {f"voters.{f.name}": getattr(self.voters, f.name) for f in fields(Voters)}
         if self.sketches is not None:
             arrays |= {
                 f"sketches.{f.name}": getattr(self.sketches, f.name) for f in fields(ViewSketches)
@@ -154,6 +168,8 @@ class ViewModel:
             "shape_error": self.shape_error,
             "provenance": self.provenance,
         }
+        if self.shape_covariance is not None:
+            header["shape_covariance"] = self.shape_covariance.tolist()
         if self.error_model is not None:
             header["error_model"] = self.error_model.record()
         write_container(Path(path), header, arrays)
@@ -186,6 +202,7 @@ class ViewModel:
                 contours=_part(arrays, "contours", Contours),
                 lit=_part(arrays, "lit", ShadowedSilhouettes),
                 surface=_part(arrays, "surface", Surface),
+                voters=_part(arrays, "voters", Voters),
                 sketches=_part(arrays, "sketches", ViewSketches),
                 symmetries=tuple(
                     Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
@@ -193,6 +210,7 @@ class ViewModel:
                 ),
                 shape_error=float(header.get("shape_error", 0.0)),
                 error_model=_error_model(header),
+                shape_covariance=_shape_covariance(header),
                 provenance=dict(header["provenance"]),
                 **{name: arrays[name] for name in _ARRAYS},
             )
@@ -227,6 +245,8 @@ class ViewModel:
             self.lit.check(count)
         if self.surface is not None:
             self.surface.check()
+        if self.voters is not None:
+            self.voters.check(nodes)
         if self.sketches is not None:
             self.sketches.check()
         for name, (array, shape) in shapes.items():
@@ -241,6 +261,16 @@ def _views(arrays: dict[str, npt.NDArray[Any]]) -> Views:
     if found is None:
         raise KeyError("views")
     return found
+
+
+def _shape_covariance(header: dict[str, Any]) -> Array | None:
+    """Of calibrated models."""
+    if "shape_covariance" not in header:
+        return None
+    covariance = np.array(header["shape_covariance"], dtype=np.float64)
+    if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
+        raise ValueError("shape_covariance must be 6 × 6 finite numbers")
+    return covariance
 
 
 def _error_model(header: dict[str, Any]) -> ErrorModel | None:

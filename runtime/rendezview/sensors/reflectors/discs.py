@@ -16,13 +16,15 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.lens import distorted, lens_vector
+from rendezview.geometry.lens import LENS_LENGTH, distorted, lens_vector
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
+BLUR, LAW = LENS_LENGTH, LENS_LENGTH + 1  # places of what `camera_numbers` appends
+
 
 def camera_numbers(camera: Camera, blur_px: float = 0.75) -> Array:
-    """(14,) of ``lens_vector``, the blur and the law of light, for the compiled loops.
+    """(LENS_LENGTH + 2,) of ``lens_vector``, the blur and the law of light, for the compiled loops.
 
     The law is 1 for a retro-reflector, whose light falls with range² across the disc, and 0 for
     even light.
@@ -55,8 +57,8 @@ def project_disc(
     a2 = radius * radius
     r2 = x * x + y * y + z * z
     square = a2 * lens[0] * lens[0] / r2  # of the radius in pixels
-    k = 0.5 + 0.131 * square / (square + 5.0 * lens[12] * lens[12])  # as in `expected_size`
-    across, near = nx * x + ny * y + nz * z, 2.0 * lens[13] * k * k * a2 / r2
+    k = 0.5 + 0.131 * square / (square + 5.0 * lens[BLUR] * lens[BLUR])  # as in `expected_size`
+    across, near = nx * x + ny * y + nz * z, 2.0 * lens[LAW] * k * k * a2 / r2
     x, y, z = (
         x - near * (x - across * nx),
         y - near * (y - across * ny),

@@ -19,7 +19,7 @@ from rendezview.estimation.linear_algebra import invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
-from rendezview.sensors.reflectors.discs import camera_numbers, project_disc, turned
+from rendezview.sensors.reflectors.discs import LAW, camera_numbers, project_disc, turned
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 
 Ints = npt.NDArray[np.int64]
@@ -184,7 +184,7 @@ def _doubt_light(
 ) -> None:  # fmt: skip
     """Add what the law of light, which may be even, moves the pose by: one number for all spots."""
     even, jacobian, pull = lens.copy(), np.empty((2, 6)), np.zeros(6)
-    even[13] = 0.0
+    even[LAW] = 0.0
     for i in range(arms.shape[0]):
         x, y, z = turned(rotation, arms, i)
         x, y, z = x + shift[0], y + shift[1], z + shift[2]

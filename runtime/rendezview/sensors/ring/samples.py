@@ -14,7 +14,7 @@ from numba import njit
 from rendezview.estimation.edge_profile import FAR
 from rendezview.estimation.least_squares import tukey_weight
 from rendezview.estimation.linear_algebra import solve
-from rendezview.geometry.lens import distorted
+from rendezview.geometry.lens import LENS_LENGTH, distorted
 
 Gradient = npt.NDArray[np.int16]  # Sobel's sum: 8 × grey levels a pixel
 
@@ -29,7 +29,7 @@ _ALIGNED = 0.9  # cosine between gradient and normal
 @njit(cache=True, nogil=True, fastmath=True, inline="always")
 def bend(x: float, y: float, lens: Array) -> tuple[float, float]:
     """Pixel of an undistorted pixel; ``lens``: of ``lens_vector``, then whether it bends."""
-    if lens[12] == 0.0:
+    if lens[LENS_LENGTH] == 0.0:
         return x, y
     u, v = distorted((x - lens[2]) / lens[0], (y - lens[3]) / lens[1], lens)
     return lens[0] * u + lens[2], lens[1] * v + lens[3]

@@ -7,7 +7,7 @@ the pass: a circle has the same radius and distance in every frame, a chance ell
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -192,7 +192,7 @@ class SizeSensor:
             return SizeFrame(frame, str(error))
         if echo is None:
             return SizeFrame(frame, "no range at this time")
-        camera = replace(frame.camera, distortion=())
+        camera = frame.camera.pinhole
         panel = find_panel(image, frame.camera, self.options.blur_px)
         if panel is None:
             return SizeFrame(frame, "no panel: no quadrilateral with four sharp sides", echo=echo)
@@ -248,7 +248,7 @@ def measure_pass(
             None, f"{count} frames with a panel, a range and an ellipse: {LEAST_FRAMES} are needed",
             total, count,
         )  # fmt: skip
-    camera = replace(frames[0].frame.camera, distortion=())
+    camera = frames[0].frame.camera.pinhole
     circles = _circles(frames)
     for number, members in enumerate(circles):
         sights = [frames[k].sights[i] for k, i in members.items()]

@@ -20,6 +20,7 @@ from rendezview.estimation.edge_profile import (
     narrow_step,
     residual_square,
 )
+from rendezview.geometry.lens import LENS_LENGTH
 from rendezview.sensors.ring.samples import (
     ARC,
     CONTRAST,
@@ -119,7 +120,7 @@ def _read_profile(
     profile: Array,
 ) -> None:  # fmt: skip
     """Grey levels along a normal, by bilinear interpolation."""
-    bent = lens[12] != 0.0
+    bent = lens[LENS_LENGTH] != 0.0
     for k in range(TAPS):
         d = float(k - REACH)
         a, b = rx + d * nx, ry + d * ny

@@ -62,12 +62,12 @@ class Lens:
         """The same lens as OpenCV's k1 k2 p1 p2 [k3 [k4 k5 k6]], exactly.
 
         Raises:
-            RendezviewError: rational terms, which eq. 6 does not have.
+            RendezviewError: rational, thin-prism or tilt terms, which eq. 6 does not have.
         """
-        k1, k2, p1, p2, k3, *rational = (*distortion, *([0.0] * 8))[:8]
-        if any(rational):
+        k1, k2, p1, p2, k3, *more = (*distortion, *([0.0] * 5))
+        if any(more):
             raise RendezviewError(
-                "the camera has rational distortion terms (k4 k5 k6), which Brown's model "
+                "the camera has rational, thin-prism or tilt terms (k4 …), which Brown's model "
                 "(eq. 6) does not have: calibrate with at most k1 k2 p1 p2 k3"
             )
         return cls((k1, k2, k3), (p2, p1, 0.0), corrects=False)

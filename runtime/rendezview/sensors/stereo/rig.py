@@ -16,7 +16,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import Camera, LensModel
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.stereo.detectors import Photodiode, Spots
 from rendezview.sensors.stereo.lens import Array, Lens, ideal_with_sigma
@@ -64,8 +64,13 @@ class RigCamera:
         """From a camera of OpenCV's model.
 
         Raises:
-            RendezviewError: the camera has rational distortion terms.
+            RendezviewError: a fisheye, or terms that Brown's model does not have.
         """
+        if camera.lens_model is LensModel.FISHEYE:
+            raise RendezviewError(
+                f"camera {name!r} has a fisheye lens, which Brown's model (eq. 6) does not have: "
+                "calibrate with k1 k2 p1 p2 k3"
+            )
         return cls(
             name, camera.fx, camera.fy, camera.cx, camera.cy, camera_from_rig,
             Lens.from_opencv(camera.distortion), (camera.width, camera.height), floor=floor,

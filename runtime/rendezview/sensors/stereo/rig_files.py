@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, TypeAdapter
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.camera import Camera
+from rendezview.geometry.camera import DISTORTION_LENGTHS, Camera
 from rendezview.geometry.pose import Pose, nearest_rotation
 from rendezview.io.calibration_yaml import parse_yaml
 from rendezview.io.files import StrPath, atomic_write_text, checked, parse_json, read_text
@@ -182,9 +182,10 @@ def _from_opencv(text: str, path: StrPath) -> Rig:
         distortion = tuple(_matrix(data, f"D{number}", None).tolist())
         while len(distortion) > 5 and distortion[-1] == 0.0:
             distortion = distortion[:-1]
+        length = next((n for n in DISTORTION_LENGTHS if n >= len(distortion)), len(distortion))
         camera = Camera(
             *size, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
-            distortion if len(distortion) in (0, 4, 5, 8) else (*distortion, *[0.0] * 8)[:8],
+            (*distortion, *[0.0] * (length - len(distortion))),
         )  # fmt: skip
         pose = Pose.identity()
         if number == 2:

@@ -96,10 +96,12 @@ def test_covariance_of_a_strained_craft():
     points = rng.normal(size=(len(edges), 3))
     across = np.cross(points + centre, rng.normal(size=(len(edges), 3)))  # j · (q + centre) = 0
     edges[:, 3:6], edges[:, :3] = across, np.cross(points, across)
-    found = strain_covariance(edges, 1.5, loose, centre, arm)
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    root = rng.normal(size=(6, 6))
+    found = strain_covariance(edges, 1.5, loose, rotation, centre, arm, root @ root.T)
     jacobian, _, w = weighted(edges, 1.5)
     kept = (edges[:, STATE] == FOUND) & (np.abs(edges[:, RESIDUAL]) < 1.5)
-    j, q = edges[kept, 3:6], points[kept]
+    j, q = edges[kept, 3:6] @ rotation, points[kept] @ rotation
     half = np.sqrt(0.5)
     strains = np.stack(
         [j[:, a] * q[:, a] for a in range(3)]
@@ -107,7 +109,7 @@ def test_covariance_of_a_strained_craft():
         axis=1,
     )
     bread = np.linalg.inv(jacobian.T * w @ jacobian + np.diag(loose))
-    response = shift_of(arm) @ bread @ (jacobian.T * w @ strains)
+    response = shift_of(arm) @ bread @ (jacobian.T * w @ strains) @ root
     assert found == pytest.approx(response @ response.T, rel=1e-8, abs=1e-12)
 
 

@@ -62,8 +62,6 @@ _LONGEST_TURN_RAD = 0.2  # rad, of one step
 _ALONG = 0.1  # of a move along the line of sight, which shows so much less in the picture
 _SMALL = 0.01  # of the target's radius in pixels: below 100 px a step stops earlier
 _NEAREST_RADII, _FURTHEST_RADII = 1.02, 1e9  # of the target's radius; poses beyond have diverged
-_NO_LIGHT = np.zeros(1)  # Source: by construction
-_NO_SUN = np.zeros(3)  # Source: by construction
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
@@ -173,19 +171,24 @@ def covariance_of(
 
 
 @njit(cache=True, nogil=True)
-def strain_covariance(edges: Array, cut: float, loose: Array, centre: Array, arm: Array) -> Array:
-    """(6, 6) of a pose where the craft is the model strained: per unit of the strain's variance.
+def strain_covariance(
+    edges: Array, cut: float, loose: Array, rotation: Array, centre: Array, arm: Array,
+    strain: Array,
+) -> Array:  # fmt: skip
+    """(6, 6) of a pose where the craft is the model strained.
 
-    A strain S (symmetric, its six components independent) moves the edge of a point q from the
-    view centre by j S q along its normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since
-    J = (q × j, j), and j · (q + centre) = 0 as for every projection, q follows from J.
+    A strain S (symmetric) moves the edge of a point q from the view centre by j S q along its
+    normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since J = (q × j, j), and j · (q + centre) = 0
+    as for every projection, q follows from J.
 
     Args:
         edges, cut, loose, arm: as for ``covariance_of``.
-        centre: (3,) of the view centre, camera frame.
+        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
+        strain: (6, 6) covariance of the strain's components xx, yy, zz, √2 xy, √2 xz, √2 yz in
+            target axes: with these factors one that is alike in all directions is diagonal.
     """
     matrix, moved = np.zeros((6, 6)), np.zeros((6, 6))
-    strains = np.empty(6)
+    strains, q, g = np.empty(6), np.empty(3), np.empty(3)
     for a in range(6):
         matrix[a, a] = loose[a]
     for n in range(edges.shape[0]):
@@ -198,17 +201,20 @@ def strain_covariance(edges: Array, cut: float, loose: Array, centre: Array, arm
         q0 = (j[1] * x[2] - j[2] * x[1] + j[0] * along) / square
         q1 = (j[2] * x[0] - j[0] * x[2] + j[1] * along) / square
         q2 = (j[0] * x[1] - j[1] * x[0] + j[2] * along) / square
-        strains[0], strains[1], strains[2] = j[0] * q0, j[1] * q1, j[2] * q2
-        strains[3] = (j[0] * q1 + j[1] * q0) * _HALF_ROOT
-        strains[4] = (j[0] * q2 + j[2] * q0) * _HALF_ROOT
-        strains[5] = (j[1] * q2 + j[2] * q1) * _HALF_ROOT
+        for i in range(3):  # into target axes
+            q[i] = rotation[0, i] * q0 + rotation[1, i] * q1 + rotation[2, i] * q2
+            g[i] = rotation[0, i] * j[0] + rotation[1, i] * j[1] + rotation[2, i] * j[2]
+        strains[0], strains[1], strains[2] = g[0] * q[0], g[1] * q[1], g[2] * q[2]
+        strains[3] = (g[0] * q[1] + g[1] * q[0]) * _HALF_ROOT
+        strains[4] = (g[0] * q[2] + g[2] * q[0]) * _HALF_ROOT
+        strains[5] = (g[1] * q[2] + g[2] * q[1]) * _HALF_ROOT
         for a in range(6):
             wj = w * edges[n, a]
             for b in range(6):
                 matrix[a, b] += wj * edges[n, b]
                 moved[a, b] += wj * strains[b]
     response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
-    return response @ response.T
+    return response @ strain @ response.T
 
 
 @njit(cache=True, nogil=True)
@@ -229,7 +235,7 @@ def align(
     """Move a pose (in place) onto the edges.
 
     Args:
-        lens: (12,) camera vector, and whether it distorts.
+        lens: ``lens_vector`` of the camera, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
         stages: (K, 12) from coarse to fine, rows of ``Stage``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
@@ -246,7 +252,7 @@ def align(
     sun = np.zeros(3)
     explained = 0.0
     points = views.point.shape[2]
-    shell, view, count = 0, 0, 0
+    shell, view, count = 0, 0, int(np.int64(0))
     for stage in stages:
         fit = stage[FIT] > 0.0
         nearest = np.zeros(int(stage[VIEWS]), dtype=np.int64)
@@ -325,9 +331,10 @@ def inlier_ratios(
     shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
     view = nearest[0]
     kinds = views.kind[shell, view]
+    one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
     count = measure_edges(
-        image, lens, frame, views, shell, view, rotation, centre, _NO_LIGHT, _NO_SUN,
-        int(np.ceil(2.5 * spread_px)), spread_px, 1, 0.0, 1, stride, False, edges,
+        image, lens, frame, views, shell, view, rotation, centre, np.zeros(1), np.zeros(3),
+        int(np.ceil(2.5 * spread_px)), spread_px, one, 0.0, one, stride, bool(one == 0), edges,
     )  # fmt: skip
     outline, inner = 0.0, 0.0
     outlines, inners, visible = 1e-9, 1e-9, 0.0
@@ -363,8 +370,9 @@ def align_each(
         ratios[k] = 0.0
         if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != DIVERGED:
             outline, inner, _ = inlier_ratios(
-                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX, _LOOSE_STRIDE, edges
-            )
+                image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX,
+                int(np.int64(_LOOSE_STRIDE)), edges,
+            )  # fmt: skip
             rough[k] = outline + _INNER_SHARE * inner
     order = np.argsort(-rough)
     for i in range(min(survivors, count)):
@@ -373,5 +381,13 @@ def align_each(
             break
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:
             ratios[k] = inlier_ratios(
-                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, 1, edges
+                image,
+                lens,
+                frame,
+                views,
+                rotations[k],
+                centres[k],
+                CLOSE_PX,
+                int(np.int64(1)),
+                edges,
             )

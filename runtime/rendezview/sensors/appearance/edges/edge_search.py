@@ -79,7 +79,7 @@ def measure_edges(
 
     Args:
         image: (H, W) uint8.
-        lens: camera vector (12,), and whether it distorts.
+        lens: ``lens_vector`` of the camera, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
         views: tables of the model; ``shell`` and ``view`` name the view.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.

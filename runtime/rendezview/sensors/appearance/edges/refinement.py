@@ -30,6 +30,7 @@ from rendezview.sensors.appearance.edges.alignment import (
 from rendezview.sensors.appearance.edges.contours import Contours
 from rendezview.sensors.appearance.edges.edge_search import COLUMNS
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.model import ViewModel
@@ -130,6 +131,7 @@ class Refiner:
         self._stages, self._cut_px = (_INEXACT, _INEXACT_CUT_PX) if inexact else (_FINE, _CUT_PX)
         most = int(self._stages[:, VIEWS].max())
         self._rows = most * contours.kind.shape[2]  # of the measurements
+        self._strain = model.shape_uncertainty + _VIEW_STRAIN**2 * np.eye(6)
         # Information of about a radian and a target radius: what no edge shows stays finite.
         self._nothing_known = 1e-4 * np.array([1.0] * 3 + [model.target_radius_m**-2] * 3)
 
@@ -147,6 +149,17 @@ class Refiner:
         if light == DIVERGED:
             return None
         return self._result(image, frame, rotation, centre, light, edges)
+
+    def measured(self, image: Picture, sky: Sky, start: Pose) -> MeasuredEdges | None:
+        """The edges at the pose next to ``start`` that fits them; None where it finds no hold."""
+        rotation, centre = self._centred(start)
+        edges = np.zeros((self._rows, COLUMNS))
+        light = align(
+            image, self._lens, sky.vector, self._stages, self.views, rotation, centre, edges
+        )
+        if light == DIVERGED:
+            return None
+        return MeasuredEdges.of(edges, self._cut_px, rotation, centre)
 
     def best(
         self,
@@ -231,7 +244,9 @@ class Refiner:
             edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
         )
         residual = spread_px
-        strained = strain_covariance(edges, self._cut_px, self._nothing_known, centre, arm)
+        strained = strain_covariance(
+            edges, self._cut_px, self._nothing_known, rotation, centre, arm, self._strain
+        )
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
             _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)
@@ -240,7 +255,7 @@ class Refiner:
         )
         covariance *= self.error_model.inflation(outline, spread_px, frame[2])
         covariance *= self._stages[-1, VIEWS]  # which show the same edges
-        covariance += (self.model.shape_error**2 + _VIEW_STRAIN**2) * strained
+        covariance += strained
         pose = Pose(rotation, centre - arm)
         return Refined(pose, covariance, outline, inner, visible, residual, light)
 

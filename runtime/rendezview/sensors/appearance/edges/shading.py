@@ -123,7 +123,7 @@ def shading(
 
     Args:
         image: (H, W) uint8.
-        lens: (12,) camera vector, and whether it distorts.
+        lens: ``lens_vector`` of the camera, and whether it distorts.
         frame: (6,) as in ``Sky.vector``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
     """

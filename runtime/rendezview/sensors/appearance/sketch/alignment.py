@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     gauss_newton_step,
     nearest_views,
     normal_equations,
+    strain_covariance,
 )
 from rendezview.sensors.appearance.edges.contours import CREASE, NO_POINT, OUTLINE, POINT_UNIT
 from rendezview.sensors.appearance.edges.edge_search import (
@@ -59,7 +60,7 @@ _STEP_PX = 3.0  # sketch px to either side of an outline, where the cover is rea
 # Source: experiment photo-accuracy
 _LEAST_CONTRAST = 0.15  # of the cover, added: where the cover is wrong an edge still counts
 # Source: as edges/alignment.py
-_CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
+CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
 _LEAST_EDGES = 10  # found, for six unknowns. Source: as edges/alignment.py
 # Source: a tenth of an edge's error, by construction
 _STOP_PX = 0.05  # sketch px; a shorter step is the last
@@ -220,7 +221,7 @@ def align_to_sketch(
             measure_sketch(
                 maps, lens, views, rotation, centre, reach, spread, int(stage[3]), stage[4], edges
             )
-            used, weights = normal_equations(edges, _CUT_SPREADS * spread, matrix, right)
+            used, weights = normal_equations(edges, CUT_SPREADS * spread, matrix, right)
             if used < _LEAST_EDGES:
                 return False
             scale = lens[0][0] * maps.place[0] / centre[2]  # sketch px a metre
@@ -283,13 +284,15 @@ def align_all_to_sketch(
 
 def pose_covariance(
     maps: Maps, lens: Lens, views: ViewTables, stage: Array, rotation: Array, centre: Array,
-    arm: Array,
-) -> tuple[Array, float]:  # fmt: skip
-    """(6, 6) of a pose aligned in a stage, its edges taken as independent; their rms, sketch px.
+    arm: Array, strain: Array,
+) -> tuple[Array, Array, float]:  # fmt: skip
+    """(6, 6) of a pose aligned in a stage, its edges taken as independent; (6, 6) of a strained
+    craft; the edges' rms, sketch px.
 
     Args:
         arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
             origin's.
+        strain: (6, 6) of the strain, see ``strain_covariance``.
     """
     edges = np.zeros((views.point.shape[2], WIDTH))
     edges[:, STATE] = OUTSIDE
@@ -298,4 +301,7 @@ def pose_covariance(
         maps, lens, views, rotation, centre, int(stage[0]), spread, 1, float(stage[4]), edges
     )
     loose = _NOTHING_KNOWN * np.array([1.0] * 3 + [views.radius_m**-2] * 3)
-    return covariance_of(edges, _CUT_SPREADS * spread, _LEAST_SIGMA_PX, loose, arm)
+    cut = CUT_SPREADS * spread
+    covariance, residual = covariance_of(edges, cut, _LEAST_SIGMA_PX, loose, arm)
+    strained = strain_covariance(edges, cut, loose, rotation, centre, arm, strain)
+    return covariance, strained, residual

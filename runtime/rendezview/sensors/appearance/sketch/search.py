@@ -8,6 +8,8 @@ gives the probability that the best of them is right (``choice``).
 
 from __future__ import annotations
 
+from copy import copy
+
 import cv2
 import numpy as np
 
@@ -17,16 +19,26 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.starts import rotated_about
 from rendezview.sensors.appearance.edges.view_tables import ViewTables, through_lens
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.sketch.agreement import SketchAgreement
 from rendezview.sensors.appearance.sketch.alignment import (
+    CUT_SPREADS,
+    WIDTH,
     Maps,
     align_all_to_sketch,
+    align_to_sketch,
     pose_covariance,
 )
-from rendezview.sensors.appearance.sketch.choice import SketchChoice, SketchPose, chosen, distinct
+from rendezview.sensors.appearance.sketch.choice import (
+    Looks,
+    SketchChoice,
+    SketchPose,
+    chosen,
+    distinct,
+)
 from rendezview.sensors.appearance.sketch.network import (
     COVER,
     CREASE,
@@ -104,6 +116,24 @@ class SketchSearch:
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
         return self._closer(frame, within, prior=True)
 
+    def with_tables(self, model: ViewModel, views: ViewTables) -> SketchSearch:
+        """The same search for the model with its contour points moved."""
+        moved = copy(self)
+        moved.model, moved._views = model, views
+        return moved
+
+    def closer_sketch(self, frame: Picture, pose: Pose) -> Sketch | None:
+        """The finer sketch of the target at a pose; None where it lies outside the frame."""
+        return self.sketcher.near(frame, self._box(pose), _FINER * SIDE_PX)
+
+    def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
+        """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
+        maps, edges = _maps(sketch), np.zeros((self._views.point.shape[2], WIDTH))
+        rotation, centre = start.rotation.copy(), start.apply(self.model.centre_m)
+        if not align_to_sketch(maps, self._lens, self._views, _FINE, rotation, centre, edges):
+            return None
+        return MeasuredEdges.of(edges, CUT_SPREADS * _FINE[-1, 1], rotation, centre)
+
     def aligned(
         self, sketch: Sketch, rotations: Array, centres: Array, stages: Array
     ) -> list[SketchPose]:
@@ -111,7 +141,11 @@ class SketchSearch:
 
         Those that find no hold are left out.
         """
-        maps = _maps(sketch)
+        return self._aligned(sketch, _maps(sketch), rotations, centres, stages)
+
+    def _aligned(
+        self, sketch: Sketch, maps: Maps, rotations: Array, centres: Array, stages: Array
+    ) -> list[SketchPose]:
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
         agreement = SketchAgreement(self._sketches, sketch.maps)
@@ -131,23 +165,24 @@ class SketchSearch:
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
         if not best:
             return None
-        sketch = self.sketcher.near(frame, self._box(best[0].pose), _FINER * SIDE_PX)
+        sketch = self.closer_sketch(frame, best[0].pose)
         if sketch is None:
             return None
-        around, places = rotated_about(best[0].pose, self.model.centre_m, _ASIDE_RAD)
-        rotations = np.concatenate([around, *(b.pose.rotation[None] for b in best[1:])])
-        centre_m = self.model.centre_m
-        centres = np.concatenate([places, *(b.pose.apply(centre_m)[None] for b in best[1:])])
-        closer = self.aligned(sketch, rotations, centres, _FINE)
-        choice = chosen(closer, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
+        centre_m, maps = self.model.centre_m, _maps(sketch)
+        starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
+        around = self._aligned(sketch, maps, starts, places, _FINE)
+        starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
+        places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
+        looks = Looks(poses, around, self._aligned(sketch, maps, starts, places, _FINE))
+        choice = chosen(looks, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
         if choice is None:
             return None
         pose = choice.best.pose
-        covariance, residual_px = pose_covariance(
-            _maps(sketch), self._lens, self._views, _FINE[-1], pose.rotation,
-            pose.apply(centre_m), pose.rotation @ centre_m,
+        covariance, strained, residual_px = pose_covariance(
+            maps, self._lens, self._views, _FINE[-1], pose.rotation,
+            pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
-        return choice.with_covariance(covariance, residual_px / sketch.scale)
+        return choice.with_covariance(covariance, strained, residual_px / sketch.scale)
 
     def _in_sketch(self, sketch: Sketch, centre: Array) -> tuple[Array, float]:
         """Place (2,) of the view centre in a sketch, and a target radius there, sketch px."""

@@ -1,0 +1,93 @@
+"""Whether pictures fit their camera: size, and bits of 16-bit levels."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import BIT_DEPTHS, Camera
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import read_bytes
+from rendezview.io.sequences.decoding import Levels, decode_levels
+from rendezview.io.sequences.misfit import misfit
+
+_SAMPLES = 5  # pictures of a sequence that are looked at before it runs. Source: a chosen limit
+_MOST_CAMERA_FILES = 30  # that are read to name one that fits. Source: a chosen limit
+_CAMERA_SUFFIXES = (".yaml", ".yml", ".json", ".xml")
+
+
+def sampled(paths: Sequence[Path]) -> list[Levels]:
+    """Some pictures of a sequence from first to last, as stored, without unreadable ones."""
+    places = np.unique(np.linspace(0, len(paths) - 1, _SAMPLES).round().astype(int))
+    pictures = []
+    for place in places:
+        try:
+            content = read_bytes(paths[place], "an image")
+        except RendezviewError:
+            continue
+        picture = decode_levels(content)
+        if picture is not None:
+            pictures.append(picture)
+    return pictures
+
+
+def bits_of(pictures: Iterable[Levels], camera: Camera) -> int | None:
+    """Bits of pictures with 16-bit levels; None for 8-bit levels.
+
+    Those of the camera, else the fewest that hold all levels of the pictures. The sequence is read
+    with this number, and a frame with a higher level is an error, not a guess.
+    """
+    peaks = [int(picture.max()) for picture in pictures if picture.dtype == np.uint16]
+    if not peaks:
+        return None
+    if camera.bit_depth is not None:
+        return camera.bit_depth
+    return next(bits for bits in BIT_DEPTHS if max(peaks) < 1 << bits)
+
+
+def depth_note(bits: int | None, camera: Camera) -> tuple[str, ...]:
+    """What a command says of a number of bits that no file gives."""
+    if bits is None or camera.bit_depth is not None:
+        return ()
+    return (
+        f"the pictures have 16-bit levels, of which {bits} bits are used: put bit_depth into the "
+        "camera file if that is wrong",
+    )
+
+
+def check_sizes(pictures: Iterable[Levels], camera: Camera, folder: Path) -> None:
+    """Refuse a camera that fits none of the pictures.
+
+    Raises:
+        RendezviewError: with what would fit.
+    """
+    shapes = {picture.shape for picture in pictures}
+    if not shapes or (camera.height, camera.width) in shapes:
+        return
+    height, width = sorted(shapes)[0]
+    fitting = _files_that_fit(width, height, folder)
+    beside = f"; {' and '.join(fitting)} would fit" if fitting else ""
+    raise RendezviewError(f"{folder}: {misfit(width, height, camera)}{beside}")
+
+
+def _files_that_fit(width: int, height: int, folder: Path) -> list[str]:
+    """Camera files in the folder or beside it whose pictures have this size."""
+    found = []
+    candidates = (
+        path
+        for place in (folder, folder.resolve().parent)
+        for path in sorted(place.glob("*"))
+        if path.suffix.lower() in _CAMERA_SUFFIXES and path.is_file()
+    )
+    for path in itertools.islice(candidates, _MOST_CAMERA_FILES):
+        try:
+            camera = load_camera(path)
+        except RendezviewError:
+            continue
+        if (camera.width, camera.height) == (width, height):
+            found.append(str(path))
+    return found

@@ -1,0 +1,120 @@
+"""Writes videos: MP4 and WebM (VP9), AVI (Motion JPEG), and animated GIF."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from types import TracebackType
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.errors import RendezviewError
+from rendezview.io.files import check_place
+from rendezview.io.sequences.decoding import quiet_opencv
+
+Picture = npt.NDArray[np.uint8]
+
+# Browsers play VP9; OpenCV's own FFmpeg has no encoder for H.264.
+_CODECS = {".mp4": "vp09", ".webm": "VP90", ".avi": "MJPG"}
+_GIF = ".gif"
+_GIF_WIDTH_PX = 480  # Source: a few megabytes for a minute
+_MOST_GIF_FRAMES = 600  # all are in memory until the end: 0.3 GB. Source: a chosen limit
+_RATE_HZ = 10.0  # of frames without useful times. Source: chosen to be watchable
+_SLOWEST_HZ, _FASTEST_HZ = 5.0, 60.0  # Source: slower looks like stills, faster is not shown
+
+
+def playing_rate_hz(times_s: list[float | None]) -> float:
+    """Frames a second: real time where that is 5 to 60 a second, else 10."""
+    known = np.array([time for time in times_s if time is not None])
+    steps = np.diff(known) if len(known) == len(times_s) else np.zeros(0)
+    step_s = float(np.median(steps)) if len(steps) else 0.0
+    rate_hz = 1.0 / step_s if step_s > 0.0 else _RATE_HZ
+    return rate_hz if _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ else _RATE_HZ
+
+
+class VideoWriter:
+    """A video that is written frame by frame, and gets its name when it is closed.
+
+    The first frame decides the size; others are resized to it. An exception or Ctrl-C leaves a
+    video of the frames so far; no frames leave no file.
+
+    Args:
+        path: ending in .mp4, .webm, .avi or .gif.
+        rate_hz: frames a second.
+
+    Raises:
+        RendezviewError: another ending, or no such folder.
+    """
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        suffix = path.suffix.lower()
+        if suffix not in (*_CODECS, _GIF):
+            raise RendezviewError(
+                f"{path}: a video's name must end in {', '.join(_CODECS)} or {_GIF}"
+            )
+        check_place(path, "the video")
+        self._path, self._rate_hz, self._suffix = path, rate_hz, suffix
+        self._part = path.with_name(f".{path.stem}.partial{suffix}")
+        self._writer: cv2.VideoWriter | None = None
+        self._frames: list[Picture] = []
+        self._size = (0, 0)
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def add(self, picture: Picture) -> None:
+        """The next frame, (H, W, 3) blue, green, red.
+
+        Raises:
+            RendezviewError: no encoder, or too many frames for a GIF.
+        """
+        if self._size == (0, 0):
+            self._size = picture.shape[1], picture.shape[0]
+            if self._suffix == _GIF and self._size[0] > _GIF_WIDTH_PX:
+                self._size = _GIF_WIDTH_PX, round(self._size[1] * _GIF_WIDTH_PX / self._size[0])
+        if (picture.shape[1], picture.shape[0]) != self._size:
+            resized = cv2.resize(picture, self._size, interpolation=cv2.INTER_AREA)
+            picture = np.asarray(resized, dtype=np.uint8)
+        if self._suffix == _GIF:
+            if len(self._frames) >= _MOST_GIF_FRAMES:
+                raise RendezviewError(
+                    f"{self._path}: a GIF takes {_MOST_GIF_FRAMES} frames: write an .mp4"
+                )
+            self._frames.append(picture)
+            return
+        if self._writer is None:
+            with quiet_opencv():
+                code = cv2.VideoWriter.fourcc(*_CODECS[self._suffix])
+                self._writer = cv2.VideoWriter(
+                    str(self._part), cv2.CAP_ANY, code, self._rate_hz, self._size
+                )
+            if not self._writer.isOpened():
+                raise RendezviewError(
+                    f"{self._path}: this OpenCV cannot encode {self._suffix}: write an .avi or .gif"
+                )
+        self._writer.write(picture)
+
+    def close(self) -> None:
+        """Finish the file and give it its name."""
+        if self._frames:
+            animation = cv2.Animation()
+            animation.frames = self._frames
+            animation.durations = [round(1e3 / self._rate_hz)] * len(self._frames)
+            if not cv2.imwriteanimation(str(self._part), animation):
+                raise RendezviewError(f"{self._path}: the GIF cannot be written")
+            self._frames = []
+        if self._writer is not None:
+            self._writer.release()
+            self._writer = None
+        if self._part.exists():
+            os.replace(self._part, self._path)

@@ -1,0 +1,50 @@
+"""Where the edges of a model are in the picture at a pose, for drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.model import ViewModel
+
+_FARTHEST_PX = 1e5  # from the picture, of a point that is kept. Source: a chosen limit
+_STEP_RADII = 0.01  # of the target's radius, along an edge, for its direction. Source: chosen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContourPixels:
+    """Contour points of the view nearest to a pose, in the picture."""
+
+    points_px: Array  # (N, 2)
+    directions: Array  # (N, 2) unit, along the edge; zero where it points at the camera
+    kinds: npt.NDArray[np.uint8]  # (N,) OUTLINE, STEP or CREASE
+
+
+def contour_pixels(model: ViewModel, camera: Camera, pose: Pose) -> ContourPixels | None:
+    """The contour of a model at ``camera_from_target``; None if the model has no contour points."""
+    contours = model.contours
+    if contours is None:
+        return None
+    centre = pose.apply(model.centre_m)
+    nearest = np.zeros(1, dtype=np.int64)
+    shell = nearest_views(model.lattice.nodes, contours.shells_m, pose.rotation, centre, nearest)
+    view = nearest[0]
+    kinds = contours.kind[shell, view]
+    used = kinds != NO_POINT
+    radius_m = model.target_radius_m
+    points_m = contours.point[shell, view][used] * (POINT_UNIT * radius_m)
+    tangents = contours.tangent[shell, view][used] * DIRECTION_UNIT
+    places_m = points_m @ pose.rotation.T + centre
+    points_px = camera.project(places_m)
+    beyond_px = camera.project(places_m + _STEP_RADII * radius_m * (tangents @ pose.rotation.T))
+    inside = np.isfinite(points_px).all(axis=1) & (np.abs(points_px) < _FARTHEST_PX).all(axis=1)
+    along = np.nan_to_num(beyond_px - points_px)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    directions = np.divide(along, length, out=np.zeros_like(along), where=length > 0.0)
+    return ContourPixels(points_px[inside], directions[inside], kinds[used][inside])

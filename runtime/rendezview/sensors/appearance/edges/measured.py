@@ -1,0 +1,59 @@
+"""The edges of one frame at an aligned pose, and what a strain of the model does to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.edge_search import FOUND, RESIDUAL, STATE, WEIGHT
+
+# Components of a symmetric strain, in the order of all arrays. Source: by construction
+STRAINS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredEdges:
+    """N edges that were found, with robust weights."""
+
+    rotation: Array  # (3, 3) camera_from_target
+    centre_m: Array  # (3,) view centre, camera frame
+    residual_px: Array  # (N,) along the edge's normal, outwards
+    weight: Array  # (N,) with Tukey's
+    pose_slopes: Array  # (N, 6) of the predicted edge: px per rad and m, left perturbation
+
+    @classmethod
+    def of(cls, edges: Array, cut_px: float, rotation: Array, centre_m: Array) -> MeasuredEdges:
+        """Those rows of the measurements (M, COLUMNS) that count; beyond the cut none does."""
+        inside = (edges[:, STATE] == FOUND) & (np.abs(edges[:, RESIDUAL]) < cut_px)
+        rows = edges[inside]
+        tukey = (1.0 - (rows[:, RESIDUAL] / cut_px) ** 2) ** 2
+        return cls(
+            rotation.copy(),
+            centre_m.copy(),
+            rows[:, RESIDUAL].copy(),
+            rows[:, WEIGHT] * tukey,
+            rows[:, :6].copy(),
+        )
+
+    @property
+    def strain_slopes(self) -> Array:
+        """(N, 6) of the predicted edge, px per unit of each of ``STRAINS``, target axes.
+
+        A pose slope is (q × j, j) for a point q from the view centre, and j · (q + centre) = 0 as
+        for every projection; so q follows from the slope (see ``strain_covariance``).
+        """
+        turned, j = self.pose_slopes[:, :3], self.pose_slopes[:, 3:]
+        along = -(j @ self.centre_m)
+        q = (np.cross(j, turned) + along[:, None] * j) / np.sum(j * j, axis=1)[:, None]
+        q, j = q @ self.rotation, j @ self.rotation  # target axes
+        return np.stack(
+            [j[:, a] * q[:, b] + (j[:, b] * q[:, a] if a != b else 0.0) for a, b in STRAINS], axis=1
+        )
+
+    @property
+    def residual_rms_px(self) -> float:
+        """Root of the weighted mean square."""
+        total = float(self.weight.sum())
+        return float(np.sqrt(self.weight @ self.residual_px**2 / total)) if total > 0.0 else np.inf

@@ -1,0 +1,52 @@
+"""A run of the tracker as a video."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+from rendezview.io.sequences import Frame, Sequence
+from rendezview.io.sequences.frame import GreyImage
+from rendezview.io.video_file import VideoWriter, playing_rate_hz
+from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.observation import AppearanceObservation
+from rendezview.sensors.appearance.overlay import draw_observation
+
+
+class TrackVideo:
+    """Draws every frame of a run; a context manager that finishes the file."""
+
+    def __init__(self, writer: VideoWriter, model: ViewModel) -> None:
+        self._writer, self._model = writer, model
+
+    def __enter__(self) -> TrackVideo:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._writer.close()
+
+    def watch(
+        self, frame: Frame, image: GreyImage | None, observation: AppearanceObservation
+    ) -> None:
+        """Draw one frame with its result."""
+        title = f"frame {frame.im_id}"
+        if frame.time_s is not None:
+            title += f"   {frame.time_s:.1f} s"
+        self._writer.add(
+            draw_observation(image, observation, frame.camera, self._model, title=title)
+        )
+
+
+def video_of(path: Path, sequence: Sequence, model: ViewModel) -> TrackVideo:
+    """A video of a run over a sequence, at its own rate if that can be watched.
+
+    Raises:
+        RendezviewError: the name has an unknown ending, or its folder does not exist.
+    """
+    rate_hz = playing_rate_hz([frame.time_s for frame in sequence])
+    return TrackVideo(VideoWriter(path, rate_hz), model)

@@ -1,0 +1,118 @@
+"""The strain between a craft and its model, from frames of a craft that is not its model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
+from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
+
+STRAIN = np.array([[-0.03, 0.0, 0.008], [0.0, 0.012, 0.0], [0.008, 0.0, 0.005]])
+ABOUT = np.array([0.0, 0.0, 9.0])
+
+
+@pytest.fixture(scope="module")
+def fly_around(bumpy_mesh, camera, refining_model):
+    """Frames of a strained craft from all sides, their poses and rough priors."""
+    centre = np.array(refining_model.centre_m)
+    moved = (bumpy_mesh.vertices_m - centre) @ (np.eye(3) + STRAIN).T + centre
+    craft = replace(bumpy_mesh, vertices_m=moved)
+    frames, poses, priors = [], [], []
+    for k in range(24):
+        rng = np.random.default_rng([4, k])
+        rotation = Rotation.random(random_state=rng)
+        pose = Pose(rotation.as_matrix(), ABOUT - rotation.apply(centre))
+        sun = sun_at_phase(ABOUT, np.deg2rad(20.0), rng.uniform(0.0, 6.28))
+        options = SceneOptions(sky_frame="camera", shading=ShadingOptions(samples=4))
+        frames.append(render_frame(craft, camera, pose, sun, options, rng))
+        poses.append(pose)
+        off = Rotation.from_rotvec(rng.normal(size=3) * 0.03) * rotation
+        priors.append(Pose(off.as_matrix(), ABOUT - off.apply(centre)))
+    return frames, poses, priors
+
+
+@pytest.fixture(scope="module")
+def found(refining_model, camera, fly_around):
+    frames, _, priors = fly_around
+    known = {0: (STRAIN[0, 0], 1e-3)}
+    return ShapeEstimator(refining_model, camera).estimate(frames[:16], priors[:16], known)
+
+
+def test_the_strain_is_found_within_its_uncertainty(found):
+    error = found.components - STRAIN[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    assert np.abs(error).max() < 0.004
+    assert error @ np.linalg.solve(found.covariance, error) < 30.0
+    assert found.size_known
+    assert found.rms_after < 0.7 * found.rms_before
+
+
+def test_a_corrected_model_gives_better_poses_of_other_frames(
+    refining_model, camera, fly_around, found
+):
+    frames, poses, priors = (part[16:] for part in fly_around)
+
+    def errors(model):
+        recognizer = Recognizer(model, camera)
+        seen = [
+            recognizer.recognize(f, p, np.deg2rad(6.0)) for f, p in zip(frames, priors, strict=True)
+        ]
+        return [o.pose.angle_to(t) for o, t in zip(seen, poses, strict=True) if o.pose is not None]
+
+    before, after = errors(refining_model), errors(strained(refining_model, found.strain))
+    assert len(after) >= len(before)
+    assert np.median(after) < 0.4 * np.median(before)
+
+
+def test_the_overall_size_stays_where_no_length_is_known(refining_model, camera, fly_around):
+    frames, _, priors = fly_around
+    found = ShapeEstimator(refining_model, camera).estimate(frames[:16], priors[:16])
+    assert not found.size_known
+    assert abs(np.trace(found.strain)) < 0.003
+    ratio = found.strain[0, 0] - found.strain[1, 1]
+    assert ratio == pytest.approx(STRAIN[0, 0] - STRAIN[1, 1], abs=0.005)
+
+
+def test_what_calibration_left_is_in_the_covariance_of_poses(
+    refining_model, camera, fly_around, found
+):
+    frames, _, priors = (part[16] for part in fly_around)
+    angle = np.deg2rad(6.0)
+    loose = strained(refining_model, found.strain, found.covariance + 0.02**2 * np.eye(6))
+    exact = strained(refining_model, found.strain)
+    wide, narrow = (Recognizer(m, camera).recognize(frames, priors, angle) for m in (loose, exact))
+    added = np.diag(wide.covariance) - np.diag(narrow.covariance)
+    assert (added > 0.0).all()
+    assert np.sqrt(added[5]) > 0.005 * 9.0  # the range of a target of unknown size
+
+
+def test_a_corrected_model_is_a_model_file(refining_model, found, tmp_path):
+    model = strained(refining_model, found.strain, found.covariance)
+    model.save(tmp_path / "as-built.rvm")
+    read = ViewModel.load(tmp_path / "as-built.rvm")
+    assert read.shape_covariance == pytest.approx(found.covariance)
+    assert np.array_equal(read.contours.point, model.contours.point)
+    assert read.provenance["strain"] == found.strain.tolist()
+
+
+def test_one_view_does_not_show_the_shape(refining_model, camera, fly_around):
+    frames, _, priors = fly_around
+    with pytest.raises(RendezviewError, match="more sides"):
+        ShapeEstimator(refining_model, camera).estimate([frames[0]] * 6, [priors[0]] * 6)
+
+
+def test_empty_frames_do_not_show_the_shape(refining_model, camera):
+    empty = np.zeros((camera.height, camera.width), np.uint8)
+    with pytest.raises(RendezviewError, match="0 of 6 frames"):
+        ShapeEstimator(refining_model, camera).estimate([empty] * 6)
+
+
+def test_a_model_without_contours_is_refused(tiny_model, camera):
+    with pytest.raises(RendezviewError, match="contour"):
+        ShapeEstimator(tiny_model, camera)

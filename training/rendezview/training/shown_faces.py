@@ -1,0 +1,103 @@
+"""The faces that a target shows around a direction, so that views draw those only.
+
+Most triangles of a CAD model lie inside it or on its far side. Drawing all of them takes most of
+the time of a view.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.training.mesh import Mesh
+from rendezview.training.projection import Mask, Window, project_vertices
+from rendezview.training.rasterizer import fill_silhouette
+from rendezview.training.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
+
+_AROUND = 3  # nodes nearest to a direction; their faces are drawn. Source: a triangle of the sphere
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownFaces:
+    """Which of F faces are visible from each of S directions, from near or from afar."""
+
+    nodes: Array  # (S, 3) unit
+    bits: npt.NDArray[np.uint8]  # (S, F / 8), lowest first
+    faces: int
+
+    def near(self, direction: Array) -> npt.NDArray[np.intp]:
+        """The faces that are visible from one of the nodes around a direction (3,), ascending."""
+        around = np.argpartition(-(self.nodes @ direction), _AROUND)[:_AROUND]
+        bits = np.bitwise_or.reduce(self.bits[around])
+        return np.flatnonzero(np.unpackbits(bits, count=self.faces, bitorder="little"))
+
+
+def bits_of(owner: Int32s, faces: int) -> npt.NDArray[np.uint8]:
+    """(F / 8,) which faces own a pixel of a z-buffer."""
+    shown = np.zeros(faces + 1, dtype=np.bool_)
+    shown[owner] = True  # the sky, −1, is the last
+    return np.packbits(shown[:-1], bitorder="little")
+
+
+class ShownRenderer:
+    """Draws the shown faces of one mesh: silhouettes and surfaces."""
+
+    def __init__(self, mesh: Mesh, shown: ShownFaces, centre_m: Array) -> None:
+        self._vertices = np.ascontiguousarray(mesh.vertices_m)
+        self._faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
+        self._shown = shown
+        self._centre_m = centre_m
+        self._local = threading.local()
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in vars(self).items() if name != "_local"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        vars(self).update(state)
+        self._local = threading.local()
+
+    def draw(self, camera_from_target: Pose, window: Window) -> Mask:
+        """(height, width) mask, 255 on the target.
+
+        Raises:
+            RendezviewError: a part of the target lies behind the camera's plane.
+        """
+        points_px = project_vertices(self._vertices, camera_from_target, window)
+        mask = np.zeros((window.height, window.width), dtype=np.uint8)
+        fill_silhouette(points_px, self._faces[self._near(camera_from_target)], mask)
+        return mask
+
+    def draw_surfaces(self, camera_from_target: Pose, window: Window) -> tuple[Float32s, Int32s]:
+        """(height, width) nearness in 1/m, 0 in the sky; and the face that is seen, −1 in the sky.
+
+        Both are overwritten by the next call of the same thread.
+
+        Raises:
+            RendezviewError: a part of the target lies behind the camera's plane.
+        """
+        points_px = project_vertices(self._vertices, camera_from_target, window)
+        pose = camera_from_target
+        depth = self._vertices @ pose.rotation[2] + pose.translation_m[2]
+        nearness, owner = self._buffers(window.height, window.width)
+        on_plane = np.column_stack([points_px, 1.0 / depth])
+        draw_chosen(on_plane, self._faces, self._near(pose), nearness, owner)
+        return nearness, owner
+
+    def _near(self, camera_from_target: Pose) -> npt.NDArray[np.intp]:
+        pose = camera_from_target
+        direction = -(pose.rotation.T @ pose.translation_m) - self._centre_m
+        return self._shown.near(direction)
+
+    def _buffers(self, height: int, width: int) -> tuple[Float32s, Int32s]:
+        """Empty buffers, the same for every view of that size: new ones cost page faults."""
+        kept: tuple[Float32s, Int32s] | None = getattr(self._local, "buffers", None)
+        if kept is None or kept[0].shape != (height, width):
+            kept = self._local.buffers = empty_buffers(height, width)
+        else:
+            kept[0].fill(0.0)
+            kept[1].fill(-1)
+        return kept
