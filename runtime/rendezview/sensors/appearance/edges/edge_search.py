@@ -109,7 +109,9 @@ def measure_edges(
     margin = smooth_px + 2
     grainy = _BILINEAR_NOISE * noise / np.sqrt(lines)
     eye = views.directions[view] * views.shells_m[shell]  # of the model's view
-    sunward = rotation.T @ sun
+    sunward = np.empty(3)
+    for a in range(3):
+        sunward[a] = rotation[0, a] * sun[0] + rotation[1, a] * sun[1] + rotation[2, a] * sun[2]
     places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
     axes, away, fitted = np.empty(6), np.empty(3), np.empty(2)
     total = 0

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, quantile
 from rendezview.geometry.geodesic import MAX_ORDER, Geodesic
 from rendezview.geometry.lens import distorted
 from rendezview.geometry.pose import Array
@@ -33,7 +34,7 @@ _LEAST_POINTS = 60  # visible
 _FITTED = 240  # points at most, to which the light is fitted
 _EVEN = 0.06  # of the level of the bright points: less contrast in both counts as agreement
 _TOLERANCE = 0.4  # of the level of the bright points; a larger difference is an outlier (glints)
-_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright points
+_BRIGHT_SHARE = 0.8  # of the levels: that of the bright points
 _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
 # Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
 # of a level lie 32°, 16° and 8° apart.
@@ -144,17 +145,18 @@ def shading(
     albedo, sunlit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
-    tolerance = _TOLERANCE * np.percentile(some, _BRIGHT_PERCENTILE) + frame[0]
+    tolerance = _TOLERANCE * quantile(some, _BRIGHT_SHARE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
-    sun, best = np.zeros(3), np.inf
-    node = -1
+    sun, tried, best = np.zeros(3), np.empty(3), np.inf
+    node = int(np.int64(-1))  # as a literal, numba would compile a copy for it
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:
         middle = sun.copy()
         for s in range(min(nodes, surface.nodes.shape[0])):
             d = surface.nodes[s]
-            tried = rotation @ d
+            for a in range(3):
+                tried[a] = rotation[a, 0] * d[0] + rotation[a, 1] * d[1] + rotation[a, 2] * d[2]
             if known:
                 if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < _NEAR_SUN:
                     continue
@@ -165,13 +167,13 @@ def shading(
             cost = light_strengths(some, sunlit, albedo, tolerance, strengths)
             if cost < best:
                 best, node = cost, s
-                sun[:] = tried
-                chosen[:] = strengths
+                copy_into(tried, sun)
+                copy_into(strengths, chosen)
     if node < 0:
         return 0.0
     side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
     # Before a bright sky, evenness may be the sky's own.
-    even = (_EVEN * np.percentile(some, _BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
+    even = (_EVEN * quantile(some, _BRIGHT_SHARE)) ** 2 if frame[2] > 0.0 else 0.0
     return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 
@@ -213,7 +215,9 @@ def visible_points(
     """
     height, width = image.shape
     camera = lens[0]
-    eye = -(rotation.T @ centre)
+    eye = np.empty(3)
+    for a in range(3):
+        eye[a] = -_dot(rotation[:, a], centre)
     distance = np.sqrt(_dot(eye, eye))
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
