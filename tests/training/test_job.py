@@ -155,6 +155,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "shadows",
         "sketches",
         "trees",
+        "voters",
         "calibration",
     ]
     for stage, counts in reported.items():

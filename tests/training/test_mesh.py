@@ -245,7 +245,7 @@ def test_missing_file_folder_and_empty_file_are_named(tmp_path: Path) -> None:
         load_mesh(write(tmp_path / "empty.stl", ""))
 
 
-@pytest.mark.parametrize("name", ["model.step", "model.xyz", "model"])
+@pytest.mark.parametrize("name", ["model.iges", "model.xyz", "model"])
 def test_unsupported_format_lists_the_supported_ones(tmp_path: Path, name: str) -> None:
     with pytest.raises(RendezviewError, match=r"\.stl, \.obj, \.ply, \.glb, \.gltf, \.3mf, \.dae"):
         load_mesh(write(tmp_path / name, "x"))

@@ -23,6 +23,7 @@ _INTERRUPTED = "rendezview: interrupted"
 # In the order of a first use. The help shows these without importing the commands.
 _SUMMARIES = {
     "demo": "Train, simulate, track, report: the tour.",
+    "doctor": "Say what is wrong with a mesh, and what it costs in accuracy.",
     "train": "Train a view model of a target.",
     "catalogue": "Train models of many targets, shells and lights.",
     "simulate": "Render camera frames of a target with the truth of every one.",
@@ -37,7 +38,7 @@ _SUMMARIES = {
     "rrd": "Convert a run into a recording for the Rerun viewer.",
     "evaluate": "Compare results with the truth of their scene.",
     "campaign": "Measure a model on random simulated frames.",
-    "show": "Draw a model, a scene or a log.",
+    "show": "Draw any file that rendezview writes.",
     "export": "Print a model's decision trees, or write flight code: C99, ONNX.",
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview.io.target import Target
+from rendezview.io.target import Target, split_node
 
 _HERE = Path(__file__).resolve()
 # Vehicles are in the installed package, or at the top of a checkout.
@@ -23,7 +23,7 @@ def find_target(text: str) -> Target:
     Raises:
         RendezviewError: neither; the message lists the bundled names.
     """
-    if Path(text).exists():
+    if split_node(Path(text))[0].exists():
         return Target.load(Path(text))
     for folder in _FOLDERS:
         if text.isidentifier() and (folder / text / "target.toml").is_file():

@@ -80,7 +80,7 @@ class Target:
 
     @property
     def mesh_path(self) -> Path:
-        """The mesh file.
+        """The mesh file, with ``#NODE`` after it if only a node of its scene is the target.
 
         Raises:
             RendezviewError: the target has none.
@@ -111,11 +111,20 @@ class Target:
                 )
         if given.suffix.lower() == ".toml":
             return _read_target(given)
-        if not given.is_file():
+        file, node = split_node(given)
+        if not file.is_file():
             raise RendezviewError(
                 f"{path}: no such file: give a {TARGET_FILE}, a folder with one, or a mesh file"
             )
-        return cls(name=given.stem, description="", mesh=given, unit=None)
+        return cls(name=node or given.stem, description="", mesh=given, unit=None)
+
+
+def split_node(path: Path) -> tuple[Path, str | None]:
+    """File and node of ``FILE#NODE``; a file whose own name has a # is not split."""
+    name, mark, node = path.name.rpartition("#")
+    if not mark or not name or not node or path.exists():
+        return path, None
+    return path.with_name(name), node
 
 
 def _frozen(values: list[float]) -> Array:
@@ -210,7 +219,7 @@ def _read_target(path: Path) -> Target:
             f"{path}: no [mesh], and no [[reflectors]], [[leds]] or [docking_ring] either: say "
             "what the target looks like"
         )
-    if mesh_path is not None and not mesh_path.is_file():
+    if mesh_path is not None and not split_node(mesh_path)[0].is_file():
         raise RendezviewError(
             f"{path}: mesh.path: there is no file {mesh_path}: correct the path "
             f"(relative to the target file) or put the mesh there"

@@ -123,7 +123,7 @@ def test_a_tree_prints_as_the_papers_if_then_else(listed):
 
 
 def test_depth_and_leaves_are_counted(listed):
-    assert (listed.depth(0), listed.leaf_count(0)) == (3, 5)
+    assert (listed.depth(0), listed.leaf_count(0), listed.feature_count(0)) == (3, 5, 3)
     assert (forest_of([(1,)]).depth(0), forest_of([(1,)]).leaf_count(0)) == (0, 1)
 
 

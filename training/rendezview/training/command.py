@@ -136,11 +136,13 @@ def summary(trained: Trained) -> str:
     model, forest = trained.model, trained.model.forest
     depths = [forest.depth(k) for k in range(len(forest))]
     leaves = [forest.leaf_count(k) for k in range(len(forest))]
+    features = [forest.feature_count(k) for k in range(len(forest))]
     lines = [
         f"{model.name}: sphere of {model.sphere_radius_m:.2f} m around a target of "
         f"{model.target_radius_m:.2f} m, {len(forest)} nodes, {len(model.lattice.nodes)} views",
         f"trees: depth {np.mean(depths):.1f} (at most {max(depths)}), "
-        f"{np.mean(leaves):.0f} leaves; "
+        f"{np.mean(leaves):.0f} leaves, {np.median(features):.0f} features (at most "
+        f"{max(features)}); "
         f"{100 * np.mean(model.training_accuracy):.1f} % of the training samples correct",
     ]
     if model.contours is not None:

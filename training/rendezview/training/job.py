@@ -35,7 +35,7 @@ from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.stages import Progress, Shards
 from rendezview.training.training_stages import TrainingStages
 
-# Streams of random numbers; trees use 3, calibration 4, decisions 5, surface points 6.
+# Streams of random numbers; trees use 3, calibration 4, decisions 5, surface points 6, voters 7.
 _STREAM_OF_TRAINING, _STREAM_OF_HELD_OUT, _STREAM_OF_DECISIONS = 1, 2, 5
 
 
@@ -125,6 +125,7 @@ def _train(
     sketches = stages.sketches()
     samples = Samples(options.order, lattice, perturbed)
     trees = stages.trees(samples)
+    voters = stages.voters(lattice, perturbed, silhouettes)
     sphere = Geodesic.of_order(options.order)
     nodes = len(sphere.nodes)
     decisions = None
@@ -165,6 +166,7 @@ def _train(
         shape_error=shape_error,
         surface=surface,
         sketches=sketches,
+        voters=voters,
         error_model=None if contours is None else ErrorModel.packaged(),
     )
     if held_out is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
-from rendezview.io.target import METRES_PER_UNIT
+from rendezview.io.target import METRES_PER_UNIT, split_node
 from rendezview.training.bounding_sphere import smallest_enclosing_sphere
 from rendezview.training.mesh_colours import GREY, Rgb
 from rendezview.training.mesh_files import FORMATS, MeshFile, read_mesh_file
@@ -26,7 +26,7 @@ STATED_DIAMETER_M = (0.005, 1000.0)  # m
 
 _GREY_FROM_RGB = np.array([0.2126, 0.7152, 0.0722])  # luminance weights. Source: ITU-R BT.709
 _LARGEST_COORDINATE = 1e15  # in the unit of the file; its powers still fit a double
-_CAD_SUFFIXES = frozenset({".step", ".stp", ".iges", ".igs", ".sldprt", ".sldasm", ".blend"})
+_CAD_SUFFIXES = frozenset({".iges", ".igs", ".sldprt", ".sldasm", ".blend"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,8 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
     """Read a mesh file as one clean mesh in metres, with all its bodies.
 
     Args:
-        path: STL, OBJ, PLY, GLB, glTF, 3MF or DAE file.
+        path: STL, OBJ, PLY, GLB, glTF, 3MF, DAE or STEP file; ``FILE#NODE`` for one node of a
+            scene, with what hangs below it.
         unit: of the file's numbers; overrides the file. Without it, 3MF, DAE and glTF files state
             their unit, and the others are read as metres if the size is then plausible.
 
@@ -71,12 +72,12 @@ def load_mesh(path: Path, unit: str | None = None) -> Mesh:
         RendezviewError: the file is missing, unreadable, without triangles or too large, or its
             unit is needed.
     """
-    path = Path(path)
+    path, node = split_node(Path(path))
     if unit is not None and unit not in METRES_PER_UNIT:
         raise RendezviewError(f"unknown unit {unit!r}: use one of {', '.join(METRES_PER_UNIT)}")
     _check_file(path)
     _check_count(path, _announced_faces(path))
-    content = read_mesh_file(path)
+    content = read_mesh_file(path, node)
     _check_count(path, len(content.faces))
     vertices, faces, rgb, notes = _cleaned(path, content)
     factor, unit_note = _scale(path, vertices, content, unit)

@@ -6,9 +6,10 @@ import contextlib
 import io
 import logging
 import re
+import tempfile
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +27,10 @@ from rendezview.training.mesh_containers import (
 )
 from rendezview.training.mesh_notes import counted
 from rendezview.training.mesh_obj import read_obj
+from rendezview.training.mesh_scenes import nodes_below, step_note, triangulate_step
 
-FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".3mf", ".dae")
+STEP_SUFFIXES = (".step", ".stp")
+FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".3mf", ".dae", *STEP_SUFFIXES)
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
 _LOGGERS = ("trimesh", "collada")
@@ -44,18 +47,26 @@ class MeshFile:
     notes: tuple[str, ...]
 
 
-def read_mesh_file(path: Path) -> MeshFile:
+def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
     """Read one file of a supported format.
 
+    Args:
+        path: the file.
+        node: of its scene; None: all of it.
+
     Raises:
-        RendezviewError: the file cannot be read; the message names the file.
+        RendezviewError: the file cannot be read, or has no such node; the message names the file.
     """
     kind = path.suffix.lower().lstrip(".").upper()
     try:
         if path.suffix.lower() == ".obj":
+            if node is not None:
+                raise RendezviewError(
+                    f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
+                )
             vertices, faces, rgb, notes = read_obj(path)
             return MeshFile(vertices, faces, rgb, None, tuple(notes))
-        return _read_with_trimesh(path)
+        return _read_with_trimesh(path, node)
     except RendezviewError:
         raise
     except ImportError as error:
@@ -71,8 +82,18 @@ def read_mesh_file(path: Path) -> MeshFile:
         ) from error
 
 
-def _read_with_trimesh(path: Path) -> MeshFile:
+def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
     suffix = path.suffix.lower()
+    if suffix in STEP_SUFFIXES:
+        with tempfile.TemporaryDirectory() as folder:
+            triangles = Path(folder) / "from-step.glb"
+            count = triangulate_step(path, triangles)
+            found = _read_with_trimesh(triangles, node)
+        return replace(
+            found,
+            unit=(1.0, "STEP, converted to metres"),
+            notes=(step_note(count, found.faces), *found.notes),
+        )
     if suffix == ".stl":
         _check_stl_length(path)
     if suffix == ".3mf":
@@ -90,8 +111,11 @@ def _read_with_trimesh(path: Path) -> MeshFile:
     colours = _special_colours(path, scene, notes)
     parts: list[tuple[Array, NDArray[np.int64], Rgb]] = []
     others = grey_faces = 0
-    for node in scene.graph.nodes_geometry:
-        matrix, name = scene.graph[node]
+    chosen = nodes_below(scene.graph, node, path)
+    for part in scene.graph.nodes_geometry:
+        if chosen is not None and part not in chosen:
+            continue
+        matrix, name = scene.graph[part]
         geometry = scene.geometry[name]
         if getattr(geometry, "faces", None) is None or len(geometry.faces) == 0:
             others += 1

@@ -57,6 +57,7 @@ class TrainingOptions:
         True  # sunlit parts per Sun direction, for first poses in hard light
     )
     sketches: bool = True  # of the nodes' views, for frames in which no threshold finds the target
+    voters: int = 8  # small trees of each node for first poses, with shadowed_silhouettes; 0: none
     surface_points: int = 4096  # with visibility per direction, for shading checks; 0: none
     min_samples_split: int = 4  # samples; the paper's rule "too few samples"
     min_gain: float = 1e-3  # nats per sample of the tree; the paper's least entropy gain
@@ -86,6 +87,7 @@ class TrainingOptions:
             and sorted(set(self.contour_radii)) == list(self.contour_radii),
             "contour_resolution_px": 64 <= self.contour_resolution_px <= 8192,
             "surface_points": self.surface_points == 0 or 64 <= self.surface_points <= 65_536,
+            "voters": 0 <= self.voters <= 64,
             "min_samples_split": self.min_samples_split >= 2,
             "min_gain": 0.0 <= self.min_gain < np.inf,
             "seed": self.seed >= 0,
@@ -113,6 +115,7 @@ class TrainingOptions:
             label_edges=1.0,
             contour_points=0,
             shadowed_silhouettes=False,
+            voters=0,
             sketches=False,
             surface_points=0,
         )

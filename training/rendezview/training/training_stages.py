@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSil
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.signature import Readings
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.outline.voters import Voters
 from rendezview.sensors.appearance.sketch.views import ViewSketches
 from rendezview.training.calibrate import prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
@@ -45,6 +46,7 @@ from rendezview.training.views import (
     lattice_slopes,
     perturbed_views,
 )
+from rendezview.training.voters import VoterSamples, joined, learn_voters
 
 # Shards take about a second each.
 _VIEWS_PER_SHARD = 256
@@ -178,6 +180,17 @@ class TrainingStages:
         parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
         shards = self._run("trees", _tree_arrays, (samples, self.options), parts)
         return TreeSet.joined([_tree_set(a) for a in shards])
+
+    def voters(
+        self, lattice: ViewSet, perturbed: ViewSet | None, lit: ShadowedSilhouettes | None
+    ) -> Voters | None:
+        """Voters of all nodes; None without shadowed silhouettes."""
+        if self.options.voters == 0 or lit is None:
+            return None
+        samples = VoterSamples.of(self.options.order, lattice, perturbed, lit)
+        nodes = len(Geodesic.of_order(self.options.order).nodes)
+        parts = [(p,) for p in shares(nodes, _NODES_PER_SHARD)]
+        return joined(self._run("voters", learn_voters, (samples, self.options), parts))
 
     def calibration(self, model: ViewModel, held_out: ViewSet) -> Array:
         """Errors of recognition on the held-out views."""

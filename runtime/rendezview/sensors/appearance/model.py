@@ -20,6 +20,7 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.sensors.appearance.outline.voters import Voters
 from rendezview.sensors.appearance.sketch.views import ViewSketches
 
 _Part = TypeVar("_Part")
@@ -99,6 +100,7 @@ class ViewModel:
     provenance: dict[str, Any]  # mesh, options, seed, versions: how the model was made
     shape_error: float = 0.0  # σ of the strain by which the mesh may differ from the craft
     surface: Surface | None = None  # points and albedo, for shading; None: trained without
+    voters: Voters | None = None  # order and confirm first poses; None: trained without, or earlier
     sketches: ViewSketches | None = None  # for photographs; None: trained without, or earlier
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
@@ -146,6 +148,8 @@ class ViewModel:
             }
         if self.surface is not None:
             arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
+        if self.voters is not None:
+            arrays |= {f"voters.{f.name}": getattr(self.voters, f.name) for f in fields(Voters)}
         if self.sketches is not None:
             arrays |= {
                 f"sketches.{f.name}": getattr(self.sketches, f.name) for f in fields(ViewSketches)
@@ -198,6 +202,7 @@ class ViewModel:
                 contours=_part(arrays, "contours", Contours),
                 lit=_part(arrays, "lit", ShadowedSilhouettes),
                 surface=_part(arrays, "surface", Surface),
+                voters=_part(arrays, "voters", Voters),
                 sketches=_part(arrays, "sketches", ViewSketches),
                 symmetries=tuple(
                     Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
@@ -240,6 +245,8 @@ class ViewModel:
             self.lit.check(count)
         if self.surface is not None:
             self.surface.check()
+        if self.voters is not None:
+            self.voters.check(nodes)
         if self.sketches is not None:
             self.sketches.check()
         for name, (array, shape) in shapes.items():

@@ -14,6 +14,7 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.refinement import Refined, Refiner
 from rendezview.sensors.appearance.edges.retrieval import Retrieval
 from rendezview.sensors.appearance.outline.signature import Outlines
+from rendezview.sensors.appearance.outline.voters import Ballot
 from rendezview.sensors.appearance.sky import Sky
 
 # Weights of the merit, beside an inlier ratio of weight 1.
@@ -44,6 +45,7 @@ class Found:
     prior: bool  # found near a prior
     rival: Refined | None = None
     shading: float | None = None  # see ``Refiner.shading``; None: not computed
+    votes: float | None = None  # log odds of the outline's voters about it; None: not asked
     single: bool = False  # only the pose next to the prior was tried
     error_model: ErrorModel = field(default_factory=ErrorModel.packaged)
 
@@ -105,6 +107,7 @@ class Candidates:
     image: Picture
     sky: Sky
     bodies: list[Outlines]
+    ballot: Ballot | None = None
     prior: bool = False  # the search starts from a prior
     _all: list[_Candidate] = field(default_factory=list)
 
@@ -143,6 +146,7 @@ class Candidates:
             self.prior,
             None if j is None else self._all[j].refined,
             best.shading,
+            self._votes(best.refined),
             error_model=self.refiner.error_model,
         )
 
@@ -155,6 +159,14 @@ class Candidates:
             if angle_between(c.refined.pose, pose, symmetries) > _RIVAL_RAD
         ]
         return max(others, key=lambda j: merits[j], default=None)
+
+    def _votes(self, refined: Refined) -> float | None:
+        """Log odds of the voters, of the outline that gives most; None before a bright sky."""
+        if self.ballot is None or not self.sky.dark:
+            return None
+        rotation = refined.pose.rotation[None]
+        scores = [float(self.ballot.scores(b.signature, rotation)[0]) for b in self.bodies]
+        return max(scores, default=None)
 
     def _overshoot(self, refined: Refined) -> float:
         """The largest of any outline; 0 before a bright sky, where outlines are uncertain."""

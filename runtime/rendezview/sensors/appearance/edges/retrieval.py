@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.outline.signature import (
     Signature,
     quantised,
     radial_maxima,
+    rebinning,
     rolled,
     spokes_of,
     twist,
@@ -207,18 +208,6 @@ class Retrieval:
 
     def _coarse(self, readings: Readings) -> Readings:
         return np.asarray(readings @ self._rebinning, dtype=np.float32)
-
-
-def rebinning(bins: int, coarse: int) -> npt.NDArray[np.float32]:
-    """(N, C) weights that average the readings of any number of bins over windows of other bins.
-
-    Window k is centred on bin k, so that both signatures have the same roll.
-    """
-    share = coarse / bins  # of a window that one reading covers, if it is narrower
-    apart = np.arange(bins)[:, None] * share - np.arange(coarse)[None, :]
-    apart = np.abs(apart - coarse * np.rint(apart / coarse))
-    cover = np.clip(0.5 * (1.0 + share) - apart, 0.0, min(1.0, share))
-    return np.asarray(cover / cover.sum(axis=0), dtype=np.float32)
 
 
 def _attitudes(quat_wxyz: npt.NDArray[np.float32]) -> Rotation:

@@ -226,6 +226,19 @@ def rolled(readings: Readings, roll_rad: float) -> Readings:
     return out
 
 
+@lru_cache(maxsize=8)
+def rebinning(bins: int, coarse: int) -> npt.NDArray[np.float32]:
+    """(N, C) weights that average the readings of any number of bins over windows of other bins.
+
+    Window k is centred on bin k, so that both signatures have the same roll.
+    """
+    share = coarse / bins  # of a window that one reading covers, if it is narrower
+    apart = np.arange(bins)[:, None] * share - np.arange(coarse)[None, :]
+    apart = np.abs(apart - coarse * np.rint(apart / coarse))
+    cover = np.clip(0.5 * (1.0 + share) - apart, 0.0, min(1.0, share))
+    return np.asarray(cover / cover.sum(axis=0), dtype=np.float32)
+
+
 def twist(view_rotations: Array, node_rotation: Array) -> Array:
     """Roll of views (..., 3, 3) against a node (3, 3), radians in (−π, π].
 

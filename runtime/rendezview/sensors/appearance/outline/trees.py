@@ -98,6 +98,11 @@ class Forest:
         """Terminal nodes of one tree."""
         return sum(1 for entry, _ in self.entries(tree) if self.component[entry] < 0)
 
+    def feature_count(self, tree: int) -> int:
+        """Different bins that one tree looks at: the paper's characteristic features of a node."""
+        components = (int(self.component[entry]) for entry, _ in self.entries(tree))
+        return len({component for component in components if component >= 0})
+
     def listing(self, tree: int) -> str:
         """One tree as in figure 5: ``2 #156 <= 455`` is level, bin, threshold; ``T 1`` a leaf."""
         lines = []

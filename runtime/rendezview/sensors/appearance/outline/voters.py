@@ -1,0 +1,143 @@
+"""Voters: a few small trees for each node, whose mean says how likely a view is the node's.
+
+The tree of a node (`trees`) decides yes or no, and can be read by people. Its voters look at the
+same outline in 90 bins. Each has learned other samples and other bins, whole silhouettes and
+silhouettes of sunlit parts, so their mean is a graded answer that holds in hard light too
+(L. Breiman, Random forests, Machine Learning 45, 2001). The votes order the work of a first pose,
+and they are a witness beside the edges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
+from rendezview.sensors.appearance.outline.signature import Readings, Signature, rebinning
+
+Bytes = npt.NDArray[np.uint8]
+
+BINS = SHADOWED_BINS
+LEAF = 255  # as a bin. Source: by construction, format of the model file
+ODDS_UNIT = 1.0 / 16.0  # of a leaf's log odds. Source: by construction, format of the model file
+_INSIDE_EDGES = 1.0  # nodes that should be active. Source: by construction, the paper's figure 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Voters:
+    """Small trees in flat arrays of M entries; the left child follows its parent."""
+
+    roots: npt.NDArray[np.int32]  # (nodes, T) entry at which each tree starts
+    component: Bytes  # (M,) bin looked at; LEAF at a leaf
+    threshold: Bytes  # (M,) in READING_UNIT: left where the reading is at or below; of a leaf: 0
+    right: npt.NDArray[np.uint16]  # (M,) entries ahead, of the right child; 0 at a leaf
+    odds: npt.NDArray[np.int8]  # (M,) of a leaf: log odds that the view is the node's, ODDS_UNIT
+
+    def check(self, nodes: int) -> None:
+        """The arrays belong together.
+
+        Raises:
+            ValueError: they do not; which one is said.
+        """
+        entries = len(self.component)
+        for name in ("threshold", "right", "odds"):
+            if getattr(self, name).shape != (entries,):
+                raise ValueError(f"voters.{name} has another length than voters.component")
+        if self.roots.ndim != 2 or len(self.roots) != nodes or self.roots.shape[1] == 0:
+            raise ValueError(f"voters.roots has shape {self.roots.shape} for {nodes} nodes")
+        if int(self.roots.min()) < 0 or int(self.roots.max()) >= entries:
+            raise ValueError("a root of the voters lies outside them")
+        inner = self.component != LEAF
+        if np.any(self.component[inner] >= BINS):
+            raise ValueError("a voter looks at a bin beyond the signature")
+        ahead = np.arange(entries) + self.right
+        if np.any(inner & ((self.right < 2) | (ahead >= entries))):
+            raise ValueError("a child of a voter must come after its parent's left one")
+
+
+class Ballot:
+    """The voters of one model beside one signature: a score for any attitude."""
+
+    def __init__(self, voters: Voters, nodes: Array, rotations: Array, edge_rad: float) -> None:
+        """Tables of a model.
+
+        Args:
+            voters: of the nodes.
+            nodes: (N, 3) their directions.
+            rotations: (N, 3, 3) centred_from_target of their views.
+            edge_rad: mean angle between neighbouring nodes.
+        """
+        # Arrays of a file cannot be written to, which would be another type to the compiler.
+        self._voters = Voters(*(getattr(voters, name).copy() for name in Voters.__slots__))
+        self._nodes = np.ascontiguousarray(nodes)
+        self._rotations = np.ascontiguousarray(rotations)
+        self._cosine = float(np.cos(_INSIDE_EDGES * edge_rad))
+
+    def scores(self, signature: Signature, rotations: Array) -> Array:
+        """(K,) mean log odds of the nodes within one edge of each pose.
+
+        Args:
+            signature: of the frame.
+            rotations: (K, 3, 3) camera_from_target.
+        """
+        v = self._voters
+        attitudes = signature.centred_from_camera @ rotations
+        out = np.empty(len(attitudes))
+        coarse = signature.readings @ rebinning(len(signature.readings), BINS)
+        coarse = np.minimum(coarse / np.float32(READING_UNIT), np.float32(255.0))
+        _score(
+            np.ascontiguousarray(coarse, dtype=np.float32), np.ascontiguousarray(attitudes),
+            self._nodes, self._rotations, self._cosine,
+            v.roots, v.component, v.threshold, v.right, v.odds, out,
+        )  # fmt: skip
+        return out * ODDS_UNIT
+
+
+@njit(cache=True, nogil=True)
+def _score(
+    readings: Readings, attitudes: Array, nodes: Array, rotations: Array, cosine: float,
+    roots: npt.NDArray[np.int32], component: Bytes, threshold: Bytes,
+    right: npt.NDArray[np.uint16], odds: npt.NDArray[np.int8], out: Array,
+) -> None:  # fmt: skip
+    """Fill (K,) with the mean odds, in units, of the nodes about each attitude."""
+    rolled = np.empty(len(readings), dtype=np.float32)
+    for k in range(len(attitudes)):
+        a = attitudes[k]
+        total, count = 0.0, 0
+        for n in range(len(nodes)):
+            near = -(a[2, 0] * nodes[n, 0] + a[2, 1] * nodes[n, 1] + a[2, 2] * nodes[n, 2])
+            if near < cosine:
+                continue
+            b = rotations[n]
+            # a = about_z(roll) b, but for the turn between the lines of sight: ``twist``.
+            c, s = 0.0, 0.0
+            for i in range(3):
+                c += a[0, i] * b[0, i] + a[1, i] * b[1, i]
+                s += a[1, i] * b[0, i] - a[0, i] * b[1, i]
+            roll_readings(readings, np.arctan2(s, c), rolled)
+            for t in range(roots.shape[1]):
+                entry = roots[n, t]
+                while component[entry] != LEAF:
+                    goes_left = rolled[component[entry]] <= threshold[entry]
+                    entry += 1 if goes_left else right[entry]
+                total += odds[entry]
+                count += 1
+        out[k] = total / count if count > 0 else -127.0
+
+
+@njit(cache=True, nogil=True)
+def roll_readings(readings: Readings, roll_rad: float, out: Readings) -> None:
+    """Fill (N,) with readings rolled back by an angle, between bins by interpolation."""
+    bins = len(readings)
+    shift = -roll_rad * bins / (2.0 * np.pi)
+    whole = int(np.floor(shift))
+    part = np.float32(shift - whole)
+    j = whole % bins
+    for i in range(bins):
+        k = j + 1 if j + 1 < bins else 0
+        out[i] = (np.float32(1.0) - part) * readings[j] + part * readings[k]
+        j = k

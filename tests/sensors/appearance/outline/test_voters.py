@@ -1,0 +1,158 @@
+"""Voters: their score against plain Python, what they decide, and files that hold none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.edges.refinement import Refiner
+from rendezview.sensors.appearance.outline.signature import Signature, rebinning, twist
+from rendezview.sensors.appearance.outline.voters import (
+    BINS,
+    LEAF,
+    ODDS_UNIT,
+    Ballot,
+    Voters,
+    roll_readings,
+)
+
+SILENT = -35  # the share of a node's views among its samples, in ODDS_UNIT
+
+
+def ballot_of(model: ViewModel) -> Ballot:
+    nodes = model.geodesic.nodes
+    rotations = model.views.centred_from_target[: len(nodes)]
+    return Ballot(model.voters, nodes, rotations, model.geodesic.mean_edge_rad)
+
+
+def silenced(model: ViewModel) -> ViewModel:
+    odds = np.where(model.voters.component == LEAF, SILENT, 0).astype(np.int8)
+    return replace(model, voters=replace(model.voters, odds=odds))
+
+
+def score_twin(model: ViewModel, readings: np.ndarray, attitude: np.ndarray) -> float:
+    """Mean log odds, tree by tree."""
+    voters, sphere = model.voters, model.geodesic
+    odds = []
+    for node, direction in enumerate(sphere.nodes):
+        if angle_between(-attitude[2], direction) > sphere.mean_edge_rad:
+            continue
+        roll = float(twist(attitude, model.views.centred_from_target[node]))
+        place = np.arange(BINS) - roll * BINS / (2.0 * np.pi)
+        rolled = np.interp(place, np.arange(BINS), readings, period=BINS)
+        for root in voters.roots[node]:
+            entry = int(root)
+            while voters.component[entry] != LEAF:
+                left = rolled[voters.component[entry]] <= voters.threshold[entry]
+                entry += 1 if left else int(voters.right[entry])
+            odds.append(float(voters.odds[entry]))
+    return float(np.mean(odds)) * ODDS_UNIT
+
+
+def test_scores_are_those_of_every_tree_in_turn(refining_model):
+    rng = np.random.default_rng(0)
+    ballot = ballot_of(refining_model)
+    for _ in range(5):
+        view = int(rng.integers(len(refining_model.lattice.nodes)))
+        readings = refining_model.views.readings[view].astype(np.float32)
+        centred = Rotation.random(random_state=rng).as_matrix()
+        attitude = refining_model.views.centred_from_target[view]
+        near = Rotation.from_rotvec(0.1 * rng.normal(size=(4, 3))).as_matrix() @ attitude
+        signature = Signature(readings, 1.0, centred)
+        found = ballot.scores(signature, centred.T @ near)
+        coarse = np.minimum(readings @ rebinning(len(readings), BINS) / 16.0, 255.0)
+        wanted = [score_twin(refining_model, coarse, a) for a in near]
+        np.testing.assert_allclose(found, wanted, atol=0.3)  # a reading may lie at a threshold
+        assert np.median(np.abs(found - wanted)) < 1e-6
+
+
+def test_readings_roll_as_interpolation_does():
+    rng = np.random.default_rng(1)
+    readings = rng.uniform(0.0, 255.0, BINS).astype(np.float32)
+    for roll in (0.0, 0.3, -2.0, 7.0):
+        out = np.empty(BINS, np.float32)
+        roll_readings(readings, roll, out)
+        place = np.arange(BINS) - roll * BINS / (2.0 * np.pi)
+        twin = np.interp(place, np.arange(BINS), readings, period=BINS)
+        np.testing.assert_allclose(out, twin, atol=1e-2)
+
+
+def test_the_voters_of_a_view_prefer_its_own_attitude(refining_model):
+    ballot, right = ballot_of(refining_model), []
+    for view in range(0, len(refining_model.lattice.nodes), 7):
+        attitude = refining_model.views.centred_from_target[view]
+        readings = refining_model.views.readings[view].astype(np.float32)
+        turned = Rotation.from_rotvec(np.deg2rad([[0, 0, 0], [60, 0, 0], [0, 120, 0]])).as_matrix()
+        scores = ballot.scores(Signature(readings, 1.0, np.eye(3)), attitude @ turned)
+        right.append(np.argmax(scores) == 0)
+    assert np.mean(right) > 0.9
+
+
+def test_silencing_the_voters_costs_work(refining_model, bumpy_mesh, camera, draw, monkeypatch):
+    """What the voters say decides how many poses are aligned, and in which order."""
+    aligned: list[int] = []
+    first: list[np.ndarray] = []
+    best = Refiner.best
+
+    def counted(self, image, sky, rotations, centres, keep=4, *, thorough=False):
+        aligned.append(len(rotations))
+        first.append(rotations[0].copy())
+        return best(self, image, sky, rotations, centres, keep, thorough=thorough)
+
+    monkeypatch.setattr(Refiner, "best", counted)
+    work, orders = {}, {}
+    for name, model in (("learned", refining_model), ("silenced", silenced(refining_model))):
+        recognizer = Recognizer(model, camera, sketch=False)
+        aligned.clear()
+        starts = []
+        for k in range(8):
+            rng = np.random.default_rng([3, k])
+            rotation = Rotation.random(random_state=rng).as_matrix()
+            centre = np.array([0.0, 0.0, 8.0])
+            pose = Pose(rotation, centre - rotation @ refining_model.centre_m)
+            first.clear()
+            recognizer.recognize(draw(bumpy_mesh, pose, camera, rng))
+            starts.append(first[0])
+        work[name], orders[name] = sum(aligned), np.array(starts)
+    assert work["learned"] < 0.8 * work["silenced"]
+    assert not np.allclose(orders["learned"], orders["silenced"])
+
+
+def test_a_model_without_voters_works_as_before(refining_model, tmp_path, camera, draw, bumpy_mesh):
+    path = tmp_path / "old.rvm"
+    replace(refining_model, voters=None).save(path)
+    old = ViewModel.load(path)
+    assert old.voters is None
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 8.0]))
+    observation = Recognizer(old, camera).recognize(draw(bumpy_mesh, pose, camera))
+    assert observation.found is not None
+    assert observation.found.votes is None
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"roots": np.zeros((3, 2), np.int32)}, "roots has shape"),
+        ({"component": np.full(3, 95, np.uint8)}, "beyond the signature"),
+        ({"right": np.full(3, 9, np.uint16)}, "after its parent"),
+        ({"odds": np.zeros(2, np.int8)}, "another length"),
+        ({"roots": np.full((1, 1), 7, np.int32)}, "outside"),
+    ],
+)
+def test_voters_that_do_not_belong_together_are_refused(change, words):
+    sound = {
+        "roots": np.zeros((1, 1), np.int32),
+        "component": np.array([4, LEAF, LEAF], np.uint8),
+        "threshold": np.array([30, 0, 0], np.uint8),
+        "right": np.array([2, 0, 0], np.uint16),
+        "odds": np.array([0, -20, 20], np.int8),
+    }
+    Voters(**sound).check(1)
+    with pytest.raises(ValueError, match=words):
+        Voters(**(sound | change)).check(1)

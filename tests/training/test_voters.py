@@ -1,0 +1,67 @@
+"""The learner of the voters against plain Python and scikit-learn."""
+
+from __future__ import annotations
+
+import numpy as np
+from sklearn.metrics import roc_auc_score
+from sklearn.tree import DecisionTreeClassifier
+
+from rendezview.sensors.appearance.outline.trees import split_entropy
+from rendezview.sensors.appearance.outline.voters import LEAF
+from rendezview.training.voters import grow, split
+
+
+def samples(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    readings = rng.integers(0, 256, (count, 12), dtype=np.uint8)
+    labels = (readings[:, 3] < 120) & (readings[:, 7] > 60)
+    return readings, labels ^ (rng.random(count) < 0.05)
+
+
+def test_split_is_the_best_of_all_thresholds_by_equation_5():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        readings, labels = samples(rng, 200)
+        bins = np.arange(12)
+        where, level = split(readings, labels, np.arange(200), bins, np.zeros(12, np.int64), 8)
+        best = (-np.inf, -1, -1)
+        for b in range(12):
+            for threshold in np.unique(readings[:, b]):
+                left = readings[:, b] <= threshold
+                if left.sum() < 8 or (~left).sum() < 8:
+                    continue
+                counts = [[np.sum(labels[s]), np.sum(~labels[s])] for s in (left, ~left)]
+                best = max(best, (split_entropy(*counts), b, int(threshold)))
+        found = readings[:, where] <= level
+        counts = [[np.sum(labels[s]), np.sum(~labels[s])] for s in (found, ~found)]
+        assert np.isclose(split_entropy(*counts), best[0])
+
+
+def test_a_grown_tree_separates_as_scikit_learns_does():
+    rng = np.random.default_rng(9)
+    readings, labels = samples(rng, 2000)
+    fresh, truth = samples(rng, 2000)
+    keys = rng.integers(0, 2**31, (255, 12))
+    component, threshold, right, on, off = grow(readings, labels, np.arange(2000), keys, 8)
+    odds = []
+    for row in fresh:
+        entry = 0
+        while component[entry] != LEAF:
+            entry += 1 if row[component[entry]] <= threshold[entry] else right[entry]
+        odds.append(on[entry] / (on[entry] + off[entry]))
+    peer = DecisionTreeClassifier(criterion="entropy", min_samples_leaf=8, random_state=0)
+    theirs = peer.fit(readings, labels).predict_proba(fresh)[:, 1]
+    assert roc_auc_score(truth, odds) > roc_auc_score(truth, theirs) - 0.02
+    leaves = component == LEAF
+    assert (on + off)[leaves].sum() == 2000
+    assert np.all(right[~leaves] >= 2)
+
+
+def test_a_tree_has_no_more_entries_than_keys():
+    rng = np.random.default_rng(10)
+    readings, labels = samples(rng, 2000)
+    for most in (1, 7, 31):
+        keys = rng.integers(0, 2**31, (most, 12))
+        component, _, right, _, _ = grow(readings, labels, rng.integers(0, 2000, 2000), keys, 8)
+        assert len(component) <= most
+        inner = np.flatnonzero(component != LEAF)
+        assert np.all(inner + right[inner] < len(component))
