@@ -45,11 +45,11 @@ def type_to_json(kind: Any) -> Any:
     if isinstance(kind, types.Array):
         return {"array": [str(kind.dtype), kind.ndim, kind.layout, not kind.mutable]}
     if isinstance(kind, types.BaseNamedTuple):
-        home = kind.instance_class
-        members = [type_to_json(kind[k]) for k in range(len(kind))]
+        home: type = kind.instance_class  # type: ignore[attr-defined]
+        members = [type_to_json(member) for member in kind.types]  # type: ignore[attr-defined]
         return {"named": f"{home.__module__}:{home.__qualname__}", "of": members}
     if isinstance(kind, types.BaseTuple):
-        return {"tuple": [type_to_json(kind[k]) for k in range(len(kind))]}
+        return {"tuple": [type_to_json(member) for member in kind.types]}  # type: ignore[attr-defined]
     if isinstance(kind, types.Number | types.Boolean):
         return str(kind)
     raise TypeError(f"an argument of type {kind}")
@@ -64,17 +64,19 @@ def type_from_json(given: Any) -> Any:
         return types.Array(type_from_json(dtype), ndim, layout, readonly=readonly)
     members = [type_from_json(member) for member in given.get("of", given.get("tuple"))]
     if "named" in given:
-        return types.BaseTuple.from_types(members, _named(given["named"]))
-    return types.BaseTuple.from_types(members)
+        home = _named(given["named"])
+        return types.BaseTuple.from_types(members, home)  # type: ignore[no-untyped-call]
+    return types.BaseTuple.from_types(members)  # type: ignore[no-untyped-call]
 
 
-def compile_ahead(group: str) -> None:
-    """Compile the loops of a group that the cache on disk lacks, in several processes.
+def compile_ahead(*groups: str) -> None:
+    """Compile the loops of some groups that the cache on disk lacks, in several processes.
 
     Nothing is done where numba keeps no cache. A loop that cannot be compiled here is left to its
     first call.
     """
-    missing = [entry for entry in load_loops(group) if not _is_cached(_named(entry["loop"]))]
+    entries = [entry for group in groups for entry in load_loops(group)]
+    missing = [entry for entry in entries if not _is_cached(_named(entry["loop"]))]
     if len(missing) < _FEWEST or os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
     shares = _shares(missing, min(_MOST_PROCESSES, _cores()))
@@ -103,7 +105,7 @@ _START_S = 2.0  # s; of a process, before it compiles. Source: experiment compil
 
 def tell_of_compiling() -> None:
     """From now on, one line on stderr when this process begins to compile a loop itself."""
-    register("numba:compile", _Teller(say))
+    register("numba:compile", _Teller(say))  # type: ignore[no-untyped-call]
 
 
 class _Teller(Listener):

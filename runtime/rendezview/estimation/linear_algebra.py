@@ -180,6 +180,6 @@ def quantile(values: Array, share: float) -> float:
 
 @njit(cache=True, nogil=True)
 def copy_into(values: Array, out: Array) -> None:
-    """``out[:] = values``, which takes numba a second to compile, for its message on wrong sizes."""
+    """``out[:] = values``, which numba compiles for a second, for its message on wrong sizes."""
     for k in range(len(values)):
         out[k] = values[k]

@@ -381,7 +381,7 @@ def align_each(
             rough[k] = outline + _INNER_SHARE * inner
     best = rough.max() if count else 0.0
     for _ in range(min(survivors, count)):
-        k = rough.argmax()
+        k = int(rough.argmax())
         if rough[k] < _HOPELESS * best or rough[k] <= 0.0:
             break
         rough[k] = 0.0  # done

@@ -216,8 +216,8 @@ def visible_points(
     height, width = image.shape
     camera = lens[0]
     eye = np.empty(3)
-    for a in range(3):
-        eye[a] = -_dot(rotation[:, a], centre)
+    for axis in range(3):
+        eye[axis] = -_dot(rotation[:, axis], centre)
     distance = np.sqrt(_dot(eye, eye))
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
