@@ -27,6 +27,7 @@ from numba.core.event import Event, Listener, install_listener, register
 from rendezview.cli.progress import say
 
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
+# Source: by construction, a process takes as long to start as a few loops to compile
 _FEWEST = 4  # loops that are missing; fewer are compiled where they are called
 
 

@@ -31,7 +31,7 @@ _SAMPLES_EACH = 3  # of each surface of an edge profile
 _LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
 _COARSELY = 3  # one sample in three gives the rough direction of the Sun
 _TOLERANCE = 0.1  # of the level of the bright samples: what diffuse shading leaves unexplained
-_BRIGHT_SHARE = 0.8  # of the levels: that of the bright samples
+_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright samples
 _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
 _CANDIDATES = 6  # directions around the best one, for each step. Source: by construction, a hexagon
 # Component of a unit vector beyond which another axis is crossed with it.
@@ -76,7 +76,7 @@ def fit_light(
     for a in range(3):
         away[a] = centre[a] / range_m
     normals = facing_normals(palette, rotation, away)
-    tolerance = _TOLERANCE * quantile(levels, _BRIGHT_SHARE) + frame[0]
+    tolerance = _TOLERANCE * quantile(levels, 0.01 * _BRIGHT_PERCENTILE) + frame[0]
     strengths = np.empty(2)
     if frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0:
         copy_into(frame[3:6], sun)

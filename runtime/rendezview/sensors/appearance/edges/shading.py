@@ -34,7 +34,7 @@ _LEAST_POINTS = 60  # visible
 _FITTED = 240  # points at most, to which the light is fitted
 _EVEN = 0.06  # of the level of the bright points: less contrast in both counts as agreement
 _TOLERANCE = 0.4  # of the level of the bright points; a larger difference is an outlier (glints)
-_BRIGHT_SHARE = 0.8  # of the levels: that of the bright points
+_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright points
 _BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
 # Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
 # of a level lie 32°, 16° and 8° apart.
@@ -145,7 +145,7 @@ def shading(
     albedo, sunlit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
-    tolerance = _TOLERANCE * quantile(some, _BRIGHT_SHARE) + frame[0]
+    tolerance = _TOLERANCE * quantile(some, 0.01 * _BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
     sun, tried, best = np.zeros(3), np.empty(3), np.inf
@@ -173,7 +173,7 @@ def shading(
         return 0.0
     side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
     # Before a bright sky, evenness may be the sky's own.
-    even = (_EVEN * quantile(some, _BRIGHT_SHARE)) ** 2 if frame[2] > 0.0 else 0.0
+    even = (_EVEN * quantile(some, 0.01 * _BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
     return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 
