@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import rotate_back_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import (
     DEPTH_UNIT,
@@ -110,8 +111,7 @@ def measure_edges(
     grainy = _BILINEAR_NOISE * noise / np.sqrt(lines)
     eye = views.directions[view] * views.shells_m[shell]  # of the model's view
     sunward = np.empty(3)
-    for a in range(3):
-        sunward[a] = rotation[0, a] * sun[0] + rotation[1, a] * sun[1] + rotation[2, a] * sun[2]
+    rotate_back_into(rotation, sun, sunward)
     places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
     axes, away, fitted = np.empty(6), np.empty(3), np.empty(2)
     total = 0

@@ -20,6 +20,7 @@ from rendezview.estimation.linear_algebra import copy_into, quantile
 from rendezview.geometry.geodesic import MAX_ORDER, Geodesic
 from rendezview.geometry.lens import distorted
 from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import rotate_back_into, rotate_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_UNIT
 from rendezview.sensors.appearance.edges.lighting import light_strengths
@@ -155,8 +156,7 @@ def shading(
         middle = sun.copy()
         for s in range(min(nodes, surface.nodes.shape[0])):
             d = surface.nodes[s]
-            for a in range(3):
-                tried[a] = rotation[a, 0] * d[0] + rotation[a, 1] * d[1] + rotation[a, 2] * d[2]
+            rotate_into(rotation, d, tried)
             if known:
                 if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < _NEAR_SUN:
                     continue
@@ -216,8 +216,7 @@ def visible_points(
     height, width = image.shape
     camera = lens[0]
     eye = np.empty(3)
-    for axis in range(3):
-        eye[axis] = -_dot(rotation[:, axis], centre)
+    rotate_back_into(rotation, -centre, eye)
     distance = np.sqrt(_dot(eye, eye))
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
