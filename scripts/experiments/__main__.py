@@ -30,6 +30,7 @@ EXPERIMENTS = {
     "ring": {
         "ring-accuracy": ("ring.accuracy", "accuracy and detection beside OpenCV's detectors"),
         "ring-flyaround": ("ring.flyaround", "a ring of unknown size from a fly-around"),
+        "ring-vehicle": ("ring.vehicle", "the ring among a vehicle's other circles"),
         "ring-speed": ("ring.speed", "time of a detection beside OpenCV's detectors"),
     },
     "reflectors": {
