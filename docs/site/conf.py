@@ -14,7 +14,7 @@ from rendezview import api
 
 project = "rendezview"
 author = "the authors of rendezview"
-copyright = "Apache-2.0"
+html_show_copyright = False
 release = metadata.version("rendezview")
 version = release
 
@@ -80,7 +80,7 @@ def _field_comments(
         if field in getattr(base, "__annotations__", {}):
             comment = _comment_of(inspect.getsource(base).splitlines(), field)
             if comment:
-                lines[:] = [comment[0].upper() + comment[1:]]
+                lines[:] = [comment]
             return
 
 
