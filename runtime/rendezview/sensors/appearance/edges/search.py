@@ -81,13 +81,8 @@ class PoseSearch:
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.retrieval = Retrieval(self.model)
-        model = self.model
-        self.ballot = None
-        if model.voters is not None:
-            nodes = model.geodesic.nodes
-            rotations = model.views.centred_from_target[: len(nodes)]
-            self.ballot = Ballot(model.voters, nodes, rotations, model.geodesic.mean_edge_rad)
-        self._half_turns = half_turns(model)
+        self.ballot = Ballot.of(self.model)
+        self._half_turns = half_turns(self.model)
 
     def anywhere(
         self,
