@@ -46,6 +46,9 @@ FAR_WIDTH, FAR_POLE = 14.5 * INCH, 4.0 * INCH  # [B]
 NEAR_SCALE = 0.4  # the near target, of the same shape, fills the image at 0.4 × the range
 REFLECTOR_DIAMETER = {"far": 0.025, "near": 0.012}
 TARGET_STANDOFF = 0.14  # pedestals keep the reflectors clear of the foil
+# Circles about the ring's axis that pictures show beside its outer edge: height over its plane,
+# radius. Foot, cone where it leaves the foot, heat shield, end frame's inner edge, nozzle's mouth.
+CIRCLES = ((-0.25, 0.71), (-0.25, 0.6466), (-0.25, 0.44), (0.0, 0.557), (0.07, 0.142))
 TARGETS = {"far": (0.0, 0.94), "near": (-0.80, -0.86)}  # (y, z) of the poles, own choice
 WING_ANGLES = {"plus-y": np.radians(-22.0), "minus-y": np.radians(-48.0)}
 PANEL = (2.1, 1.9)  # (across, along the wing)
@@ -213,6 +216,8 @@ def features() -> list[str]:
     tables = [
         files.feature("[docking_ring]", centre_m=(RING_X, 0.0, 0.0), axis=AFT, radius_m=RING_RADIUS)
     ]
+    for height, radius in CIRCLES:
+        tables.append(files.feature("[[docking_ring.circles]]", height_m=height, radius_m=radius))
     for group, diameter in REFLECTOR_DIAMETER.items():
         for name, position in reflector_positions(group).items():
             tables.append(files.feature("[[reflectors]]", name=name, group=group,

@@ -20,6 +20,10 @@ EXPERIMENTS = {
         "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-shape": ("pose.shape", "a wrong mesh before and after calibration of its shape"),
+        "pose-misfit": (
+            "pose.shape:misfit",
+            "covariances where the mesh is wrong and none says so",
+        ),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
         "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),
@@ -31,6 +35,7 @@ EXPERIMENTS = {
     "ring": {
         "ring-accuracy": ("ring.accuracy", "accuracy and detection beside OpenCV's detectors"),
         "ring-flyaround": ("ring.flyaround", "a ring of unknown size from a fly-around"),
+        "ring-vehicle": ("ring.vehicle", "the ring among a vehicle's other circles"),
         "ring-speed": ("ring.speed", "time of a detection beside OpenCV's detectors"),
     },
     "reflectors": {

@@ -62,7 +62,7 @@ def test_a_run_becomes_one_json_object_a_frame_and_pictures(run, ring_run, tmp_p
 
 def test_without_an_output_file_the_lines_are_printed(run, ring_run):
     folder, _ = ring_run
-    ran = run("ring", folder, "--target", CLIENT)
+    ran = run("ring", folder, "--target", "client")
     assert ran.code == 0
     assert len([json.loads(line) for line in ran.out.splitlines()]) == 4
 
@@ -72,6 +72,9 @@ def test_what_cannot_work_is_told_in_a_line(run, ring_run, tmp_path):
     run("ring", folder / "none").says("no such file")
     run("ring", folder, "--radius-m", -1).says("--radius-m", "positive")
     run("ring", folder, "--range-m", "nan").says("--range-m")
+    run("ring", folder, "--range-sigma-m", 0.1).says("--range-m")
+    run("ring", folder, "--target", "clint").says("clint", "client", "hubble")
+    run("ring", folder, "--radius-m", 0.6, "--track", folder / "x.jsonl").says("--target")
     run("ring", folder, "--prior-axis", "0,0,0").says("--prior-axis")
     run("ring", folder, "--prior-axis", "scene").says("--target")
     run("ring", folder, "--target", CLIENT, "--prior-axis", "scene").says("does not give its pose")

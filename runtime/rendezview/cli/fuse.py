@@ -24,8 +24,8 @@ from rendezview.fusion.logs import (
 )
 from rendezview.fusion.trust import Verdict
 from rendezview.geometry.pose import Pose
+from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
-from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.run import Line, Summary, run
 
@@ -40,7 +40,10 @@ def fuse(
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="The state, JSON lines.")],
     target: Annotated[
-        Path | None, typer.Option(help="Target file with a docking ring: for rings and ranges.")
+        str | None,
+        typer.Option(
+            help="Target file with a docking ring, or client: the place of rings and ranges."
+        ),
     ] = None,
     mount: Annotated[
         list[str] | None,
@@ -75,7 +78,7 @@ def fuse(
         )
     if output.resolve() in [path.resolve() for _, path in named]:
         raise RendezviewError(f"{output}: the state must not overwrite a log")
-    ring = Target.load(target).docking_ring if target else None
+    ring = find_target(target).docking_ring if target else None
     context = LogContext(
         ring, read_surfaces(surfaces) if surfaces else (), _mounts(mount or [], names)
     )

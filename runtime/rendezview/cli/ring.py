@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,16 +16,18 @@ from typer.core import TyperGroup
 
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import atomic_write_text, check_place, make_folder
 from rendezview.io.results import JsonLinesWriter, json_line, read_json_lines
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.images import write_png
-from rendezview.io.target import DockingRing, Target
+from rendezview.io.target import DockingRing
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingOptions, RingPrior
 from rendezview.sensors.ring.overlay import draw_reading
+from rendezview.sensors.ring.prior_log import priors_of_poses
 from rendezview.sensors.ring.run import follow, record
 from rendezview.sensors.ring.size_run import SizeFrame, measure_pass, read_echoes
 from rendezview.sensors.run import Line, run
@@ -58,11 +61,29 @@ def find(
         float | None, typer.Option("--radius-m", help="Radius of the ring's edge: gives poses.")
     ] = None,
     target: Annotated[
-        Path | None, typer.Option(help="Target file with a docking_ring: its radius, its axis.")
+        str | None,
+        typer.Option(
+            help="Target file with a docking_ring, or client: its radius, axis and other circles."
+        ),
     ] = None,
     range_m: Annotated[
         float | None,
-        typer.Option("--range-m", help="Range to the ring: which of several edges is meant."),
+        typer.Option(
+            "--range-m", help="Range to the ring in the first frames: which circle is meant."
+        ),
+    ] = None,
+    range_sigma_m: Annotated[
+        float | None,
+        typer.Option(
+            "--range-sigma-m", help="Error of --range-m, one σ; given, it holds for all frames."
+        ),
+    ] = None,
+    track: Annotated[
+        Path | None,
+        typer.Option(
+            help="Log of `rendezview track` over the same frames (with --target): its poses tell "
+            "where the ring is, how far, and which way it faces."
+        ),
     ] = None,
     prior_axis: Annotated[
         str | None,
@@ -86,15 +107,26 @@ def find(
 
     \b
     Example: rendezview ring frames --camera camera.yaml --radius-m 0.597 -o ring.jsonl
+    After track: rendezview ring frames --target client --track track.jsonl -o ring.jsonl
     A ring of unknown size: rendezview ring size --help
     """
     check_place(output, "the readings")
     known = None if target is None else _ring_of(target)
     radius = radius_m if radius_m is not None or known is None else known.radius_m
-    for name, value in (("--radius-m", radius), ("--range-m", range_m)):
+    lengths = (("--radius-m", radius), ("--range-m", range_m), ("--range-sigma-m", range_sigma_m))
+    for name, value in lengths:
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise RendezviewError(f"{name} must be a positive number of metres, not {value}")
-    prior = _prior(prior_axis, range_m, known)
+    if range_sigma_m is not None and range_m is None:
+        raise RendezviewError("--range-sigma-m is the error of --range-m: give that, too")
+    prior = _prior(prior_axis, RingPrior(range_m=range_m, range_sigma_m=range_sigma_m), known)
+    if track is not None:
+        if known is None or prior_axis is not None or range_m is not None:
+            raise RendezviewError(
+                "--track needs --target, which gives the ring's place, and comes instead of "
+                "--prior-axis and --range-m"
+            )
+        prior = priors_of_poses(track, known)
     sequence = open_sequence(frames, load_camera(camera) if camera else None)
     for note in sequence.notes:
         say(note)
@@ -103,6 +135,7 @@ def find(
     readings = follow(
         sequence, radius, options=RingOptions(least_contrast_grey=least_contrast),
         prior=prior, independent=independent,
+        circles=() if known is None or radius != known.radius_m else known.circles,
     )  # fmt: skip
 
     def lines() -> Iterator[Line]:
@@ -183,8 +216,8 @@ def size(
     )
 
 
-def _ring_of(target: Path) -> DockingRing:
-    known = Target.load(target).docking_ring
+def _ring_of(target: str) -> DockingRing:
+    known = find_target(target).docking_ring
     if known is None:
         raise RendezviewError(
             f"{target}: this target has no docking_ring: add one, or give --radius-m instead"
@@ -193,10 +226,10 @@ def _ring_of(target: Path) -> DockingRing:
 
 
 def _prior(
-    text: str | None, range_m: float | None, known: DockingRing | None
+    text: str | None, told: RingPrior, known: DockingRing | None
 ) -> Callable[[Frame], RingPrior | None]:
     if text is None:
-        return lambda frame: RingPrior(range_m=range_m)
+        return lambda frame: told
     if text == "scene":
         if known is None:
             raise RendezviewError("--prior-axis scene needs --target, which gives the ring's axis")
@@ -207,7 +240,7 @@ def _prior(
                 raise RendezviewError(
                     f"{frame.name}: the scene does not give its pose: give --prior-axis 'x,y,z'"
                 )
-            return RingPrior(axis=truth.rotation @ known.axis, range_m=range_m)
+            return replace(told, axis=truth.rotation @ known.axis)
 
         return from_scene
     try:
@@ -219,4 +252,4 @@ def _prior(
             f"--prior-axis must be 'scene' or three numbers 'x,y,z', not all zero, not {text!r}"
         ) from None
     axis = axis / np.linalg.norm(axis)
-    return lambda frame: RingPrior(axis=axis, range_m=range_m)
+    return lambda frame: replace(told, axis=axis)

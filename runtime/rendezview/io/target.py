@@ -42,6 +42,9 @@ class DockingRing:
     centre_m: Array  # (3,)
     axis: Array  # (3,) unit, outward normal of the ring's plane
     radius_m: float
+    # Other circles about the same axis, whose pattern tells which circle of a picture is the ring:
+    # height over the ring's plane (m, outwards positive) and radius (m).
+    circles: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,10 +161,16 @@ class _MeshTable(_Table):
     shape_error: Annotated[FiniteFloat, Field(ge=0.0, le=0.2)] = 0.0
 
 
+class _CircleTable(_Table):
+    height_m: FiniteFloat
+    radius_m: _Length
+
+
 class _RingTable(_Table):
     centre_m: _Vector
     axis: _Direction
     radius_m: _Length
+    circles: list[_CircleTable] = []
 
 
 class _ReflectorTable(_Table):
@@ -231,9 +240,7 @@ def _read_target(path: Path) -> Target:
         mesh=mesh_path,
         unit=None if file.mesh is None else file.mesh.unit,
         shape_error=0.0 if file.mesh is None else file.mesh.shape_error,
-        docking_ring=None
-        if ring is None
-        else DockingRing(_frozen(ring.centre_m), _frozen(ring.axis), ring.radius_m),
+        docking_ring=None if ring is None else _ring(ring),
         reflectors=tuple(
             Reflector(r.name, r.group, _frozen(r.position_m), _frozen(r.normal), r.diameter_m)
             for r in file.reflectors
@@ -246,6 +253,11 @@ def _read_target(path: Path) -> Target:
             for s in file.symmetries
         ),
     )
+
+
+def _ring(table: _RingTable) -> DockingRing:
+    circles = tuple((circle.height_m, circle.radius_m) for circle in table.circles)
+    return DockingRing(_frozen(table.centre_m), _frozen(table.axis), table.radius_m, circles)
 
 
 def _refuse_twice(path: Path, key: str, names: list[str]) -> None:

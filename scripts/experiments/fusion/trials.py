@@ -162,13 +162,20 @@ def ring_run(folder: Path) -> None:
         while done < len(pending) and pending[done].time_s <= frame.time_s:
             fusion.add(pending[done])
             done += 1
-        pose = fusion.state_at(frame.time_s).pose
+        estimate = fusion.state_at(frame.time_s)
+        pose = estimate.pose
         if pose is None:
             return None
-        return RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
+        centre = pose.apply(ring.centre_m)
+        sight = centre / np.linalg.norm(centre)
+        along = np.concatenate([np.cross(pose.rotation @ ring.centre_m, sight), sight])
+        variance = float(along @ estimate.covariance[:6, :6] @ along)
+        return RingPrior(centre, pose.rotation @ ring.axis, range_sigma_m=np.sqrt(variance))
 
     with JsonLinesWriter(folder / "ring.jsonl") as writer:
-        for frame, _, reading in follow_ring(scene_of(folder), ring.radius_m, prior=prior):
+        for frame, _, reading in follow_ring(
+            scene_of(folder), ring.radius_m, prior=prior, circles=ring.circles
+        ):
             writer.write(ring_record(frame, reading))
             if frame.time_s is not None:
                 measurement = reading.measurement("ring", ring=ring)

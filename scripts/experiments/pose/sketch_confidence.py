@@ -7,8 +7,8 @@ random skies. None of them is a photograph.
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,11 +18,18 @@ from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LogisticRegression
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.geometry.symmetry import angle_between
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.sketch import search as sketch_search
-from rendezview.sensors.appearance.sketch.choice import CHOICE_FEATURES, PACKAGED, POSE_FEATURES
+from rendezview.sensors.appearance.sketch.choice import (
+    CHOICE_FEATURES,
+    PACKAGED,
+    POSE_FEATURES,
+    Looks,
+    SketchPose,
+    chosen,
+    packaged,
+)
 from rendezview.simulation.cloudy_skies import cloudy_sky
 from rendezview.simulation.hard_light import photograph
 from rendezview.simulation.mesh_error import deformed
@@ -31,7 +38,7 @@ from rendezview.simulation.shading import ShadingOptions, render
 from rendezview.training.mesh import Mesh, load_mesh
 
 SIDE = 320  # px of a frame
-RADIUS_PX = (35.0, 150.0)  # of the target, log
+RADIUS_PX = (35.0, 240.0)  # of the target, log; large ones are cut by the border
 FIELD = (0.8, 6.0)  # focal length over the side, log
 MESH_ERRORS = (0.0, 0.008, 0.02)  # of the radius
 PRIOR_DEG, PRIOR_SHARE, SEARCH_DEG = 12.0, 0.03, 10.0
@@ -40,7 +47,8 @@ NEES_DEG = 8.0  # larger errors are wrong poses, not inaccurate ones
 WEIGHT_OF_WRONG = 1.5  # a wrong answer costs more than one that is not given
 RIDGE = 0.02  # of the weights of the merit
 UNKNOWNS = 6
-DISTINCT_MARGIN = 4.0  # of a pose without a rival, as in ``choice``
+FOLDS = 5  # frames are judged by a fit to the other folds
+LEAST_CONFIDENCE = 0.6  # of the recognizer
 
 
 def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pose]:
@@ -68,72 +76,69 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
 
-def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[dict[str, Any]]:
-    """All poses of a frame that were looked at closely, without and with a prior."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Searched:
+    """What a search on a sketch found in a frame of known pose."""
+
+    looks: Looks
+    truth: Pose
+    centre_m: Array  # (3,) of the views
+    symmetries: tuple[Symmetry, ...]
+    prior: bool
+    cut: bool
+    nees: float | None
+
+    def error_deg(self, pose: SketchPose) -> float:
+        return float(np.rad2deg(angle_between(pose.pose, self.truth, self.symmetries)))
+
+    def right(self, pose: SketchPose) -> bool:
+        centre, place = (p.apply(self.centre_m) for p in (self.truth, pose.pose))
+        aside = np.linalg.norm(place - centre) / np.linalg.norm(centre)
+        return self.error_deg(pose) < RIGHT_DEG and bool(aside < RIGHT_SHARE)
+
+
+def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
+    """All poses of a frame that were looked at, without and with a prior."""
     cv2.setNumThreads(1)
     rng = np.random.default_rng([55, seed, k])
     picture, camera, truth = frame(mesh, rng)
-    recognizer = Recognizer(model, camera)
-    search = recognizer.sketch
+    search = Recognizer(model, camera).sketch
     if search is None:
         raise SystemExit("the model has no sketches: train it again")
-    seen: list[Any] = []
-    choose = vars(sketch_search)["chosen"]
-
-    def listen(poses, symmetries, **kind):
-        seen.append(poses)
-        return choose(poses, symmetries, **kind)
-
-    vars(sketch_search)["chosen"] = listen  # all poses that it chooses from
     turn, move = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
     turned = Rotation.from_rotvec(np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) * turn).as_matrix()
     centre = truth.apply(model.centre_m)
     start = turned @ truth.rotation
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
-    rows = []
+    found = []
     for prior in (False, True):
-        seen.clear()
         choice = (
             search.near(picture, Pose(start, place), np.deg2rad(SEARCH_DEG))
             if prior
             else search.anywhere(picture)
         )
-        nees = None
-        if choice is not None:
-            best = choice.best.pose
-            spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
+        if choice is None:
+            continue
+        nees, best = None, choice.best.pose
+        spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
+        if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
             error = np.concatenate([spin, best.translation_m - truth.translation_m])
-            if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG:
-                nees = float(error @ np.linalg.solve(choice.covariance, error))
-        poses = [
-            {
-                "rotation_deg": float(np.rad2deg(angle_between(p.pose, truth, model.symmetries))),
-                "translation": float(
-                    np.linalg.norm(p.pose.apply(model.centre_m) - centre) / np.linalg.norm(centre)
-                ),
-                "features": p.features.tolist(),
-                "pose": p.pose,
-            }
-            for p in (seen[0] if seen else [])
-        ]
-        cut = choice is not None and choice.cut
-        rows.append({"prior": prior, "cut": cut, "nees": nees, "poses": poses})
-    vars(sketch_search)["chosen"] = choose
-    return rows
+            nees = float(error @ np.linalg.solve(choice.covariance, error))
+        found.append(
+            Searched(choice.looks, truth, model.centre_m, model.symmetries, prior, choice.cut, nees)
+        )
+    return found
 
 
-def right(pose: dict[str, Any]) -> bool:
-    return pose["rotation_deg"] < RIGHT_DEG and pose["translation"] < RIGHT_SHARE
-
-
-def fitted_merit(looks: list[dict[str, Any]]) -> np.ndarray:
+def fitted_merit(searches: list[Searched]) -> np.ndarray:
     """(7,) weights that put right poses of a frame before wrong ones (conditional logit)."""
     groups = []
-    for row in looks:
-        clear = [p for p in row["poses"] if right(p) or p["rotation_deg"] > WRONG_DEG]
-        good = np.array([right(p) for p in clear], dtype=bool)
+    for search in searches:
+        poses = search.looks.around + search.looks.others
+        clear = [p for p in poses if search.right(p) or search.error_deg(p) > WRONG_DEG]
+        good = np.array([search.right(p) for p in clear], dtype=bool)
         if good.any() and not good.all():
-            groups.append((np.array([p["features"] for p in clear]), good))
+            groups.append((np.array([p.features for p in clear]), good))
 
     def unlikely(weights: np.ndarray) -> tuple[float, np.ndarray]:
         loss, slope = RIDGE * weights @ weights, 2.0 * RIDGE * weights
@@ -147,24 +152,24 @@ def fitted_merit(looks: list[dict[str, Any]]) -> np.ndarray:
     return minimize(unlikely, np.zeros(len(POSE_FEATURES)), jac=True, method="L-BFGS-B").x
 
 
-def choices(looks: list[dict[str, Any]], merit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 11) ``CHOICE_FEATURES`` of the best pose of each look; and its row of the poses."""
-    features, best = [], []
-    for row in looks:
-        if not row["poses"]:
-            continue
-        merits = [float(np.dot(p["features"], merit)) for p in row["poses"]]
-        k = int(np.argmax(merits))
-        chosen = row["poses"][k]
-        rivals = [
-            m
-            for p, m in zip(row["poses"], merits, strict=True)
-            if np.rad2deg(p["pose"].angle_to(chosen["pose"])) > WRONG_DEG
-        ]
-        margin = min(merits[k] - max(rivals), DISTINCT_MARGIN) if rivals else DISTINCT_MARGIN
-        features.append([1.0, margin, float(row["cut"]), float(row["prior"]), *chosen["features"]])
-        best.append(chosen)
-    return np.array(features), np.array(best, dtype=object)
+def fitted_odds(features: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """(14,) coefficients of ``CHOICE_FEATURES``; the first is the constant."""
+    mean, spread = features[:, 1:].mean(0), features[:, 1:].std(0) + 1e-9
+    weight = np.where(good, 1.0, WEIGHT_OF_WRONG)
+    fit = LogisticRegression(C=1.0, max_iter=5000)
+    fit.fit((features[:, 1:] - mean) / spread, good, sample_weight=weight)
+    slopes = fit.coef_[0] / spread
+    return np.concatenate([fit.intercept_ - slopes @ mean, slopes])
+
+
+def probabilities(features: np.ndarray, good: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """(N,) each from a fit to the other folds."""
+    found = np.empty(len(good))
+    for fold in np.unique(folds):
+        out = folds == fold
+        odds = features[out] @ fitted_odds(features[~out], good[~out])
+        found[out] = 1.0 / (1.0 + np.exp(-odds))
+    return found
 
 
 def run(
@@ -175,40 +180,42 @@ def run(
     seed: int = 1,
     write: bool = False,
 ) -> None:
-    """Fit to MODELS, whose MESHES (in metres) are named in the same order, and say how well."""
-    looks: list[dict[str, Any]] = []
+    """Fit to MODELS, whose MESHES (in metres) are named in the same order.
+
+    The shares printed are of frames that the fit did not see (five folds).
+    """
+    searches: list[Searched] = []
     for path, name in zip(models, meshes.split(","), strict=True):
         model, mesh = ViewModel.load(path), load_mesh(Path(name), "m")
         drawn = Parallel(n_jobs=-1)(delayed(look)(model, mesh, seed, k) for k in range(frames))
-        looks += [row for rows in drawn for row in rows]
-    merit = fitted_merit(looks)
-    features, best = choices(looks, merit)
-    good = np.array([right(p) for p in best])
-    weight = np.where(good, 1.0, WEIGHT_OF_WRONG)
-    fit = LogisticRegression(C=3.0, max_iter=5000, fit_intercept=False)
-    odds = fit.fit(features, good, sample_weight=weight).coef_[0]
-    given = 1.0 / (1.0 + np.exp(-features @ odds)) > 0.6
-    wrong = np.array([p["rotation_deg"] > WRONG_DEG for p in best])
-    for prior in (False, True):
-        some = features[:, CHOICE_FEATURES.index("prior")] == float(prior)
-        print(
-            f"{'prior' if prior else 'no prior'}: {some.sum()} looks, best pose right "
-            f"{good[some].mean():.3f}; given and right {(given & good)[some].mean():.3f}, "
-            f"given and wrong {(given & wrong)[some].mean():.4f}"
+        searches += [search for found in drawn for search in found]
+    record = json.loads(PACKAGED.read_text(encoding="utf-8"))
+    merit = fitted_merit(searches)
+    record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
+    packaged().merit[:] = merit  # the features and choices are those of the new merit
+    for kind, prior in (("anywhere", False), ("near", True)):
+        some = [s for s in searches if s.prior == prior]
+        choices = [chosen(s.looks, s.symmetries, prior=prior, cut=s.cut) for s in some]
+        features = np.array([c.features for c in choices])
+        good = np.array([s.right(c.best) for s, c in zip(some, choices, strict=True)])
+        wrong = np.array(
+            [s.error_deg(c.best) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
         )
-    nees = np.array([row["nees"] for row in looks if row["nees"] is not None])
-    kept = json.loads(PACKAGED.read_text(encoding="utf-8"))
+        given = probabilities(features, good, np.arange(len(some)) % FOLDS) > LEAST_CONFIDENCE
+        print(
+            f"{kind}: {len(some)} looks, best pose right {good.mean():.3f}; given and right "
+            f"{(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
+        )
+        odds = fitted_odds(features, good)
+        record["log_odds"][kind] = dict(zip(CHOICE_FEATURES, odds.tolist(), strict=True))
+    nees = np.array([s.nees for s in searches if s.nees is not None])
     print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
-    record = {
-        "merit": dict(zip(POSE_FEATURES, merit.tolist(), strict=True)),
-        "log_odds": dict(zip(CHOICE_FEATURES, odds.tolist(), strict=True)),
-        "inflation": kept["inflation"] * float(nees.mean()) / UNKNOWNS,
-        "provenance": {
-            "experiment": "sketch-confidence",
-            "targets": [p.stem for p in models],
-            "frames": frames * len(models),
-            "seed": seed,
-        },
+    record["inflation"] *= float(nees.mean()) / UNKNOWNS
+    record["provenance"] = {
+        "experiment": "sketch-confidence",
+        "targets": [p.stem for p in models],
+        "frames": frames * len(models),
+        "seed": seed,
     }
     text = json.dumps(record, indent=1) + "\n"
     print(text)

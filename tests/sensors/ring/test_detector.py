@@ -166,7 +166,10 @@ def test_without_a_radius_there_are_ellipses_and_no_pose(make, ring_camera):
 def test_the_sensor_follows_the_ring_and_forgets_it_after_a_while(make, ring_camera):
     scene, image = make([11, 2], clutter=2, tilt_rad=(0.4, 0.7))
     sensor = RingSensor(ring_camera, scene.ring.radius_m)
-    given = sensor.update(0.0, image, RingPrior(axis=scene.ring.axis))
+    far = float(np.linalg.norm(scene.ring.centre_m))
+    given = sensor.update(
+        0.0, image, RingPrior(axis=scene.ring.axis, range_m=far, range_sigma_m=0.01 * far)
+    )
     assert given.circle is not None
     assert given.circle.axis @ scene.ring.axis > 0.99
     assert sensor.update(1.0, image).circle.axis @ scene.ring.axis > 0.99

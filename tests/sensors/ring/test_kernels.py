@@ -35,7 +35,14 @@ from rendezview.sensors.ring.samples import (
     solve_equations,
     update_shape,
 )
-from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.spread import (
+    covariance_of,
+    covered,
+    scale_of,
+    spread_of,
+    systematic_of,
+    trim,
+)
 from rendezview.sensors.ring.verify import one_sense, twins
 
 CAMERA = Camera(640, 480, 800.0, 790.0, 320.0, 241.0, (-0.2, 0.05, 1e-3, -5e-4))
@@ -255,6 +262,18 @@ def test_white_samples_spread_as_their_weights_say_and_wavy_ones_more():
     assert 0.7 < spread_of(samples, 600) < 1.8
     samples[:, OFFSET] += 0.2 * np.sin(3.0 * samples[:, ANGLE])
     assert spread_of(samples, 600) > 10.0
+
+
+def test_the_common_part_of_offsets_is_that_of_neighbours():
+    rng = np.random.default_rng(12)
+    samples = random_samples(rng, 600)
+    samples[:, WEIGHT] = 1.0
+    samples[:, OFFSET] = rng.normal(0.0, 0.1, 600)
+    assert systematic_of(samples, 600) < 0.03
+    samples[:, OFFSET] += np.where(np.arange(600) < 150, 0.4, -0.1)
+    assert systematic_of(samples, 600) == pytest.approx(np.std([0.4, -0.1, -0.1, -0.1]), abs=0.03)
+    samples[:, WEIGHT] = 0.0
+    assert systematic_of(samples, 600) == 0.0
 
 
 def test_samples_against_the_sense_of_their_neighbours_are_left_out():

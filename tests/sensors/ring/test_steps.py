@@ -72,7 +72,7 @@ def test_a_rough_circle_is_fitted_to_its_steps_and_is_no_lip():
     used = sample_steps(
         image, lens, SHAPE, 1.0, 0.0, 2.0, filters, basis, 0.9, np.empty((0, 5)), samples[:400]
     )
-    edges, spread, found = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 3))
+    edges, spread, found = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 4))
     assert not fit_lip(
         image, lens, SHAPE, 1.0, 2.0, filters, basis, 0.9, np.empty((0, 5)), samples, used,
         edges, spread, found,

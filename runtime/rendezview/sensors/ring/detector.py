@@ -55,6 +55,9 @@ class RingEdge:
     group: int  # number of the set of concentric circles it belongs to
     rms_px: float  # of the edge places about the ellipse
     pair: int = -1  # number of the lip whose two edges were fitted as one; -1: of none
+    # σ of what neighbouring places of the edge have in common and the ellipse has not: the rear
+    # edge of a lip, a shadow. It is no part of the ellipse's covariance.
+    systematic_px: float = 0.0
 
     @property
     def arc_deg(self) -> float:
@@ -153,6 +156,7 @@ class RingDetector:
                 int(group[k]),
                 float(facts[k, 2]),
                 int(pairs[k]),
+                float(facts[k, 3]),
             )
             for k in order
         )

@@ -25,7 +25,14 @@ from rendezview.sensors.ring.samples import (
     add_equation,
     solve_equations,
 )
-from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.spread import (
+    covariance_of,
+    covered,
+    scale_of,
+    spread_of,
+    systematic_of,
+    trim,
+)
 from rendezview.sensors.ring.steps import sample_steps
 
 Array = npt.NDArray[np.float64]
@@ -48,7 +55,7 @@ def fit_lip(
         image, lens, step_px, noise, filters, basis, blur, others: as for `sample_steps`.
         shape: (5,) of the ellipse.
         samples: the first ``used`` are the ellipse's; twice as many as one ellipse needs fit in.
-        edges, covariances, facts: (2, 5), (2, 5, 5) and (2, 3) out, as of `fit_steps`. Errors
+        edges, covariances, facts: (2, 5), (2, 5, 5) and (2, 4) out, as of `fit_steps`. Errors
             common to both edges are in both covariances.
     """
     pair, normal = np.zeros(6), np.empty((6, 6))
@@ -93,6 +100,7 @@ def fit_lip(
     if not abs(pair[5]) > _SIGMAS * np.sqrt(whole[5, 5]):
         return False
     _separate(pair, whole, arcs, found, edges, covariances, facts)
+    facts[:, 3] = max(systematic_of(rising, first), systematic_of(falling, second))
     return True
 
 

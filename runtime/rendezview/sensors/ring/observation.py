@@ -25,6 +25,9 @@ class RingObservation(Observation):
     edge: int | None = None  # number of the edge that the circles are of
     circles: tuple[CirclePose, ...] = ()  # the poses that the edge allows, one or two
     choice: Choice | None = None  # which of the circles is the ring, and why
+    # Other edges that may be the ring's, best first, and the poses that they allow; none of them
+    # and none of `circles` is fused.
+    rivals: tuple[tuple[int, tuple[CirclePose, ...]], ...] = ()
 
     @property
     def circle(self) -> CirclePose | None:
@@ -36,7 +39,12 @@ class RingObservation(Observation):
     def measurement(
         self, sensor: str, *, ring: DockingRing | None = None, mount: Pose | None = None
     ) -> RingMeasurement | None:
-        """All circles with a covariance, for the filter to choose from; see `Observation`."""
+        """All circles with a covariance, for the filter to choose from; see `Observation`.
+
+        None where it is open which edge is the ring's: a wrong one is a wrong range.
+        """
+        if self.rivals:
+            return None
         circles = ((c.centre_m, c.axis, c.covariance) for c in self.circles)
         candidates = ring_candidates(circles)
         if not candidates:
@@ -60,6 +68,7 @@ class RingObservation(Observation):
                     "semi_axes_px": edge.ellipse.semi_axes_px,
                     "angle_rad": edge.ellipse.angle_rad,
                     "covariance": edge.ellipse.covariance,
+                    "systematic_px": edge.systematic_px,
                     "arc_deg": edge.arc_deg,
                     "score": edge.score,
                     "family": edge.group,
@@ -68,15 +77,29 @@ class RingObservation(Observation):
                 for edge in self.edges
             ],
             "ellipse": self.edge,
-            "poses": [
-                {
-                    "centre_m": circle.centre_m,
-                    "axis": circle.axis,
-                    "covariance": circle.covariance,
+            "poses": []
+            if self.rivals
+            else [
+                _pose(circle)
+                | {
                     "chosen": self.choice is not None and self.choice.index == k,
                     "reason": None if self.choice is None else self.choice.reason,
                 }
                 for k, circle in enumerate(self.circles)
             ],
+            "candidates": [
+                {"ellipse": edge, "poses": [_pose(circle) for circle in circles]}
+                for edge, circles in ((self.edge, self.circles), *self.rivals)
+            ]
+            if self.rivals
+            else [],
             "stage_ms": self.stage_ms,
         }
+
+
+def _pose(circle: CirclePose) -> dict[str, Any]:
+    return {
+        "centre_m": circle.centre_m,
+        "axis": circle.axis,
+        "covariance": circle.covariance,
+    }

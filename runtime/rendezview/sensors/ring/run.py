@@ -15,6 +15,8 @@ from rendezview.sensors.ring.sensor import RingPrior, RingSensor
 from rendezview.sensors.run import observe
 from rendezview.sensors.sensor import AidedSensor
 
+Circles = tuple[tuple[float, float], ...]
+
 
 def follow(
     sequence: Sequence,
@@ -22,6 +24,7 @@ def follow(
     *,
     options: RingOptions | None = None,
     prior: Callable[[Frame], RingPrior | None] | None = None,
+    circles: Circles = (),
     independent: bool = False,
 ) -> Iterator[tuple[Frame, GreyImage | None, RingObservation]]:
     """One observation of each frame, in the order of the sequence.
@@ -34,6 +37,7 @@ def follow(
         radius_m: of the ring's edge; None: ellipses only.
         options: of the detector.
         prior: the prior of a frame.
+        circles: known circles about the ring's axis, see ``DockingRing.circles``.
         independent: each on its own, no memory.
     """
     sensors: dict[Camera, RingSensor] = {}
@@ -41,7 +45,7 @@ def follow(
 
     def look(frame: Frame, _: float, image: GreyImage) -> RingObservation:
         if frame.camera not in sensors:
-            sensors[frame.camera] = RingSensor(frame.camera, radius_m, options)
+            sensors[frame.camera] = RingSensor(frame.camera, radius_m, options, circles)
         if independent:
             sensors[frame.camera].reset()
         sensor: AidedSensor[GreyImage, RingPrior, RingObservation] = sensors[frame.camera]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -12,19 +13,24 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring.choice import Choice, MotionChooser, by_attitude, by_plane, only_one
-from rendezview.sensors.ring.circle_pose import CirclePose, shape_of_circle
+from rendezview.sensors.ring.circle_pose import CirclePose, pose_covariance, shape_of_circle
 from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.observation import RingObservation
+from rendezview.sensors.ring.which_circle import Which, by_range, without_range
 
 Array = npt.NDArray[np.float64]
 
 _MOST_COMPANIONS = 5  # Source: by construction, a bound of time
-# Of the ring's radius, or its inverse: other edges are a nozzle's rim or a flange, not in its plane
-_LEAST_COMPANION = 0.8
+# Of the first edge's radius: other edges of a lip. Larger circles are a foot or a cone behind it,
+# smaller ones a nozzle or a shield: near head-on they fit as well, and move the place by 1 %.
+_COMPANIONS = (0.8, 1.02)  # Source: ring-vehicle, seed 22
+# σ of an ellipse's numbers over that of its edge's systematic part: the ellipse takes in a part.
+_SYSTEMATIC = 1.0  # Source: ring-vehicle, seed 22
+_LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
 _FORGET_FRAMES = 5  # frames without a pose, after which the last one is forgotten
-_RANGE_TOLERANCE = 0.15  # of the laser's range: it may meet another part of the target
+_RANGE_SHARE = 0.05  # of a range without a σ. Source: half the relief of a vehicle
 _PLACE_TOLERANCE = 0.35  # of the semi-axis: how far a ring may have moved since it was known
 
 
@@ -34,7 +40,10 @@ class RingPrior:
 
     centre_m: Array | None = None  # (3,) of the ring, camera frame
     axis: Array | None = None  # (3,) camera frame
-    range_m: float | None = None  # to the ring's centre; counts while its place is not known
+    range_m: float | None = None  # to the ring's centre; None: that of ``centre_m``
+    # One σ of the range. None: 5 %, and ``range_m`` counts only while the place is not known from
+    # frames before.
+    range_sigma_m: float | None = None
 
 
 class RingSensor:
@@ -46,14 +55,20 @@ class RingSensor:
         camera: of the frames.
         radius_m: of the ring's edge; None: ellipses only.
         options: of the detector.
+        circles: of the target about the ring's axis: height over the ring's plane (m, outwards
+            positive) and radius (m); see ``DockingRing.circles``.
     """
 
     def __init__(
-        self, camera: Camera, radius_m: float | None = None, options: RingOptions | None = None
+        self,
+        camera: Camera,
+        radius_m: float | None = None,
+        options: RingOptions | None = None,
+        circles: Sequence[tuple[float, float]] = (),
     ) -> None:
         if radius_m is not None and not (math.isfinite(radius_m) and radius_m > 0.0):
             raise ValueError(f"radius_m must be positive, not {radius_m}")
-        self.camera, self.radius_m = camera, radius_m
+        self.camera, self.radius_m, self.circles = camera, radius_m, tuple(circles)
         self._detector = RingDetector(camera, options)
         self._lock = threading.Lock()
         self.reset()
@@ -101,14 +116,20 @@ class RingSensor:
                 Status.OK, "no radius is given, so no pose", time_s=time_s,
                 edges=detection.edges, edge=0, stage_ms=detection.stage_ms,
             )  # fmt: skip
-        edge, why = self._select(detection, prior)
+        which = self._select(detection, prior)
+        edge = which.edge
         if edge is None:
-            return self._nothing(time_s, detection, why)
-        circles, misfits = joint_poses(
-            self.camera, _companions(detection.edges, edge), self.radius_m
-        )
+            return self._nothing(time_s, detection, which.reason)
+        circles, misfits = self._poses(detection, edge)
         if not circles:
             return self._nothing(time_s, detection, "the ellipse is no circle's picture")
+        if which.rivals:
+            return RingObservation(
+                Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
+                circles=circles, choice=Choice(None, which.reason),
+                rivals=tuple((k, self._poses(detection, k)[0]) for k in which.rivals),
+                stage_ms=detection.stage_ms,
+            )  # fmt: skip
         choice = self._choose(circles, misfits, prior)
         if choice.index is not None:
             self._last, self._missed = circles[choice.index], 0
@@ -121,6 +142,21 @@ class RingSensor:
             stage_ms=detection.stage_ms,
         )  # fmt: skip
 
+    def _poses(
+        self, detection: Detection, edge: int
+    ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
+        assert self.radius_m is not None
+        poses, misfits = joint_poses(self.camera, _companions(detection.edges, edge), self.radius_m)
+        sigma_px = _SYSTEMATIC * detection.edges[edge].systematic_px
+        return tuple(self._widened(pose, sigma_px) for pose in poses), misfits
+
+    def _widened(self, pose: CirclePose, sigma_px: float) -> CirclePose:
+        """A pose whose covariance has the systematic error of its edge as well."""
+        if pose.covariance is None or sigma_px < _LEAST_SYSTEMATIC_PX:
+            return pose
+        more = pose_covariance(self.camera, pose, sigma_px**2 * np.eye(5))
+        return replace(pose, covariance=pose.covariance + more)
+
     def _nothing(self, time_s: float, detection: Detection, reason: str) -> RingObservation:
         self._missed += 1
         if self._missed >= _FORGET_FRAMES:
@@ -130,48 +166,59 @@ class RingSensor:
             edges=detection.edges, stage_ms=detection.stage_ms,
         )  # fmt: skip
 
-    def _select(self, detection: Detection, prior: RingPrior) -> tuple[int | None, str]:
+    def _select(self, detection: Detection, prior: RingPrior) -> Which:
         """Which ellipse is the ring's edge of the known radius."""
-        if not detection.edges:
-            return None, detection.reason or "no ellipse"
+        edges = detection.edges
+        if not edges:
+            return Which(None, (), detection.reason or "no ellipse")
         assert self.radius_m is not None
-        expected = None
         centre, axis = prior.centre_m, prior.axis
-        if centre is None and self._last is not None:
-            centre, axis = self._last.centre_m, self._last.axis
-        elif centre is None and self._pair:
-            centre, axis = self._pair[0].centre_m, self._pair[0].axis
+        memory = None
+        if self._last is not None:
+            memory = self._last
+        elif self._pair:
+            memory = self._pair[0]
+        if centre is None and memory is not None:
+            centre, axis = memory.centre_m, memory.axis
+        expected = None
         if centre is not None:
             if axis is None:
                 axis = -np.asarray(centre) / np.linalg.norm(centre)
             expected = shape_of_circle(self.camera, centre, axis, self.radius_m)
-        sizes = np.array([edge.ellipse.semi_axes_px[0] for edge in detection.edges])
+        aside = np.zeros(len(edges))
         if expected is not None:
             half = 0.5 * (expected[2] + expected[4])
             long = half + math.hypot(0.5 * (expected[2] - expected[4]), expected[3])
-            off = np.array(
-                [
-                    math.hypot(*(edge.ellipse.centre_px - expected[:2])) / long
-                    for edge in detection.edges
-                ]
+            aside = np.array(
+                [math.hypot(*(edge.ellipse.centre_px - expected[:2])) / long for edge in edges]
             )
-            cost = off + 2.0 * np.abs(np.log(sizes / long))
-            best = int(np.argmin(cost))
-            if cost[best] > _PLACE_TOLERANCE:
-                return None, "no ellipse where and as large as the ring should be"
-            return best, ""
-        if prior.range_m is not None:
-            spread = np.abs(np.log(sizes / (self._focal * self.radius_m / prior.range_m)))
-            worth = np.array([edge.score for edge in detection.edges])
-            near = spread < _RANGE_TOLERANCE
-            if not near.any():
-                return None, "no ellipse as large as the ring should be at that range"
-            return int(np.argmax(np.where(near, worth * (1.0 - spread), -1.0))), ""
-        return 0, ""
+        if aside.min() > _PLACE_TOLERANCE:
+            return Which(None, (), "no ellipse where the ring should be")
+        told = self._range(prior, known=expected is not None)
+        if told is not None:
+            return by_range(
+                self.camera, edges, self.radius_m, *told, self.circles, aside < _PLACE_TOLERANCE
+            )
+        if expected is None:
+            return without_range(self.camera, edges, self.radius_m, self.circles)
+        sizes = np.array([edge.ellipse.semi_axes_px[0] for edge in edges])
+        cost = aside + 2.0 * np.abs(np.log(sizes / long))
+        best = int(np.argmin(cost))
+        if cost[best] > _PLACE_TOLERANCE:
+            return Which(None, (), "no ellipse where and as large as the ring should be")
+        return Which(best, (), "")
 
-    @property
-    def _focal(self) -> float:
-        return 0.5 * (self.camera.fx + self.camera.fy)
+    def _range(self, prior: RingPrior, *, known: bool) -> tuple[float, float] | None:
+        """Range of the ring and its σ, as told; None where the memory of the last frame decides."""
+        range_m = prior.range_m
+        if range_m is None and prior.centre_m is not None:
+            range_m = float(np.linalg.norm(prior.centre_m))
+        elif prior.range_sigma_m is None and known and prior.centre_m is None:
+            return None  # a range without an error is that of the first frames
+        if range_m is None:
+            return None
+        sigma_m = prior.range_sigma_m
+        return range_m, _RANGE_SHARE * range_m if sigma_m is None else sigma_m
 
     def _choose(
         self, poses: tuple[CirclePose, ...], misfits: tuple[float, ...], prior: RingPrior
@@ -194,8 +241,7 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
     """An edge's ellipse, then those that may be other edges of the same ring.
 
     Edges of the same group come first, then edges at about the same place, because a short arc
-    gives a poor place. All are of similar size: near head-on a smaller circle of another plane fits
-    as well, with a false tilt. Of a lip fitted as a pair one edge is enough. The joint fit leaves
+    gives a poor place. Of a lip fitted as a pair one edge is enough. The joint fit leaves
     out an edge that does not belong there.
     """
     main, pairs = edges[first].ellipse, {edges[first].pair}
@@ -205,7 +251,7 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
             continue
         ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
         aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
-        if not _LEAST_COMPANION < ratio < 1.0 / _LEAST_COMPANION:
+        if not _COMPANIONS[0] < ratio < _COMPANIONS[1]:
             continue
         same = edge.group == edges[first].group
         if same or aside < 0.3 * main.semi_axes_px[0]:

@@ -9,7 +9,14 @@ from numba import njit
 from rendezview.sensors.ring.ellipse import axes_of_shape
 from rendezview.sensors.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
 from rendezview.sensors.ring.samples import COLUMNS, distance, update_shape
-from rendezview.sensors.ring.spread import covariance_of, covered, scale_of, spread_of, trim
+from rendezview.sensors.ring.spread import (
+    covariance_of,
+    covered,
+    scale_of,
+    spread_of,
+    systematic_of,
+    trim,
+)
 from rendezview.sensors.ring.steps import sample_steps
 from rendezview.sensors.ring.verify import one_sense, twins
 
@@ -28,18 +35,18 @@ def fit_steps(
     """Blurred-step fits of the edges that rough ellipses (K, 5) lie on, or the pairs of edges.
 
     Returns:
-        Shapes (M, 5); covariances (M, 5, 5); (M, 3) arc (rad), contrast (grey), r.m.s. (px); (M,)
-        number of the pair that an edge was fitted in, -1 for none.
+        Shapes (M, 5); covariances (M, 5, 5); (M, 4) arc (rad), contrast (grey), r.m.s. (px), common
+        part (σ, px); (M,) number of the pair that an edge was fitted in, -1 for none.
     """
     total = shapes.shape[0]
     current = shapes.copy()
     fitted = np.empty((2 * total, 5))
     covariances = np.empty((2 * total, 5, 5))
-    facts = np.empty((2 * total, 3))
+    facts = np.empty((2 * total, 4))
     pairs = np.empty(2 * total, dtype=np.int64)
     samples = np.zeros((2 * _MOST_SAMPLES, COLUMNS))
     others = np.empty((total, 5))
-    both, both_covariances, both_facts = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 3))
+    both, both_covariances, both_facts = np.empty((2, 5)), np.empty((2, 5, 5)), np.empty((2, 4))
     count, pair = 0, 0
     for k in range(total):
         shape = current[k].copy()
@@ -140,7 +147,7 @@ def _fit_single(
         return False
     if not covariance_of(normal, spread_of(samples, n), covariance):
         return False
-    facts[0], facts[1], facts[2] = arc, contrast, rms
+    facts[0], facts[1], facts[2], facts[3] = arc, contrast, rms, systematic_of(samples, n)
     return True
 
 

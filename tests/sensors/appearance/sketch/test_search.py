@@ -16,10 +16,13 @@ from rendezview.sensors.appearance.sketch.choice import (
     CHOICE_FEATURES,
     PACKAGED,
     POSE_FEATURES,
+    Looks,
     SketchPose,
     chosen,
     distinct,
 )
+from rendezview.sensors.appearance.sketch.network import MAPS
+from rendezview.sensors.appearance.sketch.retrieval import PartialViews
 from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.sensors.appearance.sketch.views import GRID, centroid, on_grid
 from rendezview.sensors.observation import Status
@@ -134,23 +137,61 @@ def some_pose(merit: float, turn_deg: float) -> SketchPose:
     return SketchPose(Pose(rotation, [0.0, 0.0, 5.0]), merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5)
 
 
+def looks(poses: list[SketchPose]) -> Looks:
+    """A first look at some poses, and a closer one at the same."""
+    return Looks(poses, poses[:2], poses[2:])
+
+
 def test_the_choice_names_the_best_and_its_rival():
     poses = [some_pose(0.5, 0.0), some_pose(0.48, 2.0), some_pose(0.4, 40.0)]
-    choice = chosen(poses, (), prior=False, cut=False)
+    choice = chosen(looks(poses), (), prior=False, cut=False)
     assert choice.best is poses[0]
     assert choice.rival is poses[2]  # 2° away is the same answer
     assert choice.margin == pytest.approx(poses[0].merit - poses[2].merit)
     assert 0.0 < choice.confidence < 1.0
-    clearer = chosen(poses[:2], (), prior=False, cut=False)
+    clearer = chosen(looks(poses[:2]), (), prior=False, cut=False)
     assert clearer.rival is None
     assert clearer.confidence > choice.confidence
-    assert chosen([], (), prior=False, cut=False) is None
+    assert chosen(looks([]), (), prior=False, cut=False) is None
     assert distinct(poses, 5, np.deg2rad(4.0)) == [poses[0], poses[2]]
+
+
+def test_what_leads_to_the_best_pose_makes_it_more_probable():
+    best, near, far = some_pose(0.5, 0.0), some_pose(0.45, 1.0), some_pose(0.3, 50.0)
+    clear = Looks([best, near, near, far], [best, near, near], [far])
+    assert clear.lead(best.pose) == pytest.approx(min(best.merit - far.merit, 4.0))
+    assert clear.basin(best.pose) == 0.75
+    assert clear.scattered(best.pose) == pytest.approx((1.0, 1.0))
+    better = some_pose(0.7, 50.0)  # in the first look only
+    unclear = Looks([best, far, better, far], [best, far], [far])
+    assert unclear.lead(best.pose) < 0.0
+    assert unclear.basin(best.pose) == 0.25
+    assert unclear.scattered(best.pose) == pytest.approx((0.5, 10.0))
+    assert Looks([best], [], []).scattered(best.pose) == (0.0, 10.0)
+    sure, doubtful = (chosen(seen, (), prior=False, cut=False) for seen in (clear, unclear))
+    assert sure.best is doubtful.best
+    assert sure.confidence > doubtful.confidence
 
 
 def test_the_fitted_file_names_every_feature_and_its_data():
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
     assert set(record["merit"]) == set(POSE_FEATURES)
-    assert set(record["log_odds"]) == set(CHOICE_FEATURES)
+    assert set(record["log_odds"]) == {"anywhere", "near"}
+    for odds in record["log_odds"].values():
+        assert set(odds) == set(CHOICE_FEATURES)
     assert record["inflation"] >= 1.0
     assert record["provenance"]["frames"] > 100
+
+
+def test_a_target_cut_by_the_frame_is_compared_with_what_the_frame_shows():
+    rng = np.random.default_rng(8)
+    maps = cv2.GaussianBlur(rng.random((GRID, GRID, 30 * MAPS)).astype(np.float32), (0, 0), 3.0)
+    maps = np.ascontiguousarray(maps.reshape(GRID, GRID, 30, MAPS).transpose(2, 3, 0, 1))
+    within = np.zeros((1, GRID, GRID), np.float32)
+    within[:, :, : GRID // 2 + 4] = 1.0
+    seen = maps[17:18] * within[:, None]
+    halves = (part.reshape(*part.shape[:-2], GRID // 2, 2, GRID // 2, 2).mean((-3, -1))
+              for part in (seen, within))  # fmt: skip
+    alike = PartialViews(maps).alike(*halves)
+    assert alike.shape == (1, 30)
+    assert int(np.argmax(alike)) == 17

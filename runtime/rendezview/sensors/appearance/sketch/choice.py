@@ -16,11 +16,15 @@ from rendezview.geometry.symmetry import Symmetry, angle_between
 PACKAGED = Path(__file__).with_name("error_model.json")
 # What a pose is judged by, in the order of the fields of ``SketchPose`` …
 POSE_FEATURES = ("outline", "inner", "contrast", "visible", "overlap", "edges", "creases")
-# … and the choice of one.
-CHOICE_FEATURES = ("constant", "margin", "cut", "prior", *POSE_FEATURES)
+# … and the choice of one: in the closer look, in the first one, and both together.
+CHOICE_FEATURES = (
+    "constant", "margin", "cut", "lead", "basin", "converged", "scatter", *POSE_FEATURES
+)  # fmt: skip
 # Source: the spacing of the nodes' views
 _RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
 _MOST_MARGIN = 4.0  # of log odds; a larger margin says no more. Source: by construction
+_SAME_RAD = np.deg2rad(1.5)  # rad; poses nearer have converged. Source: error of a pose
+_MOST_SCATTER_DEG = 10.0  # °; more says no more. Source: by construction
 _MOST_ODDS = 30.0  # of the log odds: exp stays finite. Source: by construction
 
 
@@ -45,7 +49,37 @@ class SketchPose:
     @property
     def merit(self) -> float:
         """Log odds against the other poses of the frame, but for a constant."""
-        return float(self.features @ _packaged().merit)
+        return float(self.features @ packaged().merit)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Looks:
+    """The poses of one frame that were aligned, in the order in which they were found."""
+
+    first: list[SketchPose]  # from all starts, on the first sketch
+    around: list[SketchPose]  # from around the best of them, on the finer sketch
+    others: list[SketchPose]  # from other ones of the first look, on the finer sketch
+
+    def lead(self, best: Pose) -> float:
+        """Merit in the first look of the poses that lead to the best, above the others'."""
+        merits = np.array([pose.merit for pose in self.first])
+        same = np.array([pose.pose.angle_to(best) < _RIVAL_RAD for pose in self.first])
+        if not same.any() or same.all():
+            return _MOST_MARGIN if same.any() else -_MOST_MARGIN
+        lead = float(merits[same].max() - merits[~same].max())
+        return max(-_MOST_MARGIN, min(lead, _MOST_MARGIN))
+
+    def basin(self, best: Pose) -> float:
+        """Share of the first look's poses that lead to the best."""
+        return float(np.mean([pose.pose.angle_to(best) < _RIVAL_RAD for pose in self.first]))
+
+    def scattered(self, best: Pose) -> tuple[float, float]:
+        """Of the poses from around: share that converged to the best, median angle to it, °."""
+        angles = np.array([pose.pose.angle_to(best) for pose in self.around])
+        if not len(angles):
+            return 0.0, _MOST_SCATTER_DEG
+        median_deg = float(np.rad2deg(np.median(angles)))
+        return float(np.mean(angles < _SAME_RAD)), min(median_deg, _MOST_SCATTER_DEG)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +88,7 @@ class SketchChoice:
 
     best: SketchPose
     rival: SketchPose | None
+    looks: Looks
     prior: bool  # found near a prior
     cut: bool  # the target leaves the frame
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
@@ -66,14 +101,17 @@ class SketchChoice:
 
     @property
     def features(self) -> Array:
-        """(11,) ``CHOICE_FEATURES``."""
+        """(14,) ``CHOICE_FEATURES``."""
+        pose, looks = self.best.pose, self.looks
         margin = min(self.margin, _MOST_MARGIN)
-        return np.array([1.0, margin, float(self.cut), float(self.prior), *self.best.features])
+        seen = [looks.lead(pose), looks.basin(pose), *looks.scattered(pose)]
+        return np.array([1.0, margin, float(self.cut), *seen, *self.best.features])
 
     @property
     def confidence(self) -> float:
         """Probability that the best pose is right, 0 … 1."""
-        odds = float(self.features @ _packaged().log_odds)
+        model = packaged()
+        odds = float(self.features @ (model.near if self.prior else model.anywhere))
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))
 
     def with_covariance(
@@ -81,19 +119,21 @@ class SketchChoice:
     ) -> SketchChoice:
         """The choice with the covariance of independent edges, inflated as errors of poses show,
         and that of a strained craft."""
-        inflated = covariance * _packaged().inflation + strained
+        inflated = covariance * packaged().inflation + strained
         return replace(self, covariance=inflated, residual_px=residual_px)
 
 
 def chosen(
-    poses: Sequence[SketchPose], symmetries: Sequence[Symmetry], *, prior: bool, cut: bool
+    looks: Looks, symmetries: Sequence[Symmetry], *, prior: bool, cut: bool
 ) -> SketchChoice | None:
-    """The pose of most merit and its rival; None without any pose."""
+    """The pose of most merit in the closer look and its rival; None without any pose."""
+    poses = looks.around + looks.others
     best = max(poses, key=lambda p: p.merit, default=None)
     if best is None:
         return None
     others = [p for p in poses if angle_between(p.pose, best.pose, symmetries) > _RIVAL_RAD]
-    return SketchChoice(best, max(others, key=lambda p: p.merit, default=None), prior, cut)
+    rival = max(others, key=lambda p: p.merit, default=None)
+    return SketchChoice(best, rival, looks, prior, cut)
 
 
 def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[SketchPose]:
@@ -112,13 +152,18 @@ class SketchErrorModel:
     """Coefficients fitted to frames of known pose (``experiments sketch-confidence``)."""
 
     merit: Array  # (7,) of POSE_FEATURES
-    log_odds: Array  # (11,) of CHOICE_FEATURES
+    anywhere: Array  # (14,) of CHOICE_FEATURES, log odds without a prior …
+    near: Array  # (14,) … and near one
     inflation: float  # of the covariance of independent edges
 
 
 @cache
-def _packaged() -> SketchErrorModel:
+def packaged() -> SketchErrorModel:
+    """The coefficients that come with the package."""
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
     merit = [record["merit"][name] for name in POSE_FEATURES]
-    odds = [record["log_odds"][name] for name in CHOICE_FEATURES]
-    return SketchErrorModel(np.array(merit), np.array(odds), float(record["inflation"]))
+    anywhere, near = (
+        np.array([record["log_odds"][kind][name] for name in CHOICE_FEATURES])
+        for kind in ("anywhere", "near")
+    )
+    return SketchErrorModel(np.array(merit), anywhere, near, float(record["inflation"]))

@@ -18,6 +18,8 @@ from rendezview.sensors.appearance.sketch.views import (
     smoothed,
 )
 
+_NOTHING = 1e-6  # keeps quotients finite. Source: by construction
+
 Bools = npt.NDArray[np.bool_]
 
 _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
@@ -25,8 +27,11 @@ _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing
 _WEIGHTS = {COVER: 1.0, EDGE: 1.0, CREASE: 0.6}
 # Where the target leaves the frame: its whole size, of what is seen, and the shift of its centre
 # beyond the border, of the growth. Source: experiment photo-accuracy
-_CUT_SIZES = (1.0, 1.25, 1.6)
-_CUT_SHIFT = 0.6  # Source: experiment photo-accuracy
+_CUT_SIZES = (1.0, 1.2, 1.45, 1.75, 2.1)
+_CUT_SHIFTS = (0.3, 0.7, 1.1)  # Source: experiment photo-accuracy
+# 0: views are judged by what the frame shows alone; 1: by all of them, as if nothing lay beyond.
+_BEYOND = 0.5  # Source: experiments photo-accuracy and sketch-confidence
+_COARSER = 2  # cells of the grid a cell where targets are cut. Source: by construction, its cost
 # Source: spacing of the nodes' views
 _SAME_RAD = np.deg2rad(7.0)  # rad; nearer views lead to the same pose
 
@@ -39,6 +44,7 @@ class SketchRetrieval:
         self._camera = camera
         self._radius_m = model.target_radius_m
         self._vectors = np.stack([_vector(maps) for maps in sketches.decoded()])
+        self._partial: PartialViews | None = None  # made for the first target that is cut
 
     def starts(
         self, sketch: Sketch, most: int, near: Array | None = None, within_rad: float = np.pi
@@ -86,7 +92,11 @@ class SketchRetrieval:
         centre, size = centroid(cover_of(sketch.maps))
         if not sketch.cut.any():
             return [(centre, size)]
-        return [(centre + _CUT_SHIFT * (f - 1.0) * size * sketch.cut, f * size) for f in _CUT_SIZES]
+        return [
+            (centre + shift * (f - 1.0) * size * sketch.cut, f * size)
+            for f in _CUT_SIZES
+            for shift in (_CUT_SHIFTS if f > 1.0 else _CUT_SHIFTS[:1])
+        ]
 
     def _alike(
         self, sketch: Sketch, place: tuple[Array, float], turns: Array, allowed: Bools | None
@@ -98,8 +108,16 @@ class SketchRetrieval:
         if not len(rolls):
             return alike
         maps = smoothed(sketch.maps, size)
-        asked = np.stack([_vector(on_grid(maps, centre, size, turns[r])) for r in rolls])
-        alike[rolls] = asked @ self._vectors.T
+        if sketch.cut.any():
+            if self._partial is None:
+                self._partial = PartialViews(self._sketches.decoded())
+            within = np.ones((1, *maps.shape[1:]), np.float32)
+            parts = np.concatenate([maps, within])
+            asked = np.stack([_coarser(on_grid(parts, centre, size, turns[r])) for r in rolls])
+            alike[rolls] = self._partial.alike(asked[:, :-1], asked[:, -1])
+        else:
+            asked = np.stack([_vector(on_grid(maps, centre, size, turns[r])) for r in rolls])
+            alike[rolls] = asked @ self._vectors.T
         if allowed is not None:
             alike[~allowed] = -np.inf
         return alike
@@ -135,6 +153,38 @@ class SketchRetrieval:
         return np.asarray(ray / np.linalg.norm(ray))
 
 
+class PartialViews:
+    """All views, for correlation with sketches of which a part lies beyond the frame."""
+
+    def __init__(self, maps: Float32s) -> None:
+        """``maps``: (V, MAPS, GRID, GRID)."""
+        coarse = _coarser(maps)
+        self._planes = {k: coarse[:, k].reshape(len(coarse), -1).T.copy() for k in _WEIGHTS}
+        self._squares = {k: plane**2 for k, plane in self._planes.items()}
+        self._spreads = {k: len(p) * p.var(0) + _NOTHING for k, p in self._planes.items()}
+
+    def alike(self, maps: Float32s, within: Float32s) -> Float32s:
+        """(R, V) weighted correlations over what lies within the frame.
+
+        Args:
+            maps: (R, MAPS, h, w) of the sketch at each roll, coarse.
+            within: (R, h, w) share of the cells in the frame.
+        """
+        mask = np.clip(within, 0.0, 1.0).reshape(len(within), -1)
+        count = mask.sum(1, keepdims=True) + _NOTHING
+        alike = np.zeros((len(maps), next(iter(self._planes.values())).shape[1]), np.float32)
+        for k, weight in _WEIGHTS.items():
+            seen = maps[:, k].reshape(len(maps), -1)
+            seen = mask * (seen - (mask * seen).sum(1, keepdims=True) / count)
+            sums, squares = mask @ self._planes[k], mask @ self._squares[k]
+            spread = np.maximum(squares - sums**2 / count, 0.0)
+            norm = np.sqrt((seen**2).sum(1, keepdims=True) * spread)
+            # What lies beyond the frame may be there: half way between asking for it and not.
+            shown = np.sqrt(np.clip(spread / self._spreads[k], 0.0, 1.0)) ** _BEYOND
+            alike += np.float32(weight) * shown * (seen @ self._planes[k]) / (norm + _NOTHING)
+        return alike
+
+
 def nearest_view(views: ViewSketches, ahead: Array) -> tuple[int, float]:
     """The view nearest to an attitude (3, 3) of a camera that looks at the target, and its roll."""
     view = int(np.argmax(views.rotation[:, 2] @ ahead[2]))
@@ -150,6 +200,14 @@ def towards(bearing: Array) -> Array:
     if sine < 1e-12:
         return np.eye(3)
     return np.asarray(exp(axis / sine * np.arctan2(sine, bearing[2])))
+
+
+def _coarser(maps: Float32s) -> Float32s:
+    """(…, GRID / n, GRID / n) means of n × n cells."""
+    n = _COARSER
+    *many, height, width = maps.shape
+    cells = maps.reshape(*many, height // n, n, width // n, n)
+    return np.asarray(cells.mean((-3, -1)), dtype=np.float32)
 
 
 def _vector(maps: Float32s) -> Float32s:

@@ -32,7 +32,13 @@ from rendezview.sensors.appearance.sketch.alignment import (
     align_to_sketch,
     pose_covariance,
 )
-from rendezview.sensors.appearance.sketch.choice import SketchChoice, SketchPose, chosen, distinct
+from rendezview.sensors.appearance.sketch.choice import (
+    Looks,
+    SketchChoice,
+    SketchPose,
+    chosen,
+    distinct,
+)
 from rendezview.sensors.appearance.sketch.network import (
     COVER,
     CREASE,
@@ -135,7 +141,11 @@ class SketchSearch:
 
         Those that find no hold are left out.
         """
-        maps = _maps(sketch)
+        return self._aligned(sketch, _maps(sketch), rotations, centres, stages)
+
+    def _aligned(
+        self, sketch: Sketch, maps: Maps, rotations: Array, centres: Array, stages: Array
+    ) -> list[SketchPose]:
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
         agreement = SketchAgreement(self._sketches, sketch.maps)
@@ -158,17 +168,18 @@ class SketchSearch:
         sketch = self.closer_sketch(frame, best[0].pose)
         if sketch is None:
             return None
-        around, places = rotated_about(best[0].pose, self.model.centre_m, _ASIDE_RAD)
-        rotations = np.concatenate([around, *(b.pose.rotation[None] for b in best[1:])])
-        centre_m = self.model.centre_m
-        centres = np.concatenate([places, *(b.pose.apply(centre_m)[None] for b in best[1:])])
-        closer = self.aligned(sketch, rotations, centres, _FINE)
-        choice = chosen(closer, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
+        centre_m, maps = self.model.centre_m, _maps(sketch)
+        starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
+        around = self._aligned(sketch, maps, starts, places, _FINE)
+        starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
+        places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
+        looks = Looks(poses, around, self._aligned(sketch, maps, starts, places, _FINE))
+        choice = chosen(looks, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
         if choice is None:
             return None
         pose = choice.best.pose
         covariance, strained, residual_px = pose_covariance(
-            _maps(sketch), self._lens, self._views, _FINE[-1], pose.rotation,
+            maps, self._lens, self._views, _FINE[-1], pose.rotation,
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained, residual_px / sketch.scale)

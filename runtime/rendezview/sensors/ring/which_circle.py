@@ -1,0 +1,182 @@
+"""Which of a frame's ellipses is the edge of the known radius.
+
+A vehicle shows many circles about the ring's axis: the ring's own edges, the foot of its adapter, a
+shield, a nozzle. All are real circles, so how well an ellipse is seen does not tell which it is. A
+range does, with its σ; so do other circles of the target, where they are known. Every ellipse gets
+a cost, −2 ln of its likelihood but for a constant. Ellipses that cost little more than the best and
+give another range are its rivals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from rendezview.geometry.camera import Camera
+from rendezview.sensors.ring.circle_pose import CirclePose, circle_poses, shape_of_circle
+from rendezview.sensors.ring.detector import RingEdge
+
+Array = npt.NDArray[np.float64]
+
+_RANGE_FLOOR = 0.003  # of the range; σ of where the range is told to. Source: a rim's depth
+# From the told range; beyond it an ellipse is none of the ring's. Source: ring-vehicle, seed 22
+_FARTHEST_SIGMAS = 3.0
+# Of −ln score: a long arc with companions is likelier the ring than a shadow. Source: the same
+_WORTH = 2.0
+_RIVAL_COST = 5.0  # more than the best's; a rival within it may be the ring. Source: the same
+# Of the range; two edges that differ by less are one, whichever it is. Source: the 0.5 % asked for
+_SAME_RANGE = 0.004
+_RIVAL_SCORE = 0.05  # of the best score, without a range; a weaker one is none. Source: the same
+# Of the semi-axis; circles about one axis lie no further apart. Source: a tilt of 35°, half a
+# radius behind the ring
+_ASIDE = 0.3
+# From here edges of one group are known to be of one plane. Source: the groups' own tolerance
+_PLANE_TILT_RAD = math.radians(10.0)
+# How far a known circle's picture may lie from its ellipse: a share of its size, and so many px.
+# Source: ring-vehicle, seed 22
+_KNOWN_SHARE, _KNOWN_PX = 0.015, 1.0
+# Cost gained by a known circle that is found, and of one that is not. Source: 2 ln of the odds of
+# 60 % (client, ring-vehicle, seed 22) to 10 % (by chance)
+_KNOWN_FOUND, _KNOWN_MISSED = 3.6, 1.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Which:
+    """The ellipse that is the ring's, and the others that may be it."""
+
+    edge: int | None
+    rivals: tuple[int, ...]  # best first, without ``edge``
+    reason: str  # why there is none, or what the rivals are
+
+
+def by_range(
+    camera: Camera,
+    edges: Sequence[RingEdge],
+    radius_m: float,
+    range_m: float,
+    sigma_m: float,
+    circles: Sequence[tuple[float, float]] = (),
+    possible: npt.NDArray[np.bool_] | None = None,
+) -> Which:
+    """The edge whose circle of the known radius lies at a given range.
+
+    Args:
+        camera: of the frame.
+        edges: of the frame.
+        radius_m: of the ring's edge.
+        range_m: to the ring's centre.
+        sigma_m: its error, one σ.
+        circles: known circles about the same axis: height over the ring's plane (m, outwards
+            positive) and radius (m).
+        possible: (K,) edges that may be it, by their place; None: all.
+    """
+    poses = [circle_poses(camera, edge.ellipse, radius_m) for edge in edges]
+    ranges = np.array([np.linalg.norm(p[0].centre_m) if p else np.inf for p in poses])
+    spread = math.hypot(sigma_m, _RANGE_FLOOR * range_m)
+    off = np.abs(ranges - range_m) / spread
+    near = off < _FARTHEST_SIGMAS
+    if possible is not None:
+        near &= possible
+    if not near.any():
+        return Which(None, (), "no ellipse as large as the ring should be at that range")
+    cost = np.where(near, off**2, np.inf)
+    for k in np.flatnonzero(near).tolist():
+        cost[k] -= _WORTH * math.log(max(edges[k].score, 1e-3))
+        cost[k] += _cost_of_known(camera, edges, k, poses[k], radius_m, circles)
+    return _decided(cost, ranges, f"the range of {range_m:.3f} ± {sigma_m:.3f} m")
+
+
+def without_range(
+    camera: Camera,
+    edges: Sequence[RingEdge],
+    radius_m: float,
+    circles: Sequence[tuple[float, float]] = (),
+) -> Which:
+    """The best ellipse, with those that may as well be the ring's.
+
+    With known circles the pattern of all tells which one it is. Otherwise the radius is taken for
+    that of the outermost edge of the best group; circles about the same line of sight are rivals
+    unless they are seen to lie in the ring's plane.
+    """
+    poses = [circle_poses(camera, edge.ellipse, radius_m) for edge in edges]
+    ranges = np.array([np.linalg.norm(p[0].centre_m) if p else np.inf for p in poses])
+    if circles:
+        cost = np.array(
+            [
+                -_WORTH * math.log(max(edge.score, 1e-3))
+                + _cost_of_known(camera, edges, k, poses[k], radius_m, circles)
+                if poses[k]
+                else np.inf
+                for k, edge in enumerate(edges)
+            ]
+        )
+        if np.isfinite(cost).any():
+            return _decided(cost, ranges, "the pattern of the target's circles")
+    best = edges[0]
+    rivals = []
+    tilt = poses[0][0].tilt_rad if poses[0] else 0.0
+    for k in range(1, len(edges)):
+        edge = edges[k]
+        long = max(best.ellipse.semi_axes_px[0], edge.ellipse.semi_axes_px[0])
+        aside = float(np.linalg.norm(edge.ellipse.centre_px - best.ellipse.centre_px))
+        one_plane = edge.group == best.group and tilt > _PLANE_TILT_RAD
+        weak = edge.score < _RIVAL_SCORE * best.score
+        same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
+        if aside < _ASIDE * long and not (one_plane or weak or same):
+            rivals.append(k)
+    return Which(0, tuple(rivals), _words(0, rivals, ranges, "no range is given to tell"))
+
+
+def _decided(cost: Array, ranges: Array, by: str) -> Which:
+    order = np.argsort(cost, kind="stable")
+    best = int(order[0])
+    rivals = [
+        int(k)
+        for k in order[1:]
+        if cost[k] < cost[best] + _RIVAL_COST and abs(ranges[k] / ranges[best] - 1.0) > _SAME_RANGE
+    ]
+    return Which(best, tuple(rivals), _words(best, rivals, ranges, f"{by} does not tell"))
+
+
+def _words(best: int, rivals: Sequence[int], ranges: Array, why: str) -> str:
+    if not rivals:
+        return ""
+    places = " or ".join(f"{k} (then at {ranges[k]:.2f} m)" for k in (best, *rivals))
+    return f"{why} which circle is the ring: ellipse {places}"
+
+
+def _cost_of_known(
+    camera: Camera,
+    edges: Sequence[RingEdge],
+    k: int,
+    poses: Sequence[CirclePose],
+    radius_m: float,
+    circles: Sequence[tuple[float, float]],
+) -> float:
+    """Cost of the known circles if edge ``k`` is the ring's; of its two poses the better one."""
+    if not circles or not poses:
+        return 0.0
+    shapes = np.array([edge.ellipse.shape for j, edge in enumerate(edges) if j != k])
+    best = math.inf
+    for pose in poses:
+        cost = 0.0
+        for height_m, circle_m in circles:
+            centre = pose.centre_m + height_m * pose.axis
+            shape = shape_of_circle(camera, centre, pose.axis, circle_m)
+            if shape is None or not _inside(camera, shape):
+                continue
+            size = 0.5 * (shape[2] + shape[4])
+            miss = np.abs(shapes - shape).max(axis=1) if len(shapes) else np.array([math.inf])
+            found = float(miss.min()) < _KNOWN_SHARE * size + _KNOWN_PX
+            cost += -_KNOWN_FOUND if found else _KNOWN_MISSED
+        best = min(best, cost)
+    return best
+
+
+def _inside(camera: Camera, shape: Array) -> bool:
+    """Whether the middle of a circle's picture lies in the frame."""
+    return bool(0.0 <= shape[0] < camera.width and 0.0 <= shape[1] < camera.height)
