@@ -12,13 +12,14 @@ from joblib import Parallel, delayed
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
-from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
+from rendezview.simulation import Earth, SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.simulation.command import default_camera
 from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
+from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
 
 PHASE_DEG = 30.0  # of the Sun, at most
@@ -26,6 +27,12 @@ RANGE_RADII = (3.0, 6.0)
 PRIOR_RAD = 0.03  # error of the priors, each axis
 SEARCH_DEG = 6.0
 LENGTH_ERROR = 1e-3  # of the known length, one σ
+# Name, least and greatest angle Sun–target–camera in degrees, Earth behind.
+LIGHTS = (
+    ("low Sun", 0.0, 30.0, False),
+    ("high Sun", 30.0, 75.0, False),
+    ("Earth", 0.0, 60.0, True),
+)
 
 
 def frame(mesh: Mesh, seed: int, k: int) -> tuple[np.ndarray, Pose]:
@@ -99,3 +106,57 @@ def run(
             f"σ {np.round(sigma, 3)}; {found.used} of {frames} frames"
         )
         judge(what, strained(model, found.strain, found.covariance), others)
+
+
+def misfit(
+    model: Annotated[Path, "trained on the mesh"],
+    mesh: Annotated[Path, "of the craft, in metres"],
+    *,
+    frames: Annotated[int, "of each light and strain"] = 60,
+    seed: int = 6,
+) -> None:
+    """How honest covariances are where nobody says that the mesh is wrong.
+
+    The model is stretched along x by 0, 1 and 4 %, the frames show the craft itself.
+    """
+    craft = load_mesh(mesh, "m")
+    exact = ViewModel.load(model)
+    camera = Camera.from_fov(640, 480, np.deg2rad(53.0))
+    for light, least, most, earth in LIGHTS:
+        for stretch in (0.0, 0.01, 0.04):
+            recognizer = Recognizer(strained(exact, np.diag([stretch, 0.0, 0.0])), camera)
+            residuals, nees = [], []
+            for k in range(frames):
+                rng = np.random.default_rng([seed, k])
+                image, truth = _lit_frame(craft, exact, camera, rng, least, most, earth)
+                off = Rotation.from_rotvec(rng.normal(size=3) * PRIOR_RAD).as_matrix()
+                start = off @ truth.rotation
+                place = truth.apply(exact.centre_m) - start @ exact.centre_m
+                seen = recognizer.recognize(image, Pose(start, place), np.deg2rad(SEARCH_DEG))
+                if seen.pose is None or seen.found is None or seen.covariance is None:
+                    continue
+                turn = Rotation.from_matrix(truth.rotation @ seen.pose.rotation.T).as_rotvec()
+                if np.linalg.norm(turn) > np.deg2rad(SEARCH_DEG):
+                    continue  # a wrong pose, not an inaccurate one
+                error = np.concatenate([turn, truth.translation_m - seen.pose.translation_m])
+                nees.append(error @ np.linalg.solve(seen.covariance, error))
+                residuals.append(seen.found.best.residual_px)
+            print(
+                f"{light}, model {100 * stretch:.0f} % longer: {len(nees)} poses, residual "
+                f"{np.median(residuals):.3f} px median, NEES median {np.median(nees):.1f}, "
+                f"mean {np.mean(nees):.1f}",
+                flush=True,
+            )
+
+
+def _lit_frame(
+    craft: Mesh, model: ViewModel, camera: Camera, rng: np.random.Generator,
+    least_deg: float, most_deg: float, earth: bool,
+) -> tuple[np.ndarray, Pose]:  # fmt: skip
+    rotation = Rotation.random(random_state=rng).as_matrix()
+    line = np.array([*rng.uniform(-0.15, 0.15, 2), 1.0])
+    centre = line * model.target_radius_m * rng.uniform(*RANGE_RADII)
+    phase, azimuth = np.deg2rad(rng.uniform(least_deg, most_deg)), rng.uniform(0.0, 2.0 * np.pi)
+    pose = Pose(rotation, centre - rotation @ model.centre_m)
+    scene = SceneOptions(earth=Earth() if earth else None)
+    return render_frame(craft, camera, pose, sun_at_phase(centre, phase, azimuth), scene, rng), pose

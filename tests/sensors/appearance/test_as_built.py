@@ -116,3 +116,25 @@ def test_empty_frames_do_not_show_the_shape(refining_model, camera):
 def test_a_model_without_contours_is_refused(tiny_model, camera):
     with pytest.raises(RendezviewError, match="contour"):
         ShapeEstimator(tiny_model, camera)
+
+
+def test_a_wrong_mesh_that_nobody_mentions_widens_the_covariance(
+    refining_model, camera, fly_around, found
+):
+    frames, poses, priors = fly_around
+
+    def normalised(model):
+        recognizer = Recognizer(model, camera)
+        squares = []
+        for frame, truth, prior in zip(frames, poses, priors, strict=True):
+            seen = recognizer.recognize(frame, prior, np.deg2rad(6.0))
+            if seen.pose is None:
+                continue
+            turn = Rotation.from_matrix(truth.rotation @ seen.pose.rotation.T).as_rotvec()
+            error = np.concatenate([turn, truth.translation_m - seen.pose.translation_m])
+            squares.append(error @ np.linalg.solve(seen.covariance, error))
+        assert len(squares) > 15
+        return np.median(squares)
+
+    assert normalised(refining_model) < 30.0  # some 300 where only edges counted
+    assert normalised(strained(refining_model, found.strain)) > 0.3
