@@ -84,6 +84,9 @@ EXPERIMENTS = {
         "export-c-check": ("flight_code.check", "exported C beside the runtime, same frames"),
         "flight-code-search": ("flight_code.search", "views that the C code finds, by prior"),
     },
+    "startup": {
+        "compiled-loops": ("startup.loops", "lists the loops that commands compile"),
+    },
     "training": {
         "training-speed": ("training.speed", "time and memory of training"),
         "scale-out": ("training.scale_out", "several workers: speed, bytes, kills, cost"),
