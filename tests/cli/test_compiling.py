@@ -56,6 +56,25 @@ def test_a_listed_loop_is_cached_when_it_is_compiled():
     assert compiling._is_cached(loop)
 
 
+def test_a_loop_that_has_changed_does_not_keep_others_from_being_compiled(monkeypatch):
+    last = compiling.load_loops("track")[-1]
+    compiled = []
+    wrong = [last | {"loop": "rendezview.geometry.so3:gone"}, last | {"arguments": ["int64"] * 9}]
+
+    class Loop:
+        def __init__(self, name: str) -> None:
+            self._loop = named(name)
+
+        def compile(self, arguments: tuple) -> None:
+            self._loop.compile(arguments)
+            compiled.append(arguments)
+
+    named = compiling._named
+    monkeypatch.setattr(compiling, "_named", Loop)
+    compiling._compile([*wrong, last])
+    assert len(compiled) == 1
+
+
 def test_shares_take_about_equal_time():
     entries = [{"loop": str(k), "seconds": s} for k, s in enumerate([9.0, 5.0, 4.0, 1.0, 1.0])]
     shares = compiling._shares(entries, 2)

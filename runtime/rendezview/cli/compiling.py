@@ -9,6 +9,7 @@ Which loops those are, for which types of arguments, is listed in ``loops.json``
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import os
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numba import types
+from numba.core.errors import NumbaError
 from numba.core.event import Event, Listener, install_listener, register
 
 from rendezview.cli.progress import say
@@ -199,6 +201,13 @@ def recorded(run: Callable[[], None]) -> list[dict[str, Any]]:
     return recorder.entries
 
 
+def _compile(entries: list[dict[str, Any]]) -> None:
+    """Compile loops; one that has changed since it was listed is left to its first call."""
+    for entry in entries:
+        with contextlib.suppress(NumbaError, AttributeError, ImportError, TypeError):
+            loop = _named(entry["loop"])
+            loop.compile(tuple(type_from_json(argument) for argument in entry["arguments"]))
+
+
 if __name__ == "__main__":
-    for _entry in json.loads(sys.argv[1]):
-        _named(_entry["loop"]).compile(tuple(type_from_json(a) for a in _entry["arguments"]))
+    _compile(json.loads(sys.argv[1]))
