@@ -86,7 +86,7 @@ def test_shares_take_about_equal_time():
 def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(compiling, "say", said.append)
-    entries = compiling.load_loops("track")[-5:]
+    entries = [e | {"seconds": 1.0} for e in compiling.load_loops("track")[-5:]]
     started = []
 
     class Process(subprocess.Popen):
@@ -104,8 +104,10 @@ def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch)
     assert sorted(e["loop"] for share in started for e in share) == sorted(
         e["loop"] for e in entries
     )
+    entries = [entry | {"seconds": 0.1} for entry in entries]
+    compiling.compile_ahead("track")  # too little for a process of its own
     monkeypatch.setattr(compiling, "_is_cached", lambda loop: True)
-    compiling.compile_ahead("track")
+    compiling.compile_ahead("track", "train")
     assert len(said) == 2
 
 
