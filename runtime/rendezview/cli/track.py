@@ -165,7 +165,7 @@ def _guide(
         if chaser or oem or aem:
             raise RendezviewError("--chaser, --oem and --aem need a --plan or a --shape to fit")
         return None
-    return Guide.of(model, plan, shape, chaser, refine)
+    return Guide.of(model.centre_m, plan, shape, chaser, refine)
 
 
 def _silhouette(threshold: str) -> SilhouetteOptions:
