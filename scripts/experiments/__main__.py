@@ -11,6 +11,7 @@ EXPERIMENTS = {
         "recognition-accuracy": ("recognition.accuracy", "active nodes and views, held-out frames"),
         "paper-trees": ("recognition.paper", "the paper's Table I, figures 3 and 4, its trees"),
         "tree-ablation": ("recognition.ablation", "learned, silenced and random trees"),
+        "tree-witness": ("recognition.witness", "votes beside the confidence of the edges"),
         "recognition-speed": ("recognition.speed", "time from a frame to the active nodes"),
         "pose-frames": ("pose.frames", "draws the frames for pose-accuracy with Mitsuba"),
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
@@ -82,6 +83,9 @@ EXPERIMENTS = {
     "flight code": {
         "export-c-check": ("flight_code.check", "exported C beside the runtime, same frames"),
         "flight-code-search": ("flight_code.search", "views that the C code finds, by prior"),
+    },
+    "startup": {
+        "compiled-loops": ("startup.loops", "lists the loops that commands compile"),
     },
     "training": {
         "training-speed": ("training.speed", "time and memory of training"),

@@ -12,7 +12,7 @@ from rendezview.errors import RendezviewError
 from rendezview.evaluation.show_command import show
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.results import JsonLinesWriter
-from rendezview.sensors.appearance import AppearanceObservation, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.sensors.observation import Status
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import PathFollower, Shape, load_plan
@@ -103,6 +103,5 @@ def test_attitudes_of_the_chaser_must_reach(tmp_path: Path):
 
 
 def test_an_unknown_shape_is_refused():
-    model: ViewModel = object.__new__(ViewModel)
     with pytest.raises(RendezviewError, match="circular, spiral"):
-        Guide.of(model, None, "square", None, True)
+        Guide.of(np.zeros(3), None, "square", None, True)

@@ -50,3 +50,18 @@ def test_square_root_of_a_semidefinite_covariance():
     covariance = a @ a.T
     root = linear_algebra.square_root(covariance)
     np.testing.assert_allclose(root @ root.T, covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.31, 0.8, 1.0])
+@pytest.mark.parametrize("count", [1, 2, 7, 300])
+def test_a_quantile_is_numpys(share, count):
+    rng = np.random.default_rng(count)
+    for values in (rng.normal(size=count), rng.integers(0, 4, count).astype(float)):
+        found = linear_algebra.quantile(values, share)
+        assert found == pytest.approx(np.quantile(values, share), rel=1e-12, abs=1e-12)
+
+
+def test_copying_fills_the_other_array():
+    out = np.zeros(3)
+    linear_algebra.copy_into(np.array([1.0, 2.0, 3.0]), out)
+    assert out.tolist() == [1.0, 2.0, 3.0]

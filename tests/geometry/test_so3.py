@@ -77,3 +77,12 @@ def test_both_directions_fill_the_array_that_they_are_given():
         if np.linalg.norm(w) > np.pi - 1e-9 and back @ twin < 0.0:
             twin = -twin  # at half a turn both axes are right
         np.testing.assert_allclose(back, twin, atol=1e-9 if np.linalg.norm(w) > 3.1 else 1e-14)
+
+
+def test_a_vector_is_rotated_and_rotated_back():
+    rng = np.random.default_rng(4)
+    rotation, v, out = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3), np.empty(3)
+    so3.rotate_into(rotation, v, out)
+    np.testing.assert_allclose(out, rotation @ v, atol=1e-15)
+    so3.rotate_back_into(rotation, v, out)
+    np.testing.assert_allclose(out, rotation.T @ v, atol=1e-15)

@@ -6,16 +6,15 @@ import csv
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.ccsds import Names, attitude_message, orbit_message
 from rendezview.io.files import atomic_write_text, read_text
-from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.trajectory import (
     Correction,
     FollowerOptions,
@@ -52,6 +51,22 @@ def chaser_attitudes(path: Path) -> Slerp:
         raise RendezviewError(f"{path}: {error}: correct the file") from error
 
 
+class Seen(Protocol):
+    """What a guide takes of a frame: an observation of ``track``, or a pose of a log."""
+
+    @property
+    def pose(self) -> Pose | None:
+        """camera_from_target."""
+
+    @property
+    def covariance(self) -> Array | None:
+        """(6, 6) of the pose."""
+
+    @property
+    def cloud(self) -> tuple[Array, Array]:
+        """Points (K, 3) of the camera, target frame, and the trust in each (K,)."""
+
+
 @dataclass(slots=True)
 class Guide:
     """Feeds observations to a follower, and reports to the screen, the log and CCSDS messages."""
@@ -67,13 +82,13 @@ class Guide:
     @classmethod
     def of(
         cls,
-        model: ViewModel,
+        centre_m: Array,
         plan_path: Path | None,
         shape: str | None,
         chaser: Path | None,
         refine: bool,
     ) -> Guide:
-        """The follower that the options of ``track`` ask for.
+        """The follower that the options of ``track`` and ``guide`` ask for.
 
         Raises:
             RendezviewError: the plan, shape or attitudes are none.
@@ -90,12 +105,10 @@ class Guide:
             options = FollowerOptions(
                 turn_rad=plan.turn_rad, segment_s=plan.segment_s, poses=refine
             )
-        follower = PathFollower(model.centre_m, chosen, plan, options)
+        follower = PathFollower(centre_m, chosen, plan, options)
         return cls(follower, chaser_attitudes(chaser) if chaser else None)
 
-    def update(
-        self, time_s: float, observation: AppearanceObservation
-    ) -> tuple[dict[str, Any], str | None]:
+    def update(self, time_s: float, observation: Seen) -> tuple[dict[str, Any], str | None]:
         """Record of a frame, and words when a segment ends.
 
         Raises:
@@ -128,9 +141,7 @@ class Guide:
         line["path_from_target"] = self._path_from_target(time_s, attitude, observation)
         return line, describe(report) if report.ended else None
 
-    def _path_from_target(
-        self, time_s: float, attitude: Array | None, observation: AppearanceObservation
-    ) -> Array:
+    def _path_from_target(self, time_s: float, attitude: Array | None, observation: Seen) -> Array:
         """(3, 3) as the follower took it; the identity for a frame that it could not use."""
         if attitude is not None:
             return np.eye(3) if observation.pose is None else attitude @ observation.pose.rotation

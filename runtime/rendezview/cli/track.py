@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.guide import Guide, describe
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
@@ -104,6 +105,8 @@ def track(
     first = _prior(prior, sequence, loaded)
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
+    tell_of_compiling()
+    compile_ahead("track")
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
     drawn = video_of(video, sequence, loaded) if video else None
     frames = follow(
@@ -162,7 +165,7 @@ def _guide(
         if chaser or oem or aem:
             raise RendezviewError("--chaser, --oem and --aem need a --plan or a --shape to fit")
         return None
-    return Guide.of(model, plan, shape, chaser, refine)
+    return Guide.of(model.centre_m, plan, shape, chaser, refine)
 
 
 def _silhouette(threshold: str) -> SilhouetteOptions:

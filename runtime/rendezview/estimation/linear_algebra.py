@@ -139,3 +139,47 @@ def square_root(covariance: Array) -> Array:
                 s -= lower[i, k] * lower[j, k]
             lower[i, j] = s / lower[j, j]
     return lower
+
+
+@njit(cache=True, nogil=True)
+def quantile(values: Array, share: float) -> float:
+    """The value (of N > 0) below which a share of the others lies, between two linearly.
+
+    As ``np.quantile``, which takes numba three seconds to compile. Hoare's selection.
+    """
+    chosen = values.copy()
+    low, high = 0, len(chosen) - 1
+    at = share * high
+    wanted = int(at)
+    while low < high:
+        pivot = chosen[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while chosen[i] < pivot:
+                i += 1
+            while chosen[j] > pivot:
+                j -= 1
+            if i <= j:
+                chosen[i], chosen[j] = chosen[j], chosen[i]
+                i += 1
+                j -= 1
+        if wanted <= j:
+            high = j
+        elif wanted >= i:
+            low = i
+        else:
+            break
+    value = chosen[wanted]
+    if wanted + 1 < len(chosen):
+        above = chosen[wanted + 1]
+        for k in range(wanted + 2, len(chosen)):
+            above = min(above, chosen[k])
+        value += (at - wanted) * (above - value)
+    return float(value)
+
+
+@njit(cache=True, nogil=True)
+def copy_into(values: Array, out: Array) -> None:
+    """``out[:] = values``, which numba compiles for a second, for its message on wrong sizes."""
+    for k in range(len(values)):
+        out[k] = values[k]

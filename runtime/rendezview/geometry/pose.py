@@ -199,40 +199,50 @@ def minimal_rotation(from_direction: npt.ArrayLike, to_direction: npt.ArrayLike)
 
 
 @njit(cache=True, nogil=True)
+def _make_unit(v: Array) -> bool:
+    """Divide a vector (3,) by its length, without overflow; False if it has none."""
+    largest = max(abs(v[0]), abs(v[1]), abs(v[2]))
+    if not 0.0 < largest < np.inf:
+        return False
+    x, y, z = v[0] / largest, v[1] / largest, v[2] / largest
+    length = math.sqrt(x * x + y * y + z * z)
+    v[0], v[1], v[2] = x / length, y / length, z / length
+    return True
+
+
+@njit(cache=True, nogil=True)
 def _minimal_rotation(a: Array, b: Array, rotation: Array) -> bool:
-    for v in (a, b):
-        largest = max(abs(v[0]), abs(v[1]), abs(v[2]))
-        if not 0.0 < largest < np.inf:
-            return False
-        v /= largest  # no overflow or underflow in the norm
-        v /= np.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    axis = np.empty(3)
-    axis[0] = a[1] * b[2] - a[2] * b[1]
-    axis[1] = a[2] * b[0] - a[0] * b[2]
-    axis[2] = a[0] * b[1] - a[1] * b[0]
-    cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    sine = np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    # Plain numbers, no array expressions: they take numba seconds to compile.
+    if not (_make_unit(a) and _make_unit(b)):
+        return False
+    p, q, r = a[0], a[1], a[2]
+    x, y, z = q * b[2] - r * b[1], r * b[0] - p * b[2], p * b[1] - q * b[0]
+    cosine = p * b[0] + q * b[1] + r * b[2]
+    sine = math.sqrt(x * x + y * y + z * z)
     if sine < 1e-14:
         if cosine > 0.0:
-            rotation[:] = np.eye(3)
+            for i in range(3):
+                for j in range(3):
+                    rotation[i, j] = 1.0 if i == j else 0.0
             return True
-        axis[:] = 0.0  # any axis across: towards the least component of a
-        axis[np.argmin(np.abs(a))] = 1.0
+        least = min(abs(p), abs(q), abs(r))  # any axis across: towards the least component of a
+        x = 1.0 if abs(p) == least else 0.0
+        y = 1.0 if x == 0.0 and abs(q) == least else 0.0
+        z = 1.0 - x - y
     else:
-        axis /= sine
+        x, y, z = x / sine, y / sine, z / sine
     # Near ±1 rounding tilts the cross product; across `a` the turn still ends exactly at `b`.
-    axis -= a * (axis[0] * a[0] + axis[1] * a[1] + axis[2] * a[2])
-    axis /= np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
-    size = np.sqrt(sine * sine + cosine * cosine)
+    along = x * p + y * q + z * r
+    x, y, z = x - p * along, y - q * along, z - r * along
+    length = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    size = math.sqrt(sine * sine + cosine * cosine)
     sine, cosine = sine / size, cosine / size
-    x, y, z = axis[0], axis[1], axis[2]
     # 1 - cos without cancellation for small angles
     rest = sine * sine / (1.0 + cosine) if cosine > 0.0 else 1.0 - cosine
-    rotation[0, 0], rotation[1, 1], rotation[2, 2] = (
-        1.0 - rest * (y * y + z * z),
-        1.0 - rest * (x * x + z * z),
-        1.0 - rest * (x * x + y * y),
-    )
+    rotation[0, 0] = 1.0 - rest * (y * y + z * z)
+    rotation[1, 1] = 1.0 - rest * (x * x + z * z)
+    rotation[2, 2] = 1.0 - rest * (x * x + y * y)
     rotation[0, 1], rotation[1, 0] = rest * x * y - sine * z, rest * x * y + sine * z
     rotation[0, 2], rotation[2, 0] = rest * x * z + sine * y, rest * x * z - sine * y
     rotation[1, 2], rotation[2, 1] = rest * y * z - sine * x, rest * y * z + sine * x

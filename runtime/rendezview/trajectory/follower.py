@@ -314,6 +314,7 @@ def record(report: Report) -> dict[str, Any]:
         ahead = np.linspace(report.time_s, 2.0 * report.time_s - segment.start_s, 13)
         line["segment"] = {
             "shape": str(segment.shape),
+            **segment.described(),  # first: a V-bar's own place_m is that of another time
             "start_s": segment.start_s,
             "place_m": segment.places(report.time_s)[0],
             "velocity_m_s": segment.velocity(report.time_s),
@@ -323,7 +324,6 @@ def record(report: Report) -> dict[str, Any]:
             "gap_sigma": segment.gap_sigma,
             "path_m": segment.places(times),
             "predicted_m": segment.places(ahead),
-            **segment.described(),
         }
     else:
         line["segment"], line["segment_reason"] = None, segment.reason

@@ -80,6 +80,10 @@ def looked(
         symmetries = recognizer.model.symmetries
         off = float(np.rad2deg(angle_between(observation.pose, truth, symmetries)))
     record = {"off_deg": off, "ms": spent_ms, "active": len(observation.active_nodes)}
+    found = observation.found
+    if found is not None:
+        best = angle_between(found.best.pose, truth, recognizer.model.symmetries)
+        record |= {"best_deg": float(np.rad2deg(best)), "votes": found.votes}
     return record | {"confidence": observation.confidence}
 
 

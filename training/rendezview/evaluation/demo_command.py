@@ -11,6 +11,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from rendezview.cli.compiling import compile_ahead
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.report import write_report
@@ -57,6 +58,7 @@ def demo(
     target, camera = find_target("hubble"), default_camera()
     mesh = load_mesh(target.mesh_path, target.unit)
     make_folder(output)
+    compile_ahead("train", "track")
     with ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(

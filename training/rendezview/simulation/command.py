@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -15,8 +16,11 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
+from rendezview.io.files import check_place
+from rendezview.io.target import Target
 from rendezview.simulation.background import Earth, Stars
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions
+from rendezview.simulation.ranger import Ranger, write_echoes
 from rendezview.simulation.scene import SceneOptions
 from rendezview.simulation.scene import simulate as simulate_scene
 from rendezview.simulation.sensor import SensorOptions
@@ -56,6 +60,21 @@ def simulate(
         float | None, typer.Option(help="Metres at the end; default 3 target radii, or the start.")
     ] = None,
     turn: Annotated[float, typer.Option(help="Total angle around the target, degrees.")] = 120.0,
+    axis: Annotated[
+        str | None,
+        typer.Option(
+            help="V-bar: 'x,y,z' from the target to the camera, target frame; or 'ring': along "
+            "the docking ring's axis, straight, with ranges from the ring's centre. Default: +X."
+        ),
+    ] = None,
+    laser: Annotated[
+        Path | None,
+        typer.Option(help="Write what a laser ranger beside the camera measures, JSON lines."),
+    ] = None,
+    laser_sigma: Annotated[float, typer.Option(help="Noise of the ranger, metres (one σ).")] = 0.01,
+    laser_origin: Annotated[
+        str, typer.Option(help="Where its beam leaves, 'x,y,z', camera frame; it runs along +z.")
+    ] = "0.1,0,0",
     sun_phase: Annotated[
         float, typer.Option(min=0.0, max=180.0, help="Degrees Sun–target–camera.")
     ] = 0.0,
@@ -128,12 +147,18 @@ def simulate(
         mesh_error=mesh_error,
         masks=masks,
     )
-    path = trajectory(
-        kind.value,
-        _trajectory_options(
-            kind, mesh, frames, dt, start_range, end_range, turn, bearing, jitter, seed
-        ),
+    motion = _trajectory_options(
+        kind, mesh, frames, dt, start_range, end_range, turn, bearing, jitter, seed
     )
+    if axis is not None:
+        motion = _along(axis, kind, motion, found)
+    path = trajectory(kind.value, motion)
+    ranger = None
+    if laser is not None:
+        if not laser_sigma > 0.0:
+            raise RendezviewError(f"--laser-sigma must be positive, not {laser_sigma}")
+        check_place(laser, "the ranger's log")
+        ranger = Ranger(_vector("--laser-origin", laser_origin), laser_sigma)
     with ProgressBar() as progress:
         simulate_scene(
             mesh,
@@ -146,6 +171,8 @@ def simulate(
             progress=lambda done, total: progress("frames", done, total),
             overwrite=overwrite,
         )
+    if laser is not None and ranger is not None:
+        write_echoes(laser, mesh, path, ranger, seed)
     Console(stderr=True).print(f"{output}: {frames} frames", highlight=False, soft_wrap=True)
 
 
@@ -183,11 +210,27 @@ def _trajectory_options(
     )
 
 
+def _along(axis: str, kind: Kind, motion: TrajectoryOptions, target: Target) -> TrajectoryOptions:
+    """The options of an approach along an axis, or to the docking ring."""
+    if kind is not Kind.VBAR:
+        raise RendezviewError(f"--axis is that of a vbar trajectory, not of {kind}: leave it out")
+    if axis != "ring":
+        return replace(motion, approach_axis=_vector("--axis", axis))
+    ring = target.docking_ring
+    if ring is None:
+        raise RendezviewError(f"--axis ring: {target.name} has no docking_ring: give 'x,y,z'")
+    x, y, z = (float(value) for value in ring.axis)
+    a, b, c = (float(value) for value in ring.centre_m)
+    return replace(motion, approach_axis=(x, y, z), centre_m=(a, b, c), hops=0)
+
+
 def _direction(text: str | None) -> tuple[float, float, float] | None:
-    if text is None:
-        return None
+    return None if text is None else _vector("--sun-direction", text)
+
+
+def _vector(option: str, text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise RendezviewError(f"--sun-direction must be 'x,y,z', not {text!r}") from None
+        raise RendezviewError(f"{option} must be 'x,y,z', not {text!r}") from None
     return x, y, z

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from rendezview.cli.compiling import compile_ahead
 from rendezview.cli.progress import ProgressBar
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -97,6 +98,8 @@ def train(
     if paper:
         options = replace(options.paper(), held_out_views=held_out)
     start = time.perf_counter()
+    if dask is None:
+        compile_ahead("train")
     with (
         open_executor(jobs, dask, tell=lambda line: console.print(line, style="dim")) as executor,
         ProgressBar() as progress,

@@ -122,7 +122,7 @@ class Recognizer:
         clock, search = StageClock(), self.search
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
-            return self.outline.recognize(traced, prior, prior_error_rad, None, clock)
+            return self.outline.recognize(traced, prior, prior_error_rad, None, clock, alone=True)
         sky = Sky.of(frame, sun_camera)
         error_rad = prior_error_rad or self.prior_error_rad
         found = None

@@ -60,8 +60,9 @@ def priors_of_poses(path: StrPath, ring: DockingRing) -> Callable[[Frame], RingP
 def _prior(line: dict[str, Any], ring: DockingRing) -> RingPrior:
     pose = Pose.from_quat_wxyz(line["pose"]["quat_wxyz"], line["pose"]["translation_m"])
     covariance = np.array(line["covariance"], dtype=np.float64)
-    if covariance.shape != (6, 6):
-        raise ValueError("covariance must be 6 × 6")
+    if covariance.ndim != 2 or min(covariance.shape) < 6:
+        raise ValueError("the covariance must be 6 × 6, or begin with that of the pose")
+    covariance = covariance[:6, :6]
     centre = pose.apply(ring.centre_m)
     sight = centre / np.linalg.norm(centre)
     # The centre R r + t moves by w × R r + v: along the line of sight by this (6,).

@@ -26,9 +26,9 @@ SILENT = -35  # the share of a node's views among its samples, in ODDS_UNIT
 
 
 def ballot_of(model: ViewModel) -> Ballot:
-    nodes = model.geodesic.nodes
-    rotations = model.views.centred_from_target[: len(nodes)]
-    return Ballot(model.voters, nodes, rotations, model.geodesic.mean_edge_rad)
+    ballot = Ballot.of(model)
+    assert ballot is not None
+    return ballot
 
 
 def silenced(model: ViewModel) -> ViewModel:
@@ -133,6 +133,23 @@ def test_a_model_without_voters_works_as_before(refining_model, tmp_path, camera
     observation = Recognizer(old, camera).recognize(draw(bumpy_mesh, pose, camera))
     assert observation.found is not None
     assert observation.found.votes is None
+
+
+def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_mesh, camera, draw):
+    given = {}
+    for name, model in (("learned", refining_model), ("silenced", silenced(refining_model))):
+        recognizer = Recognizer(model, camera, refine=False)
+        answers = []
+        for k in range(12):
+            rng = np.random.default_rng([5, k])
+            rotation = Rotation.random(random_state=rng).as_matrix()
+            centre = np.array([0.0, 0.0, 8.0])
+            pose = Pose(rotation, centre - rotation @ refining_model.centre_m)
+            answers.append(recognizer.recognize(draw(bumpy_mesh, pose, camera, rng), pose))
+        given[name] = sum(answer.pose is not None for answer in answers)
+    assert given["learned"] >= 4
+    assert given["silenced"] == 0
+    assert any("log odds" in (answer.reason or "") for answer in answers)
 
 
 @pytest.mark.parametrize(

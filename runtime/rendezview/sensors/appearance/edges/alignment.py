@@ -305,13 +305,18 @@ def gauss_newton_step(
     step, lower, turned = np.empty(6), np.empty((6, 6)), np.empty((3, 3))
     if not solve_scaled(matrix, right, lower, step):
         return -1.0
-    step *= relaxation
+    for a in range(6):
+        step[a] *= relaxation
     turn = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
     shift = np.sqrt(step[3] ** 2 + step[4] ** 2 + (_ALONG * step[5]) ** 2)
-    step *= min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
-    perturb_into(step[:3], rotation, turned)
-    rotation[:] = turned
-    centre += step[3:]
+    share = min(1.0, _LONGEST_TURN_RAD / (turn + 1e-12))
+    for a in range(6):
+        step[a] *= share
+    perturb_into(step, rotation, turned)
+    for a in range(3):
+        centre[a] += step[3 + a]
+        for b in range(3):
+            rotation[a, b] = turned[a, b]
     if not (centre[2] > _NEAREST_RADII * radius_m and centre[2] < _FURTHEST_RADII * radius_m):
         return -1.0
     return turn * radius_m + shift  # type: ignore[no-any-return]
@@ -374,11 +379,12 @@ def align_each(
                 int(np.int64(_LOOSE_STRIDE)), edges,
             )  # fmt: skip
             rough[k] = outline + _INNER_SHARE * inner
-    order = np.argsort(-rough)
-    for i in range(min(survivors, count)):
-        k = order[i]
-        if rough[k] < _HOPELESS * rough[order[0]] or rough[k] <= 0.0:
+    best = rough.max() if count else 0.0
+    for _ in range(min(survivors, count)):
+        k = int(rough.argmax())
+        if rough[k] < _HOPELESS * best or rough[k] <= 0.0:
             break
+        rough[k] = 0.0  # done
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:
             ratios[k] = inlier_ratios(
                 image,

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import rotate_back_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import (
     DEPTH_UNIT,
@@ -109,7 +110,8 @@ def measure_edges(
     margin = smooth_px + 2
     grainy = _BILINEAR_NOISE * noise / np.sqrt(lines)
     eye = views.directions[view] * views.shells_m[shell]  # of the model's view
-    sunward = rotation.T @ sun
+    sunward = np.empty(3)
+    rotate_back_into(rotation, sun, sunward)
     places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
     axes, away, fitted = np.empty(6), np.empty(3), np.empty(2)
     total = 0

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, quantile
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
@@ -67,13 +68,18 @@ def fit_light(
     if found < _LEAST_SAMPLES:
         return -1.0
     every = 1 + found // _MOST_SAMPLES
-    levels, which = levels[:found:every].copy(), which[:found:every].copy()
-    away = centre / np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    kept = (found + every - 1) // every
+    for k in range(kept):
+        levels[k], which[k] = levels[k * every], which[k * every]
+    levels, which = levels[:kept], which[:kept]
+    away, range_m = np.empty(3), np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    for a in range(3):
+        away[a] = centre[a] / range_m
     normals = facing_normals(palette, rotation, away)
-    tolerance = _TOLERANCE * np.percentile(levels, _BRIGHT_PERCENTILE) + frame[0]
+    tolerance = _TOLERANCE * quantile(levels, 0.01 * _BRIGHT_PERCENTILE) + frame[0]
     strengths = np.empty(2)
     if frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0:
-        sun[:] = frame[3:6]
+        copy_into(frame[3:6], sun)
     else:
         search_sun(levels, which, normals, palette, away, tolerance, strengths, sun)
     cost = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
@@ -149,30 +155,40 @@ def search_sun(
 
     It starts from ``sun``, or, where that is zero, from the best of 42 directions.
     """
+    tried = np.empty(3)
     if sun[0] == 0.0 and sun[1] == 0.0 and sun[2] == 0.0:
-        some, of = levels[::_COARSELY].copy(), which[::_COARSELY].copy()
+        count = (len(levels) + _COARSELY - 1) // _COARSELY
+        some, of = np.empty(count), np.empty(count, dtype=np.int64)
+        for k in range(count):
+            some[k], of[k] = levels[k * _COARSELY], which[k * _COARSELY]
         best = np.inf
-        sun[:] = -away
+        sun[0], sun[1], sun[2] = -away[0], -away[1], -away[2]
         for k in range(len(_SUNS)):
-            if -np.dot(_SUNS[k], away) > _BEHIND:
-                cost = _misfit(some, of, normals, palette, _SUNS[k], tolerance, strengths)
+            for a in range(3):
+                tried[a] = _SUNS[k, a]
+            if -(tried[0] * away[0] + tried[1] * away[1] + tried[2] * away[2]) > _BEHIND:
+                cost = _misfit(some, of, normals, palette, tried, tolerance, strengths)
                 if cost < best:
                     best = cost
-                    sun[:] = _SUNS[k]
+                    copy_into(tried, sun)
     best = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
     for step in _HALVINGS_RAD:
-        axis = np.array([1.0, 0.0, 0.0]) if abs(sun[0]) < _KEEP else np.array([0.0, 1.0, 0.0])
-        across = np.cross(sun, axis)
-        across /= np.sqrt(np.dot(across, across))
-        other = np.cross(sun, across)
-        middle = sun.copy()
+        x, y, z = sun[0], sun[1], sun[2]
+        # Two unit vectors across: the Sun × the x axis or the y axis, and the Sun × that.
+        p, q, r = (0.0, z, -y) if abs(x) < _KEEP else (-z, 0.0, x)
+        length = np.sqrt(p * p + q * q + r * r)
+        p, q, r = p / length, q / length, r / length
+        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
         for k in range(_CANDIDATES):
             c, s = np.cos(k * np.pi / 3.0), np.sin(k * np.pi / 3.0)
-            tried = np.cos(step) * middle + np.sin(step) * (c * across + s * other)
+            c, s, ahead = np.sin(step) * c, np.sin(step) * s, np.cos(step)
+            tried[0] = ahead * x + c * p + s * u
+            tried[1] = ahead * y + c * q + s * v
+            tried[2] = ahead * z + c * r + s * w
             cost = _misfit(levels, which, normals, palette, tried, tolerance, strengths)
             if cost < best:
                 best = cost
-                sun[:] = tried
+                copy_into(tried, sun)
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

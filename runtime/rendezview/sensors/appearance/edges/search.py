@@ -40,8 +40,8 @@ _VOTES_WORTH = 0.3
 _REFINED_OF_VOTED = 2  # Source: experiment tree-ablation, seed 4101
 # Log odds of the nodes about a pose: voters that know nothing give −2.2, the share of a node's
 # views among its samples. Source: experiment tree-ablation, seed 4101
-_LEAST_VOTES = -1.0
-_LEAST_LEAD = 1.0  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
+_LEAST_VOTES = -2.0
+_LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident
 _ASIDE_RAD = np.deg2rad(9.0)  # rad; a local optimum lies about that far from the right pose
@@ -55,7 +55,7 @@ class SearchOptions:
     retrieved: int = 60  # views and rolls that are aligned without a prior
     # With voters: the likeliest are aligned first, and two of them refined. Where edges and voters
     # agree on a pose, nothing else is tried. Source: experiment tree-ablation, seed 4101
-    voted_first: int = 6
+    voted_first: int = 8
     retrieved_first: int = 20  # of them, before the others; often enough. Source: commit cb7137c
     retrieved_of_several: int = 40  # for each of several outlines before a bright sky
     refined: int = 6  # of them that are refined
@@ -81,13 +81,8 @@ class PoseSearch:
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.retrieval = Retrieval(self.model)
-        model = self.model
-        self.ballot = None
-        if model.voters is not None:
-            nodes = model.geodesic.nodes
-            rotations = model.views.centred_from_target[: len(nodes)]
-            self.ballot = Ballot(model.voters, nodes, rotations, model.geodesic.mean_edge_rad)
-        self._half_turns = half_turns(model)
+        self.ballot = Ballot.of(self.model)
+        self._half_turns = half_turns(self.model)
 
     def anywhere(
         self,

@@ -16,9 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, quantile
 from rendezview.geometry.geodesic import MAX_ORDER, Geodesic
 from rendezview.geometry.lens import distorted
 from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import rotate_back_into, rotate_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_UNIT
 from rendezview.sensors.appearance.edges.lighting import light_strengths
@@ -144,17 +146,17 @@ def shading(
     albedo, sunlit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
-    tolerance = _TOLERANCE * np.percentile(some, _BRIGHT_PERCENTILE) + frame[0]
+    tolerance = _TOLERANCE * quantile(some, 0.01 * _BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
-    sun, best = np.zeros(3), np.inf
-    node = -1
+    sun, tried, best = np.zeros(3), np.empty(3), np.inf
+    node = int(np.int64(-1))  # as a literal, numba would compile a copy for it
     known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
     for nodes, near in _SUN_LEVELS:
         middle = sun.copy()
         for s in range(min(nodes, surface.nodes.shape[0])):
             d = surface.nodes[s]
-            tried = rotation @ d
+            rotate_into(rotation, d, tried)
             if known:
                 if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < _NEAR_SUN:
                     continue
@@ -165,13 +167,13 @@ def shading(
             cost = light_strengths(some, sunlit, albedo, tolerance, strengths)
             if cost < best:
                 best, node = cost, s
-                sun[:] = tried
-                chosen[:] = strengths
+                copy_into(tried, sun)
+                copy_into(strengths, chosen)
     if node < 0:
         return 0.0
     side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
     # Before a bright sky, evenness may be the sky's own.
-    even = (_EVEN * np.percentile(some, _BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
+    even = (_EVEN * quantile(some, 0.01 * _BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
     return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 
@@ -213,7 +215,8 @@ def visible_points(
     """
     height, width = image.shape
     camera = lens[0]
-    eye = -(rotation.T @ centre)
+    eye = np.empty(3)
+    rotate_back_into(rotation, -centre, eye)
     distance = np.sqrt(_dot(eye, eye))
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD

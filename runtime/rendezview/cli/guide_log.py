@@ -1,0 +1,129 @@
+"""``rendezview guide``: path, correction and spin from a log of poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from rendezview.cli.guide import Guide, describe
+from rendezview.cli.progress import ProgressBar, say
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.bundled import find_target
+from rendezview.io.ccsds import parse_epoch
+from rendezview.io.files import check_place
+from rendezview.io.results import read_json_lines
+from rendezview.sensors.run import Line, run
+
+
+@dataclass(frozen=True, slots=True)
+class _Logged:
+    """The pose of a line of a log."""
+
+    time_s: float
+    pose: Pose | None
+    covariance: Array | None
+
+    @property
+    def cloud(self) -> tuple[Array, Array]:
+        return np.zeros((0, 3)), np.zeros(0)
+
+
+def guide(
+    log: Annotated[
+        Path, typer.Argument(help="Log (JSON lines) of fuse or track: its poses are followed.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Reports, JSON lines.")],
+    plan: Annotated[Path | None, typer.Option(help="Planned path (TOML).")] = None,
+    shape: Annotated[
+        str | None,
+        typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan."),
+    ] = None,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            help="Target file with a docking ring, or client: the path is that of the camera "
+            "about the ring's centre, else about the target's origin."
+        ),
+    ] = None,
+    chaser: Annotated[
+        Path | None,
+        typer.Option(help="The chaser's own attitudes, CSV time_s,qw,qx,qy,qz: path from camera."),
+    ] = None,
+    oem: Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")] = None,
+    aem: Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")] = None,
+    epoch: Annotated[
+        str, typer.Option(help="UTC of the log's time 0, for OEM and AEM.")
+    ] = "2000-01-01T12:00:00",
+) -> None:
+    """Fit the path of a log of poses, and say the correction back to a plan.
+
+    \b
+    Example: rendezview guide state.jsonl --target client --shape vbar -o guide.jsonl
+    """
+    check_place(output, "the reports")
+    if plan is None and shape is None:
+        raise RendezviewError("a --plan or a --shape is needed: what path is flown?")
+    moment = parse_epoch(epoch)
+    name, centre_m = "target", np.zeros(3)
+    if target is not None:
+        found = find_target(target)
+        if found.docking_ring is None:
+            raise RendezviewError(f"{target}: this target has no docking_ring: leave --target out")
+        name, centre_m = found.name, found.docking_ring.centre_m
+    poses = list(_poses(log))
+    guided = Guide.of(centre_m, plan, shape, chaser, True)
+
+    def lines() -> Iterator[Line]:
+        for seen in poses:
+            noted, words = guided.update(seen.time_s, seen)
+            if words:
+                say(words)
+            yield Line({"time_s": seen.time_s, "trajectory": noted})
+
+    with ProgressBar() as bar:
+        run(lines(), log=output, progress=bar.stage("poses", len(poses)))
+    if guided.last is not None and not guided.last.ended:
+        say(describe(guided.last))
+    guided.write(oem, aem, moment, name)
+
+
+def _poses(path: Path) -> Iterator[_Logged]:
+    """The poses of a log, in order of time; of several at one time the last.
+
+    Raises:
+        RendezviewError: missing, or a line that is of no log of poses.
+    """
+    records = read_json_lines(path)
+    waiting: _Logged | None = None
+    for number, record in enumerate(records, start=1):
+        try:
+            seen = _pose(record)
+        except (KeyError, TypeError, ValueError) as error:
+            raise RendezviewError(
+                f"{path}: record {number}: no line of a log of poses ({error}): give that of "
+                "`rendezview fuse` or `track`"
+            ) from error
+        if waiting is not None and seen.time_s < waiting.time_s:
+            raise RendezviewError(f"{path}: record {number}: times must rise")
+        if waiting is not None and seen.time_s > waiting.time_s:
+            yield waiting
+        waiting = seen
+    if waiting is not None:
+        yield waiting
+
+
+def _pose(record: dict[str, Any]) -> _Logged:
+    given, time_s = record["pose"], float(record["time_s"])
+    if given is None or record["covariance"] is None:
+        return _Logged(time_s, None, None)
+    pose = Pose.from_quat_wxyz(given["quat_wxyz"], given["translation_m"])
+    covariance = np.array(record["covariance"], dtype=np.float64)
+    if covariance.ndim != 2 or min(covariance.shape) < 6:
+        raise ValueError("the covariance must be 6 × 6, or begin with that of the pose")
+    return _Logged(time_s, pose, covariance[:6, :6])

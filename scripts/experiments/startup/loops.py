@@ -1,0 +1,83 @@
+"""Lists the loops that commands compile, for ``rendezview.cli.compiling``."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from experiments.frame import ROOT
+from rendezview.cli.compiling import recorded
+from rendezview.io.bundled import find_target
+from rendezview.io.results import ResultRow
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.following import follow, result_row
+from rendezview.training import job
+from rendezview.training.mesh import load_mesh
+from rendezview.training.options import TrainingOptions
+
+# Few nodes, but views enough that lists of shown faces are made. Source: by construction
+_SMALL = TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))
+LIST = ROOT / "runtime/rendezview/cli/loops.json"
+
+
+def track(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of ``rendezview track``, without a prior and with one."""
+    loaded, sequence = ViewModel.load(model), open_sequence(scene)
+
+    def work() -> None:
+        rows: list[ResultRow | None] = []
+        for prior in (None, sequence.frames[0].camera_from_target):
+            for frame, observation in follow(loaded, sequence, prior=prior):
+                rows.append(result_row(sequence.scene_id, frame, observation))
+
+    return recorded(work)
+
+
+def train(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of ``rendezview train``; the model and the scene are not used."""
+    target = find_target("hubble")
+    mesh = load_mesh(target.mesh_path, target.unit)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "hubble.rvm"
+        return recorded(lambda: job.train(mesh, path, name="hubble", options=_SMALL, jobs=1))
+
+
+GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {"track": track, "train": train}
+
+
+def run(model: Path, scene: Path, *, group: str = "") -> None:
+    """Write the list of the loops that commands compile, with the seconds that each takes.
+
+    MODEL is tracked through SCENE in a process with an empty cache, and so is a small training.
+    Only a GROUP of loops is renewed where it is named.
+    """
+    found = json.loads(LIST.read_text()) if LIST.exists() else {}
+    for name in [group] if group else GROUPS:
+        with tempfile.TemporaryDirectory() as cache:
+            command = [sys.executable, "-m", "experiments.startup.loops", name, model, scene]
+            made = subprocess.run(
+                command,
+                env=os.environ | {"NUMBA_CACHE_DIR": cache},
+                stdout=subprocess.PIPE,
+                check=True,
+                text=True,
+            )
+        found[name] = json.loads(made.stdout.splitlines()[-1])
+        seconds = sum(entry["seconds"] for entry in found[name])
+        print(f"{name}: {len(found[name])} loops, {seconds:.0f} s")
+    groups = [
+        f' "{name}": [\n' + ",\n".join(f"  {json.dumps(entry)}" for entry in found[name]) + "\n ]"
+        for name in sorted(found)
+    ]
+    LIST.write_text("{\n" + ",\n".join(groups) + "\n}\n")
+
+
+if __name__ == "__main__":
+    print(json.dumps(GROUPS[sys.argv[1]](Path(sys.argv[2]), Path(sys.argv[3]))))

@@ -1,0 +1,103 @@
+"""Loops are compiled ahead: the list of them is right, and so is what is said."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+from numba import njit, typeof
+from numba.core.event import install_listener
+
+from rendezview.cli import compiling
+from rendezview.sensors.appearance.edges.view_tables import ViewTables
+
+
+@pytest.mark.parametrize(
+    "argument",
+    [
+        1,
+        2.5,
+        True,
+        np.zeros((3, 4)),
+        np.zeros((2, 3), np.uint8)[:, ::2],
+        np.frombuffer(b"abc", np.uint8),
+        (np.zeros(12), False),
+        ViewTables(*[np.zeros(3)] * 9, 1.0, 2.0, 3.0),
+    ],
+)
+def test_types_of_arguments_survive_json(argument):
+    kind = typeof(argument)
+    assert compiling.type_from_json(json.loads(json.dumps(compiling.type_to_json(kind)))) == kind
+
+
+def test_an_argument_that_no_loop_takes_is_an_error():
+    with pytest.raises(TypeError, match="unicode"):
+        compiling.type_to_json(typeof("text"))
+
+
+@pytest.mark.parametrize("group", ["track", "train"])
+def test_listed_loops_exist_and_take_their_arguments(group):
+    entries = compiling.load_loops(group)
+    assert len(entries) > 20
+    for entry in entries:
+        loop = compiling._named(entry["loop"])
+        assert len(loop.py_func.__code__.co_varnames) >= len(entry["arguments"])
+        for argument in entry["arguments"]:
+            kind = compiling.type_from_json(argument)
+            assert compiling.type_to_json(kind) == argument
+
+
+def test_a_listed_loop_is_cached_when_it_is_compiled():
+    entry = compiling.load_loops("track")[-1]
+    loop = compiling._named(entry["loop"])
+    loop.compile(tuple(map(compiling.type_from_json, entry["arguments"])))
+    assert compiling._is_cached(loop)
+
+
+def test_shares_take_about_equal_time():
+    entries = [{"loop": str(k), "seconds": s} for k, s in enumerate([9.0, 5.0, 4.0, 1.0, 1.0])]
+    shares = compiling._shares(entries, 2)
+    assert sorted(e["loop"] for share in shares for e in share) == list("01234")
+    assert [sum(e["seconds"] for e in share) for share in shares] == [10.0, 10.0]
+    assert len(compiling._shares(entries, 9)) == 5
+
+
+def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch, capfd):
+    entries = compiling.load_loops("track")[-5:]
+    started = []
+
+    class Process(subprocess.Popen):
+        def __init__(self, command, **options):
+            started.append(json.loads(command[-1]))
+            super().__init__(command, **options)
+
+    monkeypatch.setattr(compiling, "load_loops", lambda group: entries)
+    monkeypatch.setattr(compiling, "_is_cached", lambda loop: False)
+    monkeypatch.setattr(compiling, "_cores", lambda: 2)
+    monkeypatch.setattr(subprocess, "Popen", Process)
+    compiling.compile_ahead("track")
+    said = capfd.readouterr().err
+    assert "Compiling 5 loops for this machine in 2 processes" in said
+    assert "Compiled in" in said
+    assert sorted(e["loop"] for share in started for e in share) == sorted(
+        e["loop"] for e in entries
+    )
+    monkeypatch.setattr(compiling, "_is_cached", lambda loop: True)
+    compiling.compile_ahead("track")
+    assert capfd.readouterr().err == ""
+
+
+def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():
+    said: list[str] = []
+
+    def work() -> None:
+        njit(lambda x: x + 1)(1)
+        njit(lambda x: x + 2)(1)
+
+    with install_listener("numba:compile", compiling._Teller(said.append)):
+        work()
+    assert len(said) == 1
+    entries = compiling.recorded(lambda: njit(lambda x: 2.0 * x)(1))
+    assert [entry["arguments"] for entry in entries] == [["int64"]]
