@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
+from rendezview.errors import RendezviewError
 from rendezview.evaluation import (
     ModelPoints,
     comparison_dict,
@@ -20,8 +21,10 @@ from rendezview.evaluation import (
     scores,
 )
 from rendezview.evaluation.comparison import common_frames, score_table
+from rendezview.evaluation.nees import nees_text, normalised_errors
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 
@@ -121,3 +124,38 @@ def test_results_without_a_frame_in_common_have_no_common_median() -> None:
     assert "–" in shown(comparison_table(parts))["rotation, median of the 0 frames all have"]
     with pytest.raises(ValueError, match="comparable over one sequence only"):
         common_frames({"a": parts["a"], "b": evaluate(sequence(3), [row(1)])})
+
+
+def test_a_frame_without_a_pose_counts_half_a_turn_and_the_whole_range() -> None:
+    found = scores(evaluate(sequence(4), [row(0), row(1, 3.0), row(2, 40.0)]))
+    assert found.speed_plus_all == pytest.approx(
+        (speed_score(3.0, 0.0, True) + speed_score(40.0, 0.0, True) + math.pi + 1.0) / 4.0
+    )
+    assert found.right_share == 0.5
+    assert found.wrong_share == 0.25
+    assert scores(evaluate(sequence(2), [])).speed_plus_all == pytest.approx(math.pi + 1.0)
+
+
+def logged(im_id: int, pose: Pose | None, sigma: float = 0.01) -> str:
+    place = None
+    if pose is not None:
+        quat = np.roll(Rotation.from_matrix(pose.rotation).as_quat(), 1)
+        place = {"quat_wxyz": quat.tolist(), "translation_m": pose.translation_m.tolist()}
+    covariance = (sigma**2 * np.eye(6)).tolist()
+    return json.dumps({"im_id": im_id, "pose": place, "covariance": covariance})
+
+
+def test_normalised_errors_are_those_of_the_right_poses_of_the_log(tmp_path: Path) -> None:
+    log = tmp_path / "log.jsonl"
+    poses = [row(0, 1.0, 0.02).camera_from_target, row(1, 90.0).camera_from_target, None]
+    log.write_text("\n".join(logged(k, pose) for k, pose in enumerate(poses)) + "\n")
+    expected = (np.deg2rad(1.0) ** 2 + 0.02**2) / 0.01**2
+    assert normalised_errors(sequence(3), log) == pytest.approx([expected])
+    quarter = Symmetry("discrete", np.array([0.0, 0.0, 1.0]), np.pi / 2.0)
+    assert normalised_errors(sequence(3), log, [quarter]) == pytest.approx(
+        [expected, 0.0], abs=1e-9
+    )
+    assert "median" in nees_text(np.array([expected]))
+    log.write_text("no log\n")
+    with pytest.raises(RendezviewError, match="line 1"):
+        normalised_errors(sequence(3), log)

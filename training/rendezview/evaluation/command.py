@@ -22,6 +22,7 @@ from rendezview.evaluation.comparison import (
 from rendezview.evaluation.error_pictures import share_picture
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
 from rendezview.evaluation.evaluation import Evaluation
+from rendezview.evaluation.nees import nees_text, normalised_errors
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.scores import scores
 from rendezview.evaluation.surface import ModelPoints, alike_of
@@ -60,6 +61,10 @@ def evaluate(
             "--speed-plus", help="Apply the thresholds of SPEED+ to each frame's SPEED score."
         ),
     ] = False,
+    log: Annotated[
+        Path | None,
+        typer.Option(help="Log of track: errors against covariances (NEES) of the right poses."),
+    ] = None,
     plots: Annotated[Path | None, typer.Option(help="Folder for pictures of the errors.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     obj_id: Annotated[
@@ -90,12 +95,15 @@ def evaluate(
         )
     if plots is not None:
         _draw(evaluations, plots)
+    nees = None if log is None else normalised_errors(sequence, log, reference.symmetries)
     single = next(iter(evaluations.values())) if len(evaluations) == 1 else None
     if as_json:
         if single is None:
             content = comparison_dict(evaluations)
         else:
             content = {**single.as_dict(), "scores": scores_dict(scores(single))}
+        if nees is not None:
+            content["nees"] = nees.tolist()
         typer.echo(json.dumps(content, indent=2, allow_nan=False))
         return
     console = Console()
@@ -104,6 +112,8 @@ def evaluate(
     else:
         console.print(single.as_table())
         console.print(score_table(single))
+    if nees is not None:
+        console.print(nees_text(nees), highlight=False, soft_wrap=True)
     for name, part in evaluations.items():
         notes = (
             part.notes if single is None else ()

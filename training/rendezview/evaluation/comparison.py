@@ -17,6 +17,15 @@ from rendezview.evaluation.scores import Scores, scores
 _SCORES: tuple[tuple[str, str, float, str, int], ...] = (
     ("speed", "SPEED score, mean", 1.0, "", 4),
     ("speed_plus", "SPEED+ score, mean", 1.0, "", 4),
+    (
+        "speed_plus_all",
+        "SPEED+ score, no pose: 180° and the whole range",
+        1.0,
+        "",
+        4,
+    ),
+    ("right_share", "right: a pose within 5°", 100.0, "%", 1),
+    ("wrong_share", "wrong: a pose beyond 10°", 100.0, "%", 1),
     ("rbot_share", "within 5 cm and 5° (RBOT)", 100.0, "%", 1),
     ("add_share", "ADD within 10 % of the diameter", 100.0, "%", 1),
     ("add_s_share", "ADD-S within 10 % of the diameter", 100.0, "%", 1),
@@ -64,7 +73,7 @@ def common_frames(evaluations: Mapping[str, Evaluation]) -> Common:
 def score_table(evaluation: Evaluation) -> Table:
     """Table of the challenges' scores of one result, for a terminal."""
     table = Table(title="scores", title_justify="left")
-    table.add_column("over all frames; SPEED: over the poses found")
+    table.add_column("over all frames; SPEED, SPEED+ mean: over the poses found")
     for header in ("score", "unit"):
         table.add_column(header, justify="left" if header == "unit" else "right")
     found = scores(evaluation)

@@ -10,7 +10,8 @@
 - ADD, ADD-S (Hinterstoisser et al., ACCV 2012): share of frames below a tenth of the diameter.
 
 Shares are over all frames with truth: a frame without a pose has failed. The means of SPEED are
-over the frames with a pose; the challenge defines no score for a missing pose.
+over the frames with a pose; the challenge defines no score for a missing pose. ``speed_plus_all``
+is over all frames and counts a missing pose as the worst attitude and the whole range.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from rendezview.evaluation.surface import SurfaceErrors
 RBOT_TRANSLATION_M = 0.05  # m. Source: Tjaden et al. 2019
 RBOT_ROTATION_RAD = math.radians(5.0)  # rad. Source: Tjaden et al. 2019
 ADD_FRACTION = 0.1  # of the diameter. Source: Hinterstoisser et al. 2012
+RIGHT_RAD, WRONG_RAD = math.radians(5.0), math.radians(10.0)  # Source: by construction
+NO_POSE = math.pi + 1.0  # rad and range: half a turn, the whole range. Source: by construction
 MSSD_FRACTIONS = np.arange(0.05, 0.51, 0.05)  # of the diameter. Source: Hodaň et al. 2020
 MSPD_640_PX = np.arange(5, 51, 5)  # px in a picture 640 px wide. Source: Hodaň et al. 2020
 
@@ -38,6 +41,9 @@ class Scores:
 
     speed: float | None
     speed_plus: float | None
+    speed_plus_all: float  # a frame without a pose counts π + 1
+    right_share: float  # poses within 5° …
+    wrong_share: float  # … and beyond 10°, which are given and wrong
     rbot_share: float
     add_share: float | None  # these four: None without the target's surface
     add_s_share: float | None
@@ -63,9 +69,14 @@ def scores(evaluation: Evaluation) -> Scores:
         return float((errors[:, None] < limits).mean())
 
     found = [frame.errors for frame in evaluation.frames if frame.errors is not None]
+    plus = [_speed(errors, True) for errors in found]
+    count = len(evaluation.frames)
     return Scores(
         speed=_mean([_speed(errors, False) for errors in found]),
-        speed_plus=_mean([_speed(errors, True) for errors in found]),
+        speed_plus=_mean(plus),
+        speed_plus_all=(sum(plus) + NO_POSE * (count - len(found))) / count,
+        right_share=sum(errors.rotation_rad < RIGHT_RAD for errors in found) / count,
+        wrong_share=sum(errors.rotation_rad > WRONG_RAD for errors in found) / count,
         rbot_share=_mean([_within_rbot(frame) for frame in evaluation.frames]) or 0.0,
         add_share=share(lambda s: s.add_m < ADD_FRACTION * s.diameter_m),
         add_s_share=share(lambda s: s.add_s_m < ADD_FRACTION * s.diameter_m),

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import hat
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model import HeldOut, ViewModel
 from rendezview.sensors.appearance.outline.signature import Signature, twist
 from rendezview.sensors.appearance.outline.votes import Match
 
@@ -69,7 +69,10 @@ def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, A
     rotation = camera_from_centred @ attitude
     centre_camera = camera_from_centred @ (range_m * line)
     pose = Pose(rotation, centre_camera - rotation @ model.centre_m)
-    return pose, _covariance(model, pose, centre_camera, range_m)
+    covariance = covariance_of_place(
+        model.held_out, model.sphere_radius_m, model.centre_m, pose, centre_camera, range_m
+    )
+    return pose, covariance
 
 
 def _views_around(model: ViewModel, direction: Array) -> tuple[npt.NDArray[np.intp], Array]:
@@ -81,21 +84,27 @@ def _views_around(model: ViewModel, direction: Array) -> tuple[npt.NDArray[np.in
     return near, share / share.sum()
 
 
-def _covariance(model: ViewModel, pose: Pose, centre_camera: Array, range_m: float) -> Array:
-    """(6, 6) from the errors on held-out views: direction, roll, range and bearing.
+def covariance_of_place(
+    held_out: HeldOut,
+    sphere_radius_m: float,
+    centre_m: Array,
+    pose: Pose,
+    centre_camera: Array,
+    range_m: float,
+) -> Array:
+    """(6, 6) from errors as on held-out views: direction, roll, range and bearing.
 
     A turn of the target about its view centre moves its frame's origin too, so rotation
     and translation are correlated through the arm between the two.
     """
-    held_out = model.held_out
     sight = centre_camera / np.linalg.norm(centre_camera)
     along = np.outer(sight, sight)
     across = np.eye(3) - along
     rotation = held_out.direction_rad**2 * across + held_out.roll_rad**2 * along
-    bearing_m = held_out.bearing_rad * model.sphere_radius_m
+    bearing_m = held_out.bearing_rad * sphere_radius_m
     centre = (held_out.range_fraction * range_m) ** 2 * along + bearing_m**2 * across
     # t = centre − R centre_m: a left rotation w adds −w × (R centre_m) = arm @ w
-    arm = hat(pose.rotation @ model.centre_m)
+    arm = hat(pose.rotation @ centre_m)
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = rotation
     covariance[:3, 3:] = rotation @ arm.T

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from rendezview.sensors.appearance.outline.silhouette import (
     SilhouetteOptions,
     find_silhouette,
 )
+from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.voters import Ballot
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
 from rendezview.sensors.observation import Status
@@ -62,6 +64,7 @@ class OutlineRecognition:
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
         self._foreground = Foreground()
         self._ballot = Ballot.of(model)
+        self._voted = None if self._ballot is None else VotedPose(model, self._ballot)
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
 
     def trace(
@@ -134,6 +137,10 @@ class OutlineRecognition:
             centred = None if prior is None else signature.centred_from_camera @ prior.rotation
             match = self.matcher.match(signature, centred, prior_error_rad)
         clock.lap("trees")
+        if match is None and alone and prior is None:
+            voted = self._by_votes(signature)
+            if voted is not None:
+                return replace(partial_result, signature=signature, **voted)
         if match is None:
             near = "" if prior is None else " near the prior attitude"
             reason = f"no node of the sphere recognises this view{near}"
@@ -147,12 +154,15 @@ class OutlineRecognition:
             weights=match.weights,
         )
         refused = self.matcher.refusal(match)
+        pose, covariance = place(self.model, match, signature)
+        if refused is None and alone:
+            refused = self._doubt(signature, pose)
+        if refused is not None and alone and prior is None:
+            voted = self._by_votes(signature)
+            if voted is not None:
+                return replace(partial_result, **voted)
         if refused is not None:
             return replace(partial_result, status=refused.status, reason=refused.reason)
-        pose, covariance = place(self.model, match, signature)
-        doubt = self._doubt(signature, pose) if alone else None
-        if doubt is not None:
-            return replace(partial_result, status=Status.UNRECOGNIZED, reason=doubt)
         points_m = node_points(self.model, match, signature)
         interpolated = None
         if self._interpolator is not None and confident is None:  # a refined pose is better
@@ -166,14 +176,28 @@ class OutlineRecognition:
             interpolated=interpolated,
         )
 
-    def _doubt(self, signature: Signature, pose: Pose) -> str | None:
+    def _by_votes(self, signature: Signature) -> dict[str, Any] | None:
+        """What an observation has of the pose by votes; None without one."""
+        found = None if self._voted is None else self._voted.find(signature)
+        if found is None:
+            return None
+        match = self.matcher.at(signature, found.pose)
+        nodes: dict[str, Any] = {}
+        if match is not None:
+            points_m = node_points(self.model, match, signature)
+            nodes = {"active_nodes": match.active_nodes, "weights": match.weights}
+            nodes |= {"points_m": points_m}
+        return nodes | {"pose": found.pose, "covariance": found.covariance}
+
+    def _doubt(self, signature: Signature, pose: Pose) -> Missing | None:
         """Why the voters doubt a pose; None where they do not, or the model has none."""
         if self._ballot is None:
             return None
         votes = float(self._ballot.scores(signature, pose.rotation[None])[0])
         if votes >= _LEAST_VOTES:
             return None
-        return (
+        return Missing(
+            Status.UNRECOGNIZED,
             f"the outline is not surely that of the view found (log odds {votes:.1f}, at least "
-            f"{_LEAST_VOTES:g} is needed): shadow may hide a part of the target"
+            f"{_LEAST_VOTES:g} is needed): shadow may hide a part of the target",
         )

@@ -1,0 +1,86 @@
+"""The attitude of a silhouette by its voters: also where shadow hides a part of the target."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.edges.retrieval import Retrieval
+from rendezview.sensors.appearance.model import HeldOut, ViewModel
+from rendezview.sensors.appearance.outline.placement import covariance_of_place
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.sensors.appearance.outline.voters import Ballot
+
+_STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
+VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation, seed 4101
+_LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation, seed 4101
+_LEAST_LEAD = 1.5  # log odds above another view's. Source: experiment tree-ablation, seed 4101
+_OTHER_RAD = np.deg2rad(20.0)  # rad; farther off is another view. Source: by construction
+# Rad; turns among which the votes are averaged: three steps either way, twice.
+_STEP_RAD, _STEPS, _ROUNDS = np.deg2rad(3.0), 3, 2  # Source: tree-ablation, seed 4101
+# One σ of such a pose; the bearing's is that of whole silhouettes twice.
+_DIRECTION_RAD, _ROLL_RAD = np.deg2rad(3.0), np.deg2rad(2.5)  # Source: tree-ablation, seed 4101
+_RANGE_FRACTION = 0.06  # Source: experiment tree-ablation, seed 4101
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Voted:
+    """A pose by votes."""
+
+    pose: Pose  # camera_from_target
+    covariance: Array  # (6, 6)
+
+
+class VotedPose:
+    """Finds the pose of a silhouette among all views of a model by its voters."""
+
+    def __init__(self, model: ViewModel, ballot: Ballot) -> None:
+        self._model, self._ballot = model, ballot
+        self._retrieval = Retrieval(model)
+        steps = _STEP_RAD * np.arange(-_STEPS, _STEPS + 1)
+        x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
+        self._turns = np.stack([x, y, np.zeros(len(x))], axis=1)
+        self._matrices = Rotation.from_rotvec(self._turns).as_matrix()
+
+    def find(self, signature: Signature) -> Voted | None:
+        """The pose; None where the votes doubt it, or say as much for another view."""
+        rotations, centres = self._retrieval.of(signature, _STARTS)
+        scores = self._ballot.scores(signature, rotations)
+        # Whole and sunlit silhouettes come in turns.
+        rank = np.log1p(np.arange(len(rotations)) // 2)
+        best = int(np.argmax(VOTES_WORTH * scores - rank))
+        rotation = self._averaged(signature, rotations[best])
+        votes = float(self._ballot.scores(signature, rotation[None])[0])
+        cosines = 0.5 * (np.einsum("kij,ij->k", rotations, rotations[best]) - 1.0)
+        others = scores[cosines < np.cos(_OTHER_RAD)]
+        if votes < _LEAST_VOTES or votes - float(others.max(initial=-np.inf)) < _LEAST_LEAD:
+            return None
+        centre, model = centres[best], self._model
+        pose = Pose(rotation, centre - rotation @ model.centre_m)
+        held_out = model.held_out
+        errors: HeldOut = replace(
+            held_out,
+            direction_rad=float(_DIRECTION_RAD),
+            roll_rad=float(_ROLL_RAD),
+            range_fraction=_RANGE_FRACTION,
+            bearing_rad=2.0 * held_out.bearing_rad,
+        )
+        range_m = float(np.linalg.norm(centre))
+        covariance = covariance_of_place(
+            errors, model.sphere_radius_m, model.centre_m, pose, centre, range_m
+        )
+        return Voted(pose, covariance)
+
+    def _averaged(self, signature: Signature, rotation: Array) -> Array:
+        """The mean of attitudes tilted about one, weighted by the odds that each is right."""
+        centred = signature.centred_from_camera
+        attitude = centred @ rotation
+        for _ in range(_ROUNDS):
+            scores = self._ballot.scores(signature, centred.T @ (self._matrices @ attitude))
+            weights = np.exp(scores - scores.max())
+            mean = weights @ self._turns / weights.sum()
+            attitude = Rotation.from_rotvec(mean).as_matrix() @ attitude
+        return np.asarray(centred.T @ attitude)
