@@ -40,6 +40,12 @@ class Ran:
 Run = Callable[..., Ran]
 
 
+@pytest.fixture(autouse=True)
+def quiet_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command says of compiling depends on the cache of the machine: not here."""
+    monkeypatch.setattr("rendezview.cli.compiling.say", lambda text: None)
+
+
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Run a command in this process, as the entry point does."""

@@ -56,6 +56,25 @@ def test_a_listed_loop_is_cached_when_it_is_compiled():
     assert compiling._is_cached(loop)
 
 
+def test_a_loop_that_has_changed_does_not_keep_others_from_being_compiled(monkeypatch):
+    last = compiling.load_loops("track")[-1]
+    compiled = []
+    wrong = [last | {"loop": "rendezview.geometry.so3:gone"}, last | {"arguments": ["int64"] * 9}]
+
+    class Loop:
+        def __init__(self, name: str) -> None:
+            self._loop = named(name)
+
+        def compile(self, arguments: tuple) -> None:
+            self._loop.compile(arguments)
+            compiled.append(arguments)
+
+    named = compiling._named
+    monkeypatch.setattr(compiling, "_named", Loop)
+    compiling._compile([*wrong, last])
+    assert len(compiled) == 1
+
+
 def test_shares_take_about_equal_time():
     entries = [{"loop": str(k), "seconds": s} for k, s in enumerate([9.0, 5.0, 4.0, 1.0, 1.0])]
     shares = compiling._shares(entries, 2)
@@ -64,8 +83,10 @@ def test_shares_take_about_equal_time():
     assert len(compiling._shares(entries, 9)) == 5
 
 
-def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch, capfd):
-    entries = compiling.load_loops("track")[-5:]
+def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch):
+    said: list[str] = []
+    monkeypatch.setattr(compiling, "say", said.append)
+    entries = [e | {"seconds": 1.0} for e in compiling.load_loops("track")[-5:]]
     started = []
 
     class Process(subprocess.Popen):
@@ -78,15 +99,16 @@ def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch,
     monkeypatch.setattr(compiling, "_cores", lambda: 2)
     monkeypatch.setattr(subprocess, "Popen", Process)
     compiling.compile_ahead("track")
-    said = capfd.readouterr().err
-    assert "Compiling 5 loops for this machine in 2 processes" in said
-    assert "Compiled in" in said
+    assert said[0].startswith("Compiling 5 loops for this machine in 2 processes")
+    assert said[1].startswith("Compiled in")
     assert sorted(e["loop"] for share in started for e in share) == sorted(
         e["loop"] for e in entries
     )
+    entries = [entry | {"seconds": 0.1} for entry in entries]
+    compiling.compile_ahead("track")  # too little for a process of its own
     monkeypatch.setattr(compiling, "_is_cached", lambda loop: True)
-    compiling.compile_ahead("track")
-    assert capfd.readouterr().err == ""
+    compiling.compile_ahead("track", "train")
+    assert len(said) == 2
 
 
 def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():

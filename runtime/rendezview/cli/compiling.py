@@ -9,6 +9,7 @@ Which loops those are, for which types of arguments, is listed in ``loops.json``
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import os
@@ -22,13 +23,14 @@ from typing import Any
 
 import numpy as np
 from numba import types
+from numba.core.errors import NumbaError
 from numba.core.event import Event, Listener, install_listener, register
 
 from rendezview.cli.progress import say
 
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
-# Source: by construction, a process takes as long to start as a few loops to compile
-_FEWEST = 4  # loops that are missing; fewer are compiled where they are called
+# Source: experiment compiled-loops, twice the start of a process
+_LEAST_S = 4.0  # s; what takes less to compile is compiled where it is called
 
 
 def load_loops(group: str) -> list[dict[str, Any]]:
@@ -78,7 +80,9 @@ def compile_ahead(*groups: str) -> None:
     """
     entries = [entry for group in groups for entry in load_loops(group)]
     missing = [entry for entry in entries if not _is_cached(_named(entry["loop"]))]
-    if len(missing) < _FEWEST or os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+    if sum(float(e["seconds"]) for e in missing) < _LEAST_S or os.environ.get(
+        "NUMBA_DISABLE_JIT", "0"
+    ) not in ("", "0"):
         return
     shares = _shares(missing, min(_MOST_PROCESSES, _cores()))
     seconds = max(sum(float(e["seconds"]) for e in share) for share in shares)
@@ -199,6 +203,13 @@ def recorded(run: Callable[[], None]) -> list[dict[str, Any]]:
     return recorder.entries
 
 
+def _compile(entries: list[dict[str, Any]]) -> None:
+    """Compile loops; one that has changed since it was listed is left to its first call."""
+    for entry in entries:
+        with contextlib.suppress(NumbaError, AttributeError, ImportError, TypeError):
+            loop = _named(entry["loop"])
+            loop.compile(tuple(type_from_json(argument) for argument in entry["arguments"]))
+
+
 if __name__ == "__main__":
-    for _entry in json.loads(sys.argv[1]):
-        _named(_entry["loop"]).compile(tuple(type_from_json(a) for a in _entry["arguments"]))
+    _compile(json.loads(sys.argv[1]))
