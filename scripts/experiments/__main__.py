@@ -36,6 +36,7 @@ EXPERIMENTS = {
         "ring-accuracy": ("ring.accuracy", "accuracy and detection beside OpenCV's detectors"),
         "ring-flyaround": ("ring.flyaround", "a ring of unknown size from a fly-around"),
         "ring-vehicle": ("ring.vehicle", "the ring among a vehicle's other circles"),
+        "ring-size-pictures": ("ring.size_pictures", "a ring of unknown size, drawn fly-around"),
         "ring-speed": ("ring.speed", "time of a detection beside OpenCV's detectors"),
     },
     "reflectors": {

@@ -99,3 +99,25 @@ def test_the_uncertainty_is_that_of_the_errors_and_a_pass_is_sharper():
 def test_too_few_frames_make_no_pass():
     rng = np.random.default_rng(4)
     assert ring_size_of_pass(CAMERA, [sight(pose_at(0.5), 0.05, 0.02, 0.005, rng)] * 2) is None
+
+
+def test_an_error_that_all_frames_share_is_not_lessened_by_their_number():
+    sights = []
+    rng = np.random.default_rng(7)
+    for angle in np.linspace(-0.9, 0.9, 16):
+        pose = pose_at(angle, rng)
+        shape = shape_of_circle(
+            CAMERA, pose.apply([DISTANCE_M, 0, 0]), pose.rotation[:, 0], RADIUS_M
+        )
+        y, z = 0.5 * SIDES_M[0], 0.5 * SIDES_M[1]
+        corners = pose.apply(np.array([[0, y, z], [0, -y, z], [0, y, -z], [0, -y, -z]]))
+        range_m = float(pose.rotation[:, 0] @ pose.translation_m) / pose.rotation[2, 0]
+        ellipse = Ellipse.from_shape(shape, 1e-4 * np.eye(5))
+        sights.append(RingSight(CAMERA.project(corners), ellipse, range_m, 0.01, 0.001))
+    for count in (8, 16):
+        plain, shared = (ring_size_of_pass(CAMERA, sights[:count], px) for px in (0.0, 0.1))
+        more = np.sqrt(shared.covariance[0, 0] - plain.covariance[0, 0])
+        depth_m = 12.0 - DISTANCE_M
+        assert more == pytest.approx(0.1 * depth_m / CAMERA.fx, rel=0.1)
+        assert shared.radius_m == pytest.approx(plain.radius_m)
+        np.testing.assert_array_equal(shared.covariance[1:, 1:], plain.covariance[1:, 1:])

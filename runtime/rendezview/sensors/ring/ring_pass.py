@@ -7,6 +7,7 @@ and each frame has a pose of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -54,11 +55,19 @@ class _State:
         return _State(poses, self.common + step[:_SHARED])
 
 
-def ring_size_of_pass(camera: Camera, sights: Sequence[RingSight]) -> PassSize | None:
+def ring_size_of_pass(
+    camera: Camera, sights: Sequence[RingSight], common_px: float = 0.0
+) -> PassSize | None:
     """R, D_f and the axis' offset from all frames of a pass; None where too few frames fit.
 
     A frame whose 14 numbers do not fit the others is left out. The offset has a prior of half the
     rectangle's sides (one σ), which decides where all frames look from one direction.
+
+    Args:
+        camera: of all frames, without distortion.
+        sights: what each frame measured.
+        common_px: σ of an error of the ring's semi-axes that all frames share: a model of edges is
+            wrong by the same in all of them, so more frames do not lessen it.
     """
     used, state = _start(camera, sights)
     for _ in range(_ROUNDS):
@@ -71,7 +80,10 @@ def ring_size_of_pass(camera: Camera, sights: Sequence[RingSight]) -> PassSize |
         misfits = problem.misfits(found.at)
         fits = misfits < _WORST
         if fits.all():
-            return _finished(problem, found.at, tuple(used), found.cost)
+            size = _finished(problem, found.at, tuple(used), found.cost)
+            if size is not None:
+                size.covariance[0, 0] += _common_variance(camera, found.at, common_px)
+            return size
         # A wrong frame spoils its neighbours: those far worse than the limit go first.
         fits |= misfits < 0.1 * misfits.max()
         used = [k for k, good in zip(used, fits, strict=True) if good]
@@ -187,3 +199,10 @@ def _finished(problem: _Pass, state: _State, used: tuple[int, ...], chi2: float)
     sides, (radius, distance) = state.common[:2], state.common[2:4]
     offset = state.common[4:]
     return PassSize(float(radius), float(distance), offset, sides, covariance, used, chi2, freedom)
+
+
+def _common_variance(camera: Camera, state: _State, common_px: float) -> float:
+    """Variance of R by an error of ``common_px`` of the ring's size in every picture, m²."""
+    centre = np.array([state.common[3], *state.common[4:]])
+    depth_m = float(np.mean([pose.apply(centre)[2] for pose in state.poses]))
+    return (common_px * depth_m / math.sqrt(camera.fx * camera.fy)) ** 2

@@ -26,6 +26,7 @@ _MOST_COMPANIONS = 5  # Source: by construction, a bound of time
 # Of the first edge's radius: other edges of a lip. Larger circles are a foot or a cone behind it,
 # smaller ones a nozzle or a shield: near head-on they fit as well, and move the place by 1 %.
 _COMPANIONS = (0.8, 1.02)  # Source: ring-vehicle, seed 22
+_COMPANIONS_BY_SCORE = (0.8, 1.25)  # where the first may be an inner edge. Source: ring-accuracy
 # σ of an ellipse's numbers over that of its edge's systematic part: the ellipse takes in a part.
 _SYSTEMATIC = 1.0  # Source: ring-vehicle, seed 22
 _LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
@@ -120,14 +121,16 @@ class RingSensor:
         edge = which.edge
         if edge is None:
             return self._nothing(time_s, detection, which.reason)
-        circles, misfits = self._poses(detection, edge)
+        circles, misfits = self._poses(detection, edge, which.by_score)
         if not circles:
             return self._nothing(time_s, detection, "the ellipse is no circle's picture")
         if which.rivals:
             return RingObservation(
                 Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
                 circles=circles, choice=Choice(None, which.reason),
-                rivals=tuple((k, self._poses(detection, k)[0]) for k in which.rivals),
+                rivals=tuple(
+                    (k, self._poses(detection, k, which.by_score)[0]) for k in which.rivals
+                ),
                 stage_ms=detection.stage_ms,
             )  # fmt: skip
         choice = self._choose(circles, misfits, prior)
@@ -143,10 +146,12 @@ class RingSensor:
         )  # fmt: skip
 
     def _poses(
-        self, detection: Detection, edge: int
+        self, detection: Detection, edge: int, by_score: bool
     ) -> tuple[tuple[CirclePose, ...], tuple[float, ...]]:
         assert self.radius_m is not None
-        poses, misfits = joint_poses(self.camera, _companions(detection.edges, edge), self.radius_m)
+        poses, misfits = joint_poses(
+            self.camera, _companions(detection.edges, edge, by_score), self.radius_m
+        )
         sigma_px = _SYSTEMATIC * detection.edges[edge].systematic_px
         return tuple(self._widened(pose, sigma_px) for pose in poses), misfits
 
@@ -237,13 +242,14 @@ class RingSensor:
         return moved
 
 
-def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
+def _companions(edges: tuple[RingEdge, ...], first: int, by_score: bool) -> list[Ellipse]:
     """An edge's ellipse, then those that may be other edges of the same ring.
 
     Edges of the same group come first, then edges at about the same place, because a short arc
     gives a poor place. Of a lip fitted as a pair one edge is enough. The joint fit leaves
     out an edge that does not belong there.
     """
+    low, high = _COMPANIONS_BY_SCORE if by_score else _COMPANIONS
     main, pairs = edges[first].ellipse, {edges[first].pair}
     near: list[tuple[bool, float, Ellipse]] = []
     for k, edge in enumerate(edges):
@@ -251,7 +257,7 @@ def _companions(edges: tuple[RingEdge, ...], first: int) -> list[Ellipse]:
             continue
         ratio = edge.ellipse.semi_axes_px[0] / main.semi_axes_px[0]
         aside = float(np.linalg.norm(edge.ellipse.centre_px - main.centre_px))
-        if not _COMPANIONS[0] < ratio < _COMPANIONS[1]:
+        if not low < ratio < high:
             continue
         same = edge.group == edges[first].group
         if same or aside < 0.3 * main.semi_axes_px[0]:

@@ -30,6 +30,8 @@ _AGREE_SIGMAS = 4.0
 _AGREE_SHARE = (0.005, 0.02)  # of R, of D_f. Source: a fifth of a rim's width in models_cad/client
 _SURE_SHARE = 0.05  # σ of R over R, of an ellipse that may name a circle. Source: by construction
 _AS_MANY = 0.8  # of the most frames, of a circle that may be the ring too. Source: by construction
+# σ of an error of the ring's size that all pictures share. Source: ring-size-pictures, seed 62
+_COMMON_PX = 0.05
 _MOST_CIRCLES = 4  # reported. Source: by construction
 
 
@@ -252,7 +254,7 @@ def measure_pass(
     circles = _circles(frames)
     for number, members in enumerate(circles):
         sights = [frames[k].sights[i] for k, i in members.items()]
-        size = ring_size_of_pass(camera, sights)
+        size = ring_size_of_pass(camera, sights, _COMMON_PX)
         if size is not None:
             rest = [circles[number], *circles[:number], *circles[number + 1 :]]
             return SizeResult(size, None, total, count, tuple(_told(frames, one) for one in rest))

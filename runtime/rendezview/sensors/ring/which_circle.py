@@ -51,6 +51,7 @@ class Which:
     edge: int | None
     rivals: tuple[int, ...]  # best first, without ``edge``
     reason: str  # why there is none, or what the rivals are
+    by_score: bool = False  # nothing but the scores chose it: it may be an inner edge
 
 
 def by_range(
@@ -128,7 +129,7 @@ def without_range(
         same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
         if aside < _ASIDE * long and not (one_plane or weak or same):
             rivals.append(k)
-    return Which(0, tuple(rivals), _words(0, rivals, ranges, "no range is given to tell"))
+    return Which(0, tuple(rivals), _words(0, rivals, ranges, "no range is given to tell"), True)
 
 
 def _decided(cost: Array, ranges: Array, by: str) -> Which:

@@ -13,6 +13,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.outline.signature import Signature, rebinning, twist
+from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.voters import (
     BINS,
     LEAF,
@@ -150,6 +151,23 @@ def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_m
     assert given["learned"] >= 4
     assert given["silenced"] == 0
     assert any("log odds" in (answer.reason or "") for answer in answers)
+
+
+def test_votes_find_the_attitude_of_a_sunlit_part(refining_model):
+    lit, finder = refining_model.lit, VotedPose(refining_model, ballot_of(refining_model))
+    weights = rebinning(BINS, refining_model.bins)
+    off = []
+    for entry in range(0, len(lit.sun), len(lit.sun) // 60):
+        readings = np.rint(lit.readings[entry].astype(np.float32) * np.float32(16.0) @ weights)
+        signature = Signature(readings, float(lit.area_m2[entry]) / 64.0, np.eye(3))
+        found = finder.find(signature)
+        if found is not None:
+            true = Rotation.from_quat(lit.quat_wxyz[entry][[1, 2, 3, 0]])
+            turn = Rotation.from_matrix(found.pose.rotation) * true.inv()
+            off.append(np.rad2deg(turn.magnitude()))
+            assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
+    assert len(off) >= 10
+    assert np.mean(np.array(off) < 20.0) > 0.9
 
 
 @pytest.mark.parametrize(
