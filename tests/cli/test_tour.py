@@ -53,7 +53,7 @@ def test_from_a_mesh_to_an_evaluation(run, mesh_path: Path, tmp_path: Path):
     for what, names in (
         (model, {"model.png", "nodes.csv"}),
         (scene, {"frames.png"}),
-        (log, {"curves.png", "cloud.png"}),
+        (log, {"track.png", "curves.png", "cloud.png"}),
     ):
         folder = tmp_path / f"{what.stem}-shown"
         ran = run("show", what, "-o", folder)

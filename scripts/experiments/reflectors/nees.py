@@ -74,10 +74,11 @@ def run(*, readings: int = 60, seed: int = 7) -> None:
             look = replace(look, peak=40.0)
         for range_m in RANGES_M:
             errors = []
+            # All dots lie in the picture; near by the target stands in its middle.
+            margin_px = 20.0 + 0.25 * PINHOLE.focal_px / range_m
+            margin_px = min(margin_px, 0.5 * min(PINHOLE.width, PINHOLE.height) - 5.0)
             for _ in range(readings):
-                placed = plain.look_at(
-                    rng, PINHOLE, range_m, 0.5, 20.0 + 0.25 * PINHOLE.focal_px / range_m
-                )
+                placed = plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px)
                 light = plain.discs(
                     PINHOLE, *placed, pattern.positions_m, pattern.normals, pattern.diameters_m,
                     look,
