@@ -12,7 +12,8 @@ laser = {line["time_s"]: line for line in rv.read_json_lines(sys.argv[4])}
 for frame in frames:
     image, time_s, echo = frame.read(), frame.time_s, laser[frame.time_s]
     fusion.add(tracker.update(time_s, image).measurement("camera"))
-    fusion.add(rings.update(time_s, image).measurement("ring", ring=ring))
+    which = rv.RingPrior(range_m=echo["range_m"], range_sigma_m=0.5)  # of the vehicle's circles
+    fusion.add(rings.update(time_s, image, which).measurement("ring", ring=ring))
     fusion.add(rv.RangeMeasurement(time_s, "laser", echo["range_m"], echo["sigma_m"], (plate,)))
     state = fusion.state_at(time_s)
     print(time_s, state.status, state.pose.translation_m if state.pose else state.reason)
