@@ -126,7 +126,8 @@ def ring(output: Path, *, seed: int = 3) -> None:
     rng = np.random.default_rng(seed)
     image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
     prior = RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
-    reading = RingSensor(camera, ring.radius_m).update(0.0, image, prior)
+    sensor = RingSensor(camera, ring.radius_m, circles=ring.circles)
+    reading = sensor.update(0.0, image, prior)
     cv2.imwrite(str(output), draw_reading(image, reading, camera))
     if reading.circle is not None:
         far = np.linalg.norm(prior.centre_m)

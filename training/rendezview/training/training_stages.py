@@ -68,6 +68,7 @@ class TrainingStages:
     options: TrainingOptions
     executor: ShardExecutor
     progress: Progress | None
+    shown: SurfaceRenderer | None = None  # of the faces that show; contours need every face
 
     def lattice(self) -> tuple[ViewSet, Array, Readings | None]:
         """Clean views at the sphere radius, slopes of their area with range, and far readings."""
@@ -122,7 +123,7 @@ class TrainingStages:
             return None
         directions = Geodesic.of_order(self.options.order + 1).nodes
         maps = sun_maps(self.mesh, self.geometry)
-        shared = (self.mesh, maps, self.geometry, self.surfaces)
+        shared = (self.mesh, maps, self.geometry, self.shown or self.surfaces)
         parts = [
             (directions[p.start : p.stop], p.start)
             for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
@@ -156,7 +157,7 @@ class TrainingStages:
             bits = np.concatenate([a["faces"] for a in shards])
             shown = ShownFaces(directions, bits, len(self.mesh.faces))
             renderer = ShownRenderer(self.mesh, shown, self.geometry.centre_m)
-            stages = dataclasses.replace(self, renderer=renderer, surfaces=renderer)
+            stages = dataclasses.replace(self, renderer=renderer, shown=renderer)
         if shading:
             visible = np.concatenate([a["visible"] for a in shards])
             surface = chosen_surface(self.mesh, self.geometry, points, faces, visible, options)
@@ -170,7 +171,7 @@ class TrainingStages:
         parts = [
             (directions[p.start : p.stop],) for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
         ]
-        shared = (self.mesh, self.geometry, self.surfaces)
+        shared = (self.mesh, self.geometry, self.shown or self.surfaces)
         shards = self._run("sketches", _sketch_arrays, shared, parts)
         return ViewSketches(**{n: np.concatenate([a[n] for a in shards]) for n in shards[0]})
 
