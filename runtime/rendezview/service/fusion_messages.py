@@ -25,7 +25,13 @@ _MOST_HISTORY_S = 60.0  # s. Source: a chosen limit
 _MOST_NUMBER = 1e12  # of any option. Source: a chosen limit
 
 
+MOST_CIRCLES = 32  # beside a ring. Source: a chosen limit
+
 # Data on the sensors of a session
+
+CircleMessage = tuple[
+    Annotated[FiniteFloat, Field(ge=-1e4, le=1e4)], Annotated[FiniteFloat, Field(gt=0.0, le=1e4)]
+]
 
 
 class RingMessage(Message):
@@ -34,6 +40,11 @@ class RingMessage(Message):
     centre_m: Three
     axis: Three = Field(description="outward normal of its plane, of any length but zero")
     radius_m: FiniteFloat = Field(gt=0.0, le=1e4)
+    circles: list[CircleMessage] = Field(
+        default=[],
+        max_length=MOST_CIRCLES,
+        description="other circles about the same axis: height over the ring's plane, radius, m",
+    )
 
     @field_validator("axis")
     @classmethod

@@ -135,7 +135,10 @@ def context_of(asked: FusionRequest) -> LogContext:
     if asked.ring is not None:
         axis = np.array(asked.ring.axis)
         ring = DockingRing(
-            np.array(asked.ring.centre_m), axis / np.linalg.norm(axis), asked.ring.radius_m
+            np.array(asked.ring.centre_m),
+            axis / np.linalg.norm(axis),
+            asked.ring.radius_m,
+            tuple(asked.ring.circles),
         )
     surfaces = tuple(map(_surface, asked.surfaces))
     return LogContext(ring, surfaces, {name: _pose(one) for name, one in asked.mounts.items()})

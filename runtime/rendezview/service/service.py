@@ -48,7 +48,10 @@ def _ring_of(path: Path) -> RingMessage:
             f"{path}: this target has no docking_ring: add one, or do not give --target"
         )
     return RingMessage(
-        centre_m=ring.centre_m.tolist(), axis=ring.axis.tolist(), radius_m=ring.radius_m
+        centre_m=ring.centre_m.tolist(),
+        axis=ring.axis.tolist(),
+        radius_m=ring.radius_m,
+        circles=list(ring.circles),
     )
 
 
