@@ -12,7 +12,6 @@ from rendezview.sensors.appearance import Recognizer
 from rendezview.sensors.appearance.edges.levels import (
     LARGEST_RADIUS_PX,
     shrunk_blur,
-    shrunk_camera,
     shrunk_sky,
     times_smaller,
 )
@@ -26,7 +25,7 @@ LARGE = Camera(1601, 1203, 3000.0, 3010.0, 790.0, 610.0, (-0.2, 0.4, -0.001, 0.0
 def test_a_point_lies_at_the_same_place_of_a_shrunk_picture():
     points = np.random.default_rng(1).uniform((-0.2, -0.15, 1.0), (0.2, 0.15, 2.0), (50, 3))
     for times in (2, 3, 5):
-        small = shrunk_camera(LARGE, times)
+        small = LARGE.binned(times)
         assert (small.width, small.height) == (1601 // times, 1203 // times)
         # A pixel of the small picture is the square of ``times`` pixels around its centre.
         there = (LARGE.project(points) + 0.5) / times - 0.5

@@ -6,7 +6,7 @@ Gauss–Newton; each frame's pose is eliminated (Schur complement), as in bundle
 al. 2000, section 6.1). A strain S moves a point from view centre + q to view centre + (I + S) q.
 
 One camera does not see the overall size: a larger target further away gives the same picture. The
-strain is then that of a target of unchanged size, unless a length or ranges are known.
+strain is then that of a target of unchanged size, unless a length is known.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from rendezview.sensors.appearance.as_built.strain import matrix_of, strain_name
 from rendezview.sensors.appearance.edges.levels import (
     FINEST_RADIUS_PX,
     shrunk_blur,
-    shrunk_camera,
     times_smaller,
 )
 from rendezview.sensors.appearance.edges.measured import STRAINS, MeasuredEdges
@@ -205,7 +204,7 @@ class ShapeEstimator:
             if frame.times not in refiners:
                 blur_px = shrunk_blur(RefineOptions().blur_px, frame.times)
                 refiners[frame.times] = Refiner(
-                    model, shrunk_camera(self.camera, frame.times), RefineOptions(blur_px=blur_px)
+                    model, self.camera.binned(frame.times), RefineOptions(blur_px=blur_px)
                 )
             refiner = refiners[frame.times]
             if frame.sketch is None:

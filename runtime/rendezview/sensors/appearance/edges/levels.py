@@ -134,7 +134,7 @@ class LevelSearch:
             return whole, image, sky
         if times not in self._levels:
             level = self._levels[times] = copy(whole)
-            level.camera = shrunk_camera(whole.camera, times)
+            level.camera = whole.camera.binned(times)
             blur_px = shrunk_blur(whole.refine_options.blur_px, times)
             level.refine_options = replace(whole.refine_options, blur_px=blur_px)
             level.refiner = Refiner(self.model, level.camera, level.refine_options)
@@ -148,19 +148,6 @@ def times_smaller(
     """By how many times a picture is shrunk for a target's radius of ``most_px`` at most."""
     radius_px = max(camera.fx, camera.fy) * radius_m / max(range_m, radius_m)
     return min(_MOST_TIMES, max(1, math.ceil(radius_px / most_px)))
-
-
-def shrunk_camera(camera: Camera, times: int) -> Camera:
-    """The camera of a shrunk picture."""
-    return replace(
-        camera,
-        width=camera.width // times,
-        height=camera.height // times,
-        fx=camera.fx / times,
-        fy=camera.fy / times,
-        cx=(camera.cx + 0.5) / times - 0.5,
-        cy=(camera.cy + 0.5) / times - 0.5,
-    )
 
 
 def shrunk_sky(image: Picture, sky: Sky) -> Sky:
