@@ -7,9 +7,11 @@ from scipy.spatial.transform import Rotation
 from rendezview.estimation.linear_algebra import square_root
 from rendezview.estimation.motion import predict_covariance
 from rendezview.fusion.kernels import (
+    corrected,
     craft_accelerations,
     distance,
     gain,
+    predicted,
     turned,
 )
 
@@ -96,3 +98,48 @@ def test_a_semi_definite_matrix_has_a_root():
     root = square_root(thin @ thin.T)
     assert np.allclose(root @ root.T, thin @ thin.T, atol=1e-7)
     assert not square_root(np.zeros((4, 4))).any()
+
+
+def test_a_prediction_is_that_of_constant_rates_and_fading_extras():
+    rng = np.random.default_rng(6)
+    rotation, translation = Rotation.random(random_state=rng).as_matrix(), np.array([0.3, -1.0, 8])
+    rates, extras = 0.05 * rng.standard_normal(6), rng.standard_normal(4)
+    covariance, fading = random_covariance(rng, 16), rng.uniform(0.01, 0.1, (4, 2))
+    dt, drive = 1.7, (0.3, 0.2, 0.4, 0.5)
+    later, place, kept, after = predicted(
+        rotation, translation, rates, extras, covariance, fading, dt, *drive
+    )
+    turn = Rotation.from_rotvec(dt * rates[:3]).as_matrix()
+    closing = abs(translation @ rates[3:]) / (translation @ translation)
+    fade = np.exp(-dt * (fading[:, 0] + closing * fading[:, 1]))
+    expected = predict_covariance(
+        covariance, turn, dt, craft_accelerations(translation, *drive), fade
+    )
+    assert np.allclose(later, turn @ rotation, atol=1e-14)
+    assert np.allclose(place, translation + dt * rates[3:])
+    assert np.allclose(kept, fade * extras)
+    assert np.allclose(after, expected)
+
+
+def test_a_correction_moves_every_part_of_the_state_by_the_gain():
+    rng = np.random.default_rng(7)
+    covariance, extras = random_covariance(rng, 20), rng.standard_normal(8)
+    slope, root = rng.standard_normal((5, 14)), np.tril(rng.standard_normal((5, 5)))
+    white, measured = random_covariance(rng, 5) + 0.1 * np.eye(5), 0.1 * rng.standard_normal(5)
+    rotation, translation = Rotation.random(random_state=rng).as_matrix(), rng.standard_normal(3)
+    rates = rng.standard_normal(6)
+    design = np.hstack([slope, np.zeros((5, 6))])
+    design[:, 15:20] += root
+    residual = measured - root @ extras[3:]
+    weight = covariance @ design.T @ np.linalg.inv(design @ covariance @ design.T + white)
+    step = weight @ residual
+    found = corrected(
+        rotation, translation, rates, extras, covariance, slope, root, 15, white, measured
+    )
+    assert found[0]
+    assert np.allclose(found[3], residual)
+    assert np.allclose(found[4], Rotation.from_rotvec(step[:3]).as_matrix() @ rotation)
+    assert np.allclose(found[5], translation + step[3:6])
+    assert np.allclose(found[6], rates + step[6:12])
+    assert np.allclose(found[7], extras + step[12:])
+    assert np.allclose(found[8], (np.eye(20) - weight @ design) @ covariance)

@@ -1,12 +1,15 @@
-"""Gauss–Newton against scipy's least squares on the same robust cost, by plain numpy."""
+"""The compiled loops of a segment against plain numpy and scipy on the same robust cost."""
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array
-from rendezview.trajectory.shapes import LINE
-from rendezview.trajectory.simplex import gauss_newton
+from rendezview.trajectory.relative_orbit import response
+from rendezview.trajectory.shapes import CIRCULAR, DRIFT, HOPS, LINE, SPIRAL, places
+from rendezview.trajectory.simplex import gauss_newton, jacobian, normal_equations, residuals
 
 COUNT = 60
 TIMES = np.linspace(-100.0, 100.0, COUNT)
@@ -74,3 +77,80 @@ def test_without_outlier_weights_the_straight_line_is_that_of_linear_least_squar
     matrix = np.concatenate([root, root * TIMES[:, None, None]], axis=2).reshape(-1, 6)
     right = np.einsum("nij,nj->ni", root, points).ravel()
     np.testing.assert_allclose(p, np.linalg.lstsq(matrix, right, rcond=None)[0], atol=1e-9)
+
+
+def line_data(nodes: bool) -> tuple:
+    points, whitening, by_node = cloud(np.random.default_rng(5), nodes)
+    still = np.zeros((COUNT, 3))
+    return (TIMES, np.eye(3), np.zeros(2), still, points, whitening, by_node)
+
+
+@pytest.mark.parametrize("nodes", [False, True])
+def test_residuals_their_slopes_and_the_normal_equations_are_those_of_numpy(nodes: bool):
+    data = line_data(nodes)
+    place, out = np.empty((COUNT, 3)), np.empty((COUNT, 4))
+    residuals(LINE, TRUTH, data, place, out)
+    points, whitening, by_node = data[4:]
+    assert np.allclose((out**2).sum(axis=1), squares(TRUTH, points, whitening, by_node))
+    slopes = jacobian(LINE, TRUTH, SCALES, data, place, out.copy())
+    sizes = 1e-3 * SCALES
+
+    def at(p: Array) -> Array:
+        made = np.empty((COUNT, 4))
+        residuals(LINE, p, data, place, made)
+        return made
+
+    numeric = np.stack(
+        [(at(TRUTH + d) - at(TRUTH - d)) / (2.0 * h)
+         for d, h in zip(np.diag(sizes), sizes, strict=True)], axis=2
+    )  # fmt: skip
+    assert np.allclose(slopes, numeric, rtol=1e-4, atol=1e-4 * np.abs(numeric).max())
+    cut, weights = 12.0, np.random.default_rng(6).uniform(0.5, 2.0, COUNT)
+    weight = weights / (1.0 + (out**2).sum(axis=1) / cut) ** 2
+    matrix, right = normal_equations(LINE, TRUTH, SCALES, data, weights, cut)
+    assert np.allclose(matrix, np.einsum("n,nia,nib->ab", weight, slopes, slopes))
+    assert np.allclose(right, -np.einsum("n,nia,ni->a", weight, slopes, out))
+
+
+@pytest.mark.parametrize("mean_motion_rad_s", [0.0, 1e-5, 0.0011, 0.02])
+def test_free_motion_is_that_of_the_integrated_equations(mean_motion_rad_s: float):
+    """Clohessy and Wiltshire (1960): x outwards, y along the orbit, z across; a constant push."""
+    n, t = mean_motion_rad_s, 120.0
+    position, velocity, pushed = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    response(n, t, position, velocity, pushed)
+    rng = np.random.default_rng(7)
+    place, speed, push = 30.0 * rng.standard_normal((3, 3)) * [[1.0], [1e-3], [1e-5]]
+
+    def change(_: float, state: Array) -> Array:
+        x, _y, z, vx, vy, vz = state
+        force = [3.0 * n * n * x + 2.0 * n * vy, -2.0 * n * vx, -n * n * z]
+        return np.concatenate([[vx, vy, vz], force + push])
+
+    flown = solve_ivp(change, (0.0, t), [*place, *speed], rtol=1e-11, atol=1e-11).y[:3, -1]
+    assert position @ place + velocity @ speed + pushed @ push == pytest.approx(flown, abs=1e-7)
+
+
+def test_places_of_each_shape_are_those_of_its_formula():
+    rng = np.random.default_rng(8)
+    times, base = np.array([-50.0, -50.0, -10.0, 0.0, 30.0]), Rotation.random(random_state=rng)
+    constants, out = np.array([0.0011, 2e-3]), np.empty((5, 3))
+
+    def made(code: int, p: list[float]) -> Array:
+        places(code, np.array(p), times, base.as_matrix(), constants, out)
+        return out.copy()
+
+    tilt, t = [0.1, -0.2, 0.3], times[:, None]
+    frame = base.as_matrix() @ Rotation.from_rotvec(tilt).as_matrix()
+    circle = np.cos(0.02 * t) * frame[:, 0] + np.sin(0.02 * t) * frame[:, 1]
+    assert np.allclose(made(CIRCULAR, [*tilt, 30.0, 0.02]), 30.0 * circle)
+    assert np.allclose(made(SPIRAL, [*tilt, 30.0, 0.02, -0.05]), (30.0 - 0.05 * t) * circle)
+    first, speed, up = rng.standard_normal((3, 3))
+    high = (1.0 - 2e-3 * t) * np.abs(np.sin(np.pi * (t - 7.0) / 40.0))
+    hops = made(HOPS, [*first, *speed, *up, 40.0, 7.0])
+    assert np.allclose(hops, first + speed * t + up * high)
+    rows = []
+    for at in times:
+        parts = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+        response(0.0011, at, *parts)
+        rows.append(parts[0] @ first + parts[1] @ speed + parts[2] @ up)
+    assert np.allclose(made(DRIFT, [*first, *speed, *up]), rows)

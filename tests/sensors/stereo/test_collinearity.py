@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.stereo import rotation_of, yaw_pitch_roll
 from rendezview.sensors.stereo.agreement import iterate
-from rendezview.sensors.stereo.collinearity import count_lights, normal_equations
+from rendezview.sensors.stereo.collinearity import count_lights, normal_equations, solve, squares
 from rendezview.simulation.led_laboratory import Laboratory
 
 POSE = Pose(rotation_of(0.7, 0.2, -0.1), [0.05, -0.08, 0.3])
@@ -104,3 +104,59 @@ def test_lights_and_equations_are_counted_over_all_cameras():
         weight[rng.random((2, 6)) < 0.6] = 0.0
         visible = weight[..., 0] > 0.0
         assert count_lights(weight) == (visible.any(axis=0).sum(), 2 * visible.sum())
+
+
+def test_squares_are_those_of_the_projection_and_infinite_behind_or_turned_away(
+    laboratory: Laboratory,
+):
+    rng = np.random.default_rng(7)
+    rig = laboratory.rig
+    xy = predicted(laboratory, POSE) + rng.normal(0.0, 1e-3, (2, 6, 2))
+    weight = rng.uniform(500.0, 1000.0, xy.shape)
+    weight[1, 2] = 0.0
+    expected = ((weight * (xy - predicted(laboratory, POSE))) ** 2).sum(axis=2)
+    out = np.empty((2, 6))
+    given = (rig.rotations, rig.translations, xy, weight, out)
+    normals = np.zeros((6, 3))
+    squares(POSE.rotation, POSE.translation_m, laboratory.leds, normals, *given)
+    assert out == pytest.approx(expected)
+    camera = rig.cameras[0].camera_from_rig
+    away = POSE.rotation.T @ camera.rotation.T @ np.array([0.0, 0.0, 1.0])  # from the camera
+    normals[3] = away
+    squares(POSE.rotation, POSE.translation_m, laboratory.leds, normals, *given)
+    assert np.isinf(out[0, 3])
+    behind = camera.inverse().apply(np.array([0.0, 0.0, -5.0]))
+    squares(POSE.rotation, behind, laboratory.leds, np.zeros((6, 3)), *given)
+    assert np.isinf(out[0]).all()
+
+
+def test_a_solution_with_a_prior_is_that_of_scipy(laboratory: Laboratory):
+    rng = np.random.default_rng(8)
+    rig, leds = laboratory.rig, laboratory.leds
+    xy = predicted(laboratory, POSE) + rng.normal(0.0, 1e-3, (2, 6, 2))
+    weight = np.full(xy.shape, 800.0)
+    root = np.diag([300.0, 200.0, 100.0, 400.0, 500.0, 600.0])
+    given = POSE.perturbed(1e-3 * np.array([1.0, -2.0, 1.0, 2.0, 1.0, -3.0]))
+
+    def residuals(step: np.ndarray) -> np.ndarray:
+        pose = given.perturbed(step)
+        misfit = (weight * (predicted(laboratory, pose) - xy)).ravel()
+        turn = Rotation.from_matrix(pose.rotation @ given.rotation.T).as_rotvec()
+        return np.concatenate(
+            [misfit, root @ np.append(turn, pose.translation_m - given.translation_m)]
+        )
+
+    wanted = least_squares(residuals, np.zeros(6), x_scale="jac", ftol=1e-15, xtol=1e-15)
+    expected = given.perturbed(wanted.x)
+    rotation, translation = given.rotation.copy(), given.translation_m.copy()
+    information = np.empty((6, 6))
+    cost, steps, ended = solve(
+        rotation, translation, leds, rig.rotations, rig.translations, xy, weight, root @ root,
+        given.rotation.copy(), given.translation_m.copy(), 20, 1e-4, information,
+    )  # fmt: skip
+    assert ended
+    assert 1 < steps < 20
+    assert cost == pytest.approx(2.0 * wanted.cost, rel=1e-6)
+    # Away from the prior by a, its slope is taken to be I, which is a / 2 off.
+    assert rotation == pytest.approx(expected.rotation, abs=1e-6)
+    assert translation == pytest.approx(expected.translation_m, abs=1e-6)

@@ -8,7 +8,7 @@ import pytest
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.stereo import Lens
-from rendezview.sensors.stereo.lens import ideal_with_sigma, unshift
+from rendezview.sensors.stereo.lens import ideal_with_sigma, shift, unshift
 from rendezview.sensors.stereo.rig import ideal_spot
 
 WHOLE = Lens((0.2, -0.1, 0.05), (0.004, -0.003, 2.0), (0.01, -0.02), corrects=True)
@@ -134,3 +134,16 @@ def test_a_spot_becomes_an_ideal_place_as_in_numpy(corrects: bool):
     spots = measured * k[:2] + k[2:4]
     places = [ideal_spot(*uv, *s, k, c, corrects) for uv, s in zip(spots, sigma, strict=True)]
     np.testing.assert_allclose(places, twin, rtol=1e-12, atol=1e-12)
+
+
+def test_the_shift_of_the_compiled_loops_has_the_derivatives_of_equation_6():
+    row = np.array([0.2, -0.1, 0.05, 0.004, -0.003, 2.0, 0.01, -0.02, 1.0])
+    lens, h = Lens(tuple(row[:3]), tuple(row[3:6]), tuple(row[6:8]), corrects=True), 1e-6
+    for x, y in FIELD[:20]:
+        moved = [
+            lens.undistort([[x + dx, y + dy]])[0] - (x + dx, y + dy)
+            for dx, dy in ((0, 0), (h, 0), (-h, 0), (0, h), (0, -h))
+        ]
+        by_x, by_y = (moved[1] - moved[2]) / (2 * h), (moved[3] - moved[4]) / (2 * h)
+        expected = [*moved[0], by_x[0], by_y[0], by_x[1], by_y[1]]
+        assert shift(x, y, row) == pytest.approx(expected, abs=1e-9)
