@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.estimation.acceleration import (
     AccelerationBank,
     AccelerationOptions,
+    mix_rates,
     step_filters,
 )
 from rendezview.geometry.pose import Pose
@@ -103,3 +104,19 @@ def test_a_target_at_rest_has_small_rates_with_small_errors():
         )
     assert np.abs(found.rates).max() < 5e-3
     assert np.sqrt(np.diag(found.covariance)).max() < 5e-3
+
+
+def test_mixed_rates_are_those_of_plain_numpy():
+    rng = np.random.default_rng(3)
+    root = rng.normal(0.0, 0.1, (4, 18, 18))
+    covariances, rates = root @ root.transpose(0, 2, 1), rng.normal(0.0, 0.1, (4, 12))
+    scores, mean, spread = rng.normal(0.0, 2.0, 4), np.empty(6), np.empty((6, 6))
+    assert mix_rates(scores, rates, covariances, mean, spread)
+    weights = np.exp(scores) / np.exp(scores).sum()
+    expected = weights @ rates[:, :6]
+    off = rates[:, :6] - expected
+    inside = np.einsum("b,bij->ij", weights, covariances[:, 6:12, 6:12])
+    assert mean == pytest.approx(expected)
+    assert spread == pytest.approx(inside + (weights[:, None] * off).T @ off)
+    scores[2] = np.nan
+    assert not mix_rates(scores, rates, covariances, mean, spread)

@@ -76,17 +76,11 @@ class AccelerationBank:
             np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.translation_m),
             np.ascontiguousarray(covariance), self.options.memory, self._scores,
         )  # fmt: skip
-        if not np.isfinite(self._scores).all():
+        rates, spread = np.empty(6), np.empty((6, 6))
+        if not mix_rates(self._scores, self._rates, self._covariances, rates, spread):
             self._begin(time_s, pose, covariance)
             return None
-        weights = np.exp(self._scores - self._scores.max())
-        weights /= weights.sum()
-        rates = weights @ self._rates[:, :6]
-        off = self._rates[:, :6] - rates
-        spread = np.einsum("b,bi,bj->ij", weights, off, off)
-        return MotionRates(
-            rates, np.einsum("b,bij->ij", weights, self._covariances[:, 6:12, 6:12]) + spread
-        )
+        return MotionRates(rates, spread)
 
     def _begin(self, time_s: float, pose: Pose, covariance: Array) -> None:
         options = self.options
@@ -154,3 +148,31 @@ def step_filters(
         rates[b] += change[6:]
         after = before - gain @ np.ascontiguousarray(before[:6, :])
         covariances[b] = 0.5 * (after + after.T)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mix_rates(scores: Array, rates: Array, covariances: Array, mean: Array, spread: Array) -> bool:
+    """Mean (6,) and covariance (6, 6) of the rates of B filters; false where a score is not finite.
+
+    Args:
+        scores: (B,) logarithms of the filters' likelihoods.
+        rates, covariances: of the filters, as in `step_filters`.
+    """
+    count = len(scores)
+    weights, best, total = np.empty(count), scores.max(), 0.0
+    for b in range(count):
+        if not np.isfinite(scores[b]):
+            return False
+        weights[b] = math.exp(scores[b] - best)
+        total += weights[b]
+    mean[:], spread[:] = 0.0, 0.0
+    for b in range(count):
+        weights[b] /= total
+        for i in range(6):
+            mean[i] += weights[b] * rates[b, i]
+    for b in range(count):
+        for i in range(6):
+            for j in range(6):
+                off = (rates[b, i] - mean[i]) * (rates[b, j] - mean[j])
+                spread[i, j] += weights[b] * (covariances[b, 6 + i, 6 + j] + off)
+    return True

@@ -10,10 +10,14 @@ import numpy as np
 from numba import njit
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import Reflector, Target
 
-_FLAT = 1e-3  # area of a triangle over its longest side squared: thinner ones fix no attitude
+_STEP_S = 1e-4  # s, of the six numbers' slopes. Source: by construction, 1e-5 rad at 6°/s
+# area of a triangle over its longest side squared: thinner ones fix no attitude. Source: by
+# construction, a bound only
+_FLAT = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,6 +217,15 @@ class Face:
         )  # fmt: skip
         return SixNumbers(*out.tolist())
 
+    def six_rates(self, camera_from_target: Pose, rates: Array) -> Array:
+        """(6,) rates of the six numbers; ``rates`` (6,) rad/s and m/s, camera frame."""
+        out = np.empty(6)
+        _six_rates(
+            camera_from_target.rotation, camera_from_target.translation_m,
+            self.rotation, self.origin_m, rates, out,
+        )  # fmt: skip
+        return out
+
 
 @njit(cache=True, nogil=True)
 def _six(rotation: Array, translation: Array, face: Array, origin: Array, out: Array) -> None:
@@ -229,6 +242,23 @@ def _six(rotation: Array, translation: Array, face: Array, origin: Array, out: A
     out[1], out[2] = math.atan2(x, z), math.atan2(-y, math.sqrt(x * x + z * z))
     out[3], out[4] = math.atan2(turn[1, 0], turn[0, 0]), math.atan2(turn[2, 1], turn[2, 2])
     out[5] = math.asin(min(max(turn[2, 0], -1.0), 1.0))
+
+
+@njit(cache=True, nogil=True)
+def _six_rates(
+    rotation: Array, translation: Array, face: Array, origin: Array, rates: Array, out: Array
+) -> None:
+    """Central difference of `_six` over ``_STEP_S`` of motion at constant rates."""
+    ends, turned = np.empty((2, 6)), np.empty((3, 3))
+    for end in range(2):
+        dt = _STEP_S * (0.5 - end)
+        so3.perturb_into(dt * rates[:3], rotation, turned)
+        _six(turned, translation + dt * rates[3:], face, origin, ends[end])
+    for i in range(6):
+        change = ends[0, i] - ends[1, i]
+        if i > 2:  # over the half turn
+            change -= 2.0 * math.pi * round(change / (2.0 * math.pi))
+        out[i] = change / _STEP_S
 
 
 def attitude(roll_rad: float, pitch_rad: float, yaw_rad: float) -> Array:

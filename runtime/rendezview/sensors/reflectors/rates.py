@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from rendezview.estimation.acceleration import AccelerationBank, AccelerationOptions
-from rendezview.estimation.motion import extrapolate
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.reflectors.pattern import Face, SixNumbers
+from rendezview.sensors.reflectors.pattern import Face
 
-_STEP_S = 1e-4  # s, of the six numbers' slopes. Source: by construction, 1e-5 rad at 6°/s
 _LONGEST_S = 30.0  # s between two readings: the motion is forgotten. Source: by construction
 
 
@@ -56,19 +52,7 @@ class RateEstimator:
         self._readings += 1
         if found is None:
             return None
-        after, before = (
-            _numbers(face.six_numbers(extrapolate(pose, found.rates, sign * _STEP_S)))
-            for sign in (0.5, -0.5)
-        )
-        change = after - before
-        change[3:] -= 2.0 * math.pi * np.rint(change[3:] / (2.0 * math.pi))
         return Rates(
-            found.rates[3:], found.rates[:3], change / _STEP_S, found.covariance,
+            found.rates[3:], found.rates[:3], face.six_rates(pose, found.rates), found.covariance,
             time_s - self._first_s, self._readings,
         )  # fmt: skip
-
-
-def _numbers(six: SixNumbers) -> Array:
-    return np.array(
-        [six.range_m, six.azimuth_rad, six.elevation_rad, six.roll_rad, six.pitch_rad, six.yaw_rad]
-    )
