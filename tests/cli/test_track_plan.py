@@ -54,7 +54,7 @@ def test_plan_to_words_messages_and_pictures(tmp_path: Path):
     assert "1.000 m off the plan" in spoken[0]
     assert "Δv" in spoken[0]
     assert "spin 2.86" in spoken[0]
-    guide.write(tmp_path / "path.oem", tmp_path / "turn.aem", parse_epoch("2020-01-01"), "sat")
+    guide.finish(tmp_path / "path.oem", tmp_path / "turn.aem", parse_epoch("2020-01-01"), "sat")
     states = OrbitEphemerisMessage.open(tmp_path / "path.oem").states
     np.testing.assert_allclose(np.linalg.norm(states[-1].position), 0.031, rtol=1e-4)
     assert "OBJECT_NAME = SAT" in (tmp_path / "turn.aem").read_text()
@@ -73,7 +73,7 @@ def test_wrong_options_are_said_in_words(tmp_path: Path):
     guide = Guide(PathFollower(np.zeros(3), Shape.CIRCULAR))
     for oem, aem in ((tmp_path / "a", None), (None, tmp_path / "a")):
         with pytest.raises(RendezviewError, match="was fitted"):
-            guide.write(oem, aem, parse_epoch("2020-01-01"), "sat")
+            guide.finish(oem, aem, parse_epoch("2020-01-01"), "sat")
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,13 @@ import csv
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
+import typer
 from scipy.spatial.transform import Rotation, Slerp
 
+from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.ccsds import Names, attitude_message, orbit_message
@@ -65,6 +67,25 @@ class Seen(Protocol):
     @property
     def cloud(self) -> tuple[Array, Array]:
         """Points (K, 3) of the camera, target frame, and the trust in each (K,)."""
+
+
+# Options of the commands that fit a path.
+PlanFile = Annotated[
+    Path | None,
+    typer.Option(help="Planned path (TOML): errors and corrections, spin, of each segment."),
+]
+ShapeName = Annotated[
+    str | None,
+    typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan."),
+]
+ChaserFile = Annotated[
+    Path | None,
+    typer.Option(help="The chaser's own attitudes, CSV time_s,qw,qx,qy,qz: path from camera."),
+]
+OemFile = Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")]
+AemFile = Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")]
+Epoch = Annotated[str, typer.Option(help="UTC of time 0, for OEM and AEM.")]
+FIRST_EPOCH = "2000-01-01T12:00:00"
 
 
 @dataclass(slots=True)
@@ -154,12 +175,14 @@ class Guide:
         path = "SC_BODY_1" if plan is None or plan.orbit is None else "RSW_ROTATING"
         return path, path if self.chaser is not None else "LINE_OF_SIGHT"
 
-    def write(self, oem: Path | None, aem: Path | None, epoch: datetime, target: str) -> None:
-        """CCSDS messages of all that was fitted.
+    def finish(self, oem: Path | None, aem: Path | None, epoch: datetime, target: str) -> None:
+        """Print a segment that has not ended; write CCSDS messages of all that was fitted.
 
         Raises:
             RendezviewError: there was no segment, or no spin, in any frame.
         """
+        if self.last is not None and not self.last.ended:
+            say(describe(self.last))
         names = Names(target=target.upper())
         path_frame, reference = self.frames()
         if oem is not None:

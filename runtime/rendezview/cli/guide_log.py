@@ -10,7 +10,16 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from rendezview.cli.guide import Guide, describe
+from rendezview.cli.guide import (
+    FIRST_EPOCH,
+    AemFile,
+    ChaserFile,
+    Epoch,
+    Guide,
+    OemFile,
+    PlanFile,
+    ShapeName,
+)
 from rendezview.cli.progress import ProgressBar, say
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
@@ -39,11 +48,8 @@ def guide(
         Path, typer.Argument(help="Log (JSON lines) of fuse or track: its poses are followed.")
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Reports, JSON lines.")],
-    plan: Annotated[Path | None, typer.Option(help="Planned path (TOML).")] = None,
-    shape: Annotated[
-        str | None,
-        typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan."),
-    ] = None,
+    plan: PlanFile = None,
+    shape: ShapeName = None,
     target: Annotated[
         str | None,
         typer.Option(
@@ -51,15 +57,10 @@ def guide(
             "about the ring's centre, else about the target's origin."
         ),
     ] = None,
-    chaser: Annotated[
-        Path | None,
-        typer.Option(help="The chaser's own attitudes, CSV time_s,qw,qx,qy,qz: path from camera."),
-    ] = None,
-    oem: Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")] = None,
-    aem: Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")] = None,
-    epoch: Annotated[
-        str, typer.Option(help="UTC of the log's time 0, for OEM and AEM.")
-    ] = "2000-01-01T12:00:00",
+    chaser: ChaserFile = None,
+    oem: OemFile = None,
+    aem: AemFile = None,
+    epoch: Epoch = FIRST_EPOCH,
 ) -> None:
     """Fit the path of a log of poses, and say the correction back to a plan.
 
@@ -88,9 +89,7 @@ def guide(
 
     with ProgressBar() as bar:
         run(lines(), log=output, progress=bar.stage("poses", len(poses)))
-    if guided.last is not None and not guided.last.ended:
-        say(describe(guided.last))
-    guided.write(oem, aem, moment, name)
+    guided.finish(oem, aem, moment, name)
 
 
 def _poses(path: Path) -> Iterator[_Logged]:

@@ -11,7 +11,16 @@ import numpy as np
 import typer
 
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
-from rendezview.cli.guide import Guide, describe
+from rendezview.cli.guide import (
+    FIRST_EPOCH,
+    AemFile,
+    ChaserFile,
+    Epoch,
+    Guide,
+    OemFile,
+    PlanFile,
+    ShapeName,
+)
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
@@ -73,23 +82,12 @@ def track(
         Path | None,
         typer.Option(help="Frames with the result drawn over them (.mp4, .webm, .avi or .gif)."),
     ] = None,
-    plan: Annotated[
-        Path | None,
-        typer.Option(help="Planned path (TOML): errors and corrections, spin, of each segment."),
-    ] = None,
-    shape: Annotated[
-        str | None,
-        typer.Option(help="Fit circular, spiral, vbar, orbit or drift; wins over the plan."),
-    ] = None,
-    chaser: Annotated[
-        Path | None,
-        typer.Option(help="The chaser's own attitudes, CSV time_s,qw,qx,qy,qz: path from camera."),
-    ] = None,
-    oem: Annotated[Path | None, typer.Option(help="Fitted path, CCSDS OEM (KVN).")] = None,
-    aem: Annotated[Path | None, typer.Option(help="Fitted attitude, CCSDS AEM (KVN).")] = None,
-    epoch: Annotated[
-        str, typer.Option(help="UTC of the sequence's time 0, for OEM and AEM.")
-    ] = "2000-01-01T12:00:00",
+    plan: PlanFile = None,
+    shape: ShapeName = None,
+    chaser: ChaserFile = None,
+    oem: OemFile = None,
+    aem: AemFile = None,
+    epoch: Epoch = FIRST_EPOCH,
 ) -> None:
     """Recognise and track a target through a sequence of frames.
 
@@ -136,9 +134,7 @@ def track(
         progress = bar.stage("frames", len(sequence))
         summary = run(lines(), log=log, results=output, progress=progress)
     if guide is not None:
-        if guide.last is not None and not guide.last.ended:
-            say(describe(guide.last))
-        guide.write(oem, aem, moment, loaded.name)
+        guide.finish(oem, aem, moment, loaded.name)
     say_summary(summary, len(summary.rows), len(sequence), what="poses", step="frame")
 
 

@@ -17,7 +17,6 @@ import os
 import platform
 import warnings
 from collections.abc import Generator, Mapping, Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from rendezview.errors import RendezviewError
@@ -103,12 +102,7 @@ class Cluster:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def results(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import TracebackType
 
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
@@ -13,22 +12,12 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.overlay import draw_observation
 
 
-class TrackVideo:
-    """Draws every frame of a run; a context manager that finishes the file."""
+class TrackVideo(VideoWriter):
+    """Draws every frame of a run."""
 
-    def __init__(self, writer: VideoWriter, model: ViewModel) -> None:
-        self._writer, self._model = writer, model
-
-    def __enter__(self) -> TrackVideo:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._writer.close()
+    def __init__(self, path: Path, rate_hz: float, model: ViewModel) -> None:
+        super().__init__(path, rate_hz)
+        self._model = model
 
     def watch(
         self, frame: Frame, image: GreyImage | None, observation: AppearanceObservation
@@ -37,9 +26,7 @@ class TrackVideo:
         title = f"frame {frame.im_id}"
         if frame.time_s is not None:
             title += f"   {frame.time_s:.1f} s"
-        self._writer.add(
-            draw_observation(image, observation, frame.camera, self._model, title=title)
-        )
+        self.add(draw_observation(image, observation, frame.camera, self._model, title=title))
 
 
 def video_of(path: Path, sequence: Sequence, model: ViewModel) -> TrackVideo:
@@ -49,4 +36,4 @@ def video_of(path: Path, sequence: Sequence, model: ViewModel) -> TrackVideo:
         RendezviewError: the name has an unknown ending, or its folder does not exist.
     """
     rate_hz = playing_rate_hz([frame.time_s for frame in sequence])
-    return TrackVideo(VideoWriter(path, rate_hz), model)
+    return TrackVideo(path, rate_hz, model)
