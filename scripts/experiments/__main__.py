@@ -85,6 +85,9 @@ EXPERIMENTS = {
         "export-c-check": ("flight_code.check", "exported C beside the runtime, same frames"),
         "flight-code-search": ("flight_code.search", "views that the C code finds, by prior"),
     },
+    "tuned numbers": {
+        "number-effects": ("number_effects", "figures with each number halved and doubled"),
+    },
     "startup": {
         "compiled-loops": ("startup.loops", "lists the loops that commands compile"),
     },

@@ -28,9 +28,12 @@ from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 # Sensors that must agree against the state to overrule it.
 _VOTES = 2  # Source: by construction, the least number of witnesses that outvote one
-_DOUBT = 2  # times in a row that a sensor was turned away, or not taken whole, to have a vote
+# Times in a row that a sensor was turned away, or not taken whole, to have a vote. Source: by
+# construction, a single one may be an outlier
+_DOUBT = 2
 _LOOSE = "another edge than the ring's: for its bearing only"
-_WIDER = 4.0  # variance of the rates that are taken over into a new start
+# Variance of the rates that are taken over into a new start. Source: by construction, twice the σ
+_WIDER = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

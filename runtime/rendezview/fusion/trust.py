@@ -18,10 +18,15 @@ from rendezview.fusion.options import SensorOptions
 from rendezview.fusion.update import Innovation
 from rendezview.geometry.pose import Array
 
-_SHARP = math.log(9.0)  # of a forecast: mean variance of an innovation over the sensor's own
-_SILENT_S = 5.0  # s without a measurement, after which a sensor returns
+# Of a forecast: mean variance of an innovation over the sensor's own. Source: by construction,
+# three times the σ
+_SHARP = math.log(9.0)
+# s without a measurement, after which a sensor returns. Source: by construction, as
+# coasting_after_s
+_SILENT_S = 5.0
 _WHOLE = 6  # degrees of freedom of a pose. Source: by construction
-_BESIDE = 3.0  # squared distance of a place, in σ of another edge
+# Squared distance of a place, in σ of another edge. Source: χ² distribution, mean of three degrees
+_BESIDE = 3.0
 _FOLLOW = 0.5  # weight of the latest residual in the running mean of an outlier
 
 

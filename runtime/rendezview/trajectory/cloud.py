@@ -14,7 +14,9 @@ import numpy.typing as npt
 from rendezview.geometry.pose import Array, Pose
 from rendezview.trajectory.nothing import Nothing
 
-_LEAST_SIGMA = 1e-5  # of a pose's place over its range: no covariance is as small as that
+# Of a pose's place over its range: no covariance is as small as that. Source: by construction, a
+# bound only
+_LEAST_SIGMA = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)

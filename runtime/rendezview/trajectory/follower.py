@@ -19,7 +19,7 @@ from rendezview.trajectory.segment import Carrier, FitOptions, Segment, fit_segm
 from rendezview.trajectory.shapes import Shape
 from rendezview.trajectory.spin import Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
 
-_DEFAULT_SEGMENT_S = 100.0  # where neither a turn nor a time is given
+_DEFAULT_SEGMENT_S = 100.0  # s, where neither a turn nor a time is given. Source: a chosen limit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +29,14 @@ class FollowerOptions:
     # Of a segment: the paper's one radian ….
     turn_rad: float | None = 1.0  # Source: Cleghorn & Sternberg 1991
     segment_s: float | None = None  # … or its time, where that is given
-    reach: float = 1.0  # of a segment: how far ahead a correction meets the plan
+    # Of a segment: how far ahead a correction meets the plan. Source: Cleghorn & Sternberg: the fit
+    # predicts the next segment
+    reach: float = 1.0
     poses: bool = True  # refined poses where there are; False: active nodes only
     spin: bool = True
     tumbling: bool | None = None  # see ``fit_spin``
-    spins: int = 10  # spin is fitted so many times a segment
+    # spin is fitted so many times a segment. Source: by construction, a bound of time
+    spins: int = 10
     fit: FitOptions = field(default_factory=FitOptions)
 
     def __post_init__(self) -> None:

@@ -12,7 +12,8 @@ from rendezview.trajectory.plan import Plan
 from rendezview.trajectory.relative_orbit import transition, velocity_to_reach
 from rendezview.trajectory.segment import Segment
 
-_FARTHEST = 0.5  # of the distance to the target: a plan farther off is another one
+# Of the distance to the target: a plan farther off is another one. Source: a chosen limit
+_FARTHEST = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,9 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 
-_LEAST_GAIN = 1e-3  # of a thrust on the place, over that of free motion: less reaches nothing
+# Of a thrust on the place, over that of free motion: less reaches nothing. Source: by construction,
+# a bound only
+_LEAST_GAIN = 1e-3
 
 
 @njit(cache=True, nogil=True)

@@ -16,7 +16,9 @@ from numba import njit
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
 
-_STEP_RAD = 0.1  # of turn, at most, between two evaluations: an error below 1e-7 rad a turn
+# Of turn, at most, between two evaluations: an error below 1e-7 rad a turn. Source: by
+# construction, the order of the method
+_STEP_RAD = 0.1
 
 
 @njit(cache=True, nogil=True)

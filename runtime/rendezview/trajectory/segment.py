@@ -32,8 +32,8 @@ from rendezview.trajectory.start import first_guess
 
 Carrier = Callable[[Array], Array]  # times (N,) s to places (N, 3) m
 
-_LEAST_FRAMES = 6
-_MOST_CORRELATED = 0.9
+_LEAST_FRAMES = 6  # Source: by construction, the six unknowns of an orbit
+_MOST_CORRELATED = 0.9  # Source: by construction, a bound only
 # Of a point's claimed σ, what all points of a segment may have in common, and half as much
 # again as goes with time and its square: views alike err alike. On active nodes, poses; nodes:
 # fitted to seeds 1000–1003; poses: r.m.s. over 1000–1002. Source: experiment
@@ -47,7 +47,8 @@ class FitOptions:
 
     method: Method = Method.BEST  # Source: experiment trajectory-methods, seed 1
     hops: bool = True  # look for hops of a V-bar approach
-    least_turn_sigma: float = 3.0  # of circular and spiral: a less certain rate is rejected
+    # Of circular and spiral: a less certain rate is rejected. Source: normal distribution, 0.3 %
+    least_turn_sigma: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

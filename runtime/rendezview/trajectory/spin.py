@@ -22,23 +22,28 @@ from rendezview.estimation.least_squares import (
     minimise,
 )
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
+from rendezview.trajectory.descent import CUT
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.rotation import rotations
 
-_LEAST_FRAMES = 6
-_CUT = 12.0  # c² of the robust weight over the variance of a frame
+_LEAST_FRAMES = 6  # Source: by construction, the six unknowns of a spin
 _MEDIAN = {2: 1.386, 3: 2.366}  # of χ² with as many degrees of freedom. Source: by construction
-_LEAST_RAD = 1e-5  # of an attitude: no covariance is as small as that
+# Of an attitude: no covariance is as small as that. Source: by construction, a bound only
+_LEAST_RAD = 1e-5
 # Its prior's share of itself that keeps the equations regular. Source: by construction
 _HELD = 1e-6
 # A hundred thousandth of χ² is far below a σ. Source: by construction
 _DOWN = Options(
     iterations=25, trials=5, least_gain=1e-9, relative_gain=1e-5, first_damping=FIRST_DAMPING
 )
-_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))  # see ``_SpinState``
-_MOST_RATIO = 30.0
-_COMMON = 1.1  # of a frame's σ, what all have in common and what goes with time, as for segments
-_WORTH = 25.0  # χ² that a tumble must save over constant spin to be reported
+# Logarithms of the moments' ratios, about a sphere. Source: by hand; trajectory-accuracy, tumble
+_STARTS = ((0.0, 0.0), (-0.7, -1.4), (0.7, -0.7), (1.4, 0.7), (-0.7, 0.7))
+_MOST_RATIO = 30.0  # of the two sums of `_SpinState`. Source: by construction, a bound only
+# Of a frame's σ, what all have in common and what goes with time, as for segments. Source:
+# trajectory-accuracy, seeds 1000–1002
+_COMMON = 1.1
+# χ² that a tumble must save over constant spin to be reported. Source: by construction, 5 σ
+_WORTH = 25.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,20 +246,20 @@ def _best(
     still = _down(data, _SpinState(rotation, rate, np.zeros(2)), 6, np.inf)
     dof = 3 if data.sight is None else 2
     variance = _variance(data, still, dof)
-    still = _down(data, still, 6, _CUT * variance)
+    still = _down(data, still, 6, CUT * variance)
     if tumbling is False:
         return _answer(data, still, 6, dof, middle_s)
     best, least = still, np.inf
-    cut = _CUT * _variance(data, still, dof)
+    cut = CUT * _variance(data, still, dof)
     for ratios in _STARTS:
         state = _down(data, _SpinState(still.rotation, still.rate, np.array(ratios)), 8, cut)
         cost = _cost(data, state, cut)
         if cost < least:
             best, least = state, cost
     variance = _variance(data, best, dof)
-    if tumbling is None and _cost(data, still, _CUT * variance) - least < _WORTH * variance:
+    if tumbling is None and _cost(data, still, CUT * variance) - least < _WORTH * variance:
         return _answer(data, still, 6, dof, middle_s)
-    best = _down(data, best, 8, _CUT * variance)
+    best = _down(data, best, 8, CUT * variance)
     return _answer(data, best, 8, dof, middle_s)
 
 
@@ -322,7 +327,7 @@ def _down(data: _Data, state: _SpinState, size: int, cut: float) -> _SpinState:
 def _answer(data: _Data, state: _SpinState, size: int, dof: int, middle_s: float) -> Spin | Nothing:
     """The answer with its covariance: scatter of the frames, and what they have in common."""
     variance = _variance(data, state, dof)
-    matrix, _, slopes, weighted = _normal(data, state, size, _CUT * variance)
+    matrix, _, slopes, weighted = _normal(data, state, size, CUT * variance)
     inverse = np.linalg.inv(matrix + variance * _loose(data, size))
     frames = len(data.times)
     scores = np.einsum("nia,ni->na", slopes, weighted)

@@ -25,7 +25,9 @@ from rendezview.sensors.appearance.sketch.views import ViewSketches
 
 _Part = TypeVar("_Part")
 
-FAR_RADII = 4.0  # sphere radii, range of the far readings: perspective is weak there
+# sphere radii, range of the far readings: perspective is weak there. Source:
+# docs/notes/trajectory.md, interpolation
+FAR_RADII = 4.0
 # Thousandths, unit of the stored change from near to far readings.
 FAR_UNIT = 5.0  # Source: by construction, format of the model file
 

@@ -16,7 +16,9 @@ from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 from rendezview.sensors.observation import Observation, Status
 
-CLOSE_MARGIN = 0.1  # merit; two poses nearer to each other explain a frame equally well
+# merit; two poses nearer to each other explain a frame equally well. Source: by hand, seeds of
+# docs/notes/refinement.md
+CLOSE_MARGIN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,7 +29,8 @@ from rendezview.sensors.observation import Status
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
-_LEAST_MARGIN = 0.01  # merit; chance decides between two poses nearer to each other
+# merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
+_LEAST_MARGIN = 0.01
 
 
 class Recognizer:

@@ -11,10 +11,16 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture, grain
 
-_DARK_SKY_GREY = 60.0  # grey levels; a sky above this level is bright
-_SCATTER_GREY = 3.0  # grey levels; the border may vary by this much beyond the noise
-_GRAIN_ROWS = 64  # rows; on so many the noise of neighbouring pixels is measured
-_OVERLAPPING_BELOW_PX = 1000  # px; in a smaller frame (width + height) windows overlap
+# grey levels; a sky above this level is bright. Source: by hand, seeds of docs/notes/refinement.md
+_DARK_SKY_GREY = 60.0
+# grey levels; the border may vary by this much beyond the noise. Source: by hand, seeds of
+# docs/notes/refinement.md
+_SCATTER_GREY = 3.0
+# rows; on so many the noise of neighbouring pixels is measured. Source: by construction, a bound of
+# time
+_GRAIN_ROWS = 64
+# px; in a smaller frame (width + height) windows overlap. Source: by construction, a bound of time
+_OVERLAPPING_BELOW_PX = 1000
 _ONE_SIGMA_BELOW = 0.1587  # quantile of a normal distribution. Source: by construction
 _HALF_SIGMA_ABOVE = 0.6915  # quantile of a normal distribution. Source: by construction
 

@@ -15,23 +15,40 @@ from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.sketch.found import SketchFound
 from rendezview.sensors.observation import Status
 
-_SAME_RAD = np.deg2rad(3.0)  # rad; rivals nearer than this are the same answer
-_NEAREST_RADII = 0.1  # target radii; a centre predicted nearer than this is not used
+# rad; rivals nearer than this are the same answer. Source: by hand; pose-trials sequences
+_SAME_RAD = np.deg2rad(3.0)
+# target radii; a centre predicted nearer than this is not used. Source: by construction, inside the
+# target
+_NEAREST_RADII = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackerOptions:
     """When to let go of the last pose."""
 
-    widening_rad: float = np.deg2rad(10.0)  # rad, of the search, for each frame without a pose
-    widest_rad: float = np.deg2rad(60.0)  # rad; a view from the other side is farther off
-    longest_outage_s: float = 60.0  # s; after that all attitudes are searched
-    longest_prediction_s: float = 10.0  # s; rates are held so long, then the pose is held
-    restart_after: int = 2  # frames without a pose; then all attitudes are searched too
-    restart_confidence: float = 0.9  # 0 … 1; a restart needs more than a pose near a prediction
-    confirmed_frames: int = 15  # frames; a pose that a search confirmed is accepted so long …
-    confirmed_share: float = 0.9  # … while it keeps this share of the confirmed inlier ratio
-    decisive_lead: float = 0.1  # merit, summed over frames; by this much one of two rivals leads
+    # rad, of the search, for each frame without a pose. Source: a chosen limit
+    widening_rad: float = np.deg2rad(10.0)
+    # rad; a view from the other side is farther off. Source: a chosen limit
+    widest_rad: float = np.deg2rad(60.0)
+    # s; after that all attitudes are searched. Source: a chosen limit
+    longest_outage_s: float = 60.0
+    # s; rates are held so long, then the pose is held. Source: a chosen limit
+    longest_prediction_s: float = 10.0
+    # frames without a pose; then all attitudes are searched too. Source: by hand; pose-trials
+    # sequences
+    restart_after: int = 2
+    # 0 … 1; a restart needs more than a pose near a prediction. Source: by hand; pose-trials
+    # sequences
+    restart_confidence: float = 0.9
+    # frames; a pose that a search confirmed is accepted so long … Source: by hand; pose-trials
+    # sequences
+    confirmed_frames: int = 15
+    # … while it keeps this share of the confirmed inlier ratio. Source: by hand; pose-trials
+    # sequences
+    confirmed_share: float = 0.9
+    # merit, summed over frames; by this much one of two rivals leads. Source: by hand; pose-trials
+    # sequences
+    decisive_lead: float = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

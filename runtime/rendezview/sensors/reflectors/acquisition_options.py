@@ -23,30 +23,49 @@ class AcquisitionOptions:
     # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
     # boresight.
     tilt_rad: float = math.radians(45.0)
-    nearest_m: float = 0.3
-    farthest_m: float = 150.0
-    blur_px: float = 0.75  # σ of the optics and of a pixel's width together
-    size_sigma: float = 0.035  # of ln(size): noise, focus, the disc's own tilt
-    peak_sigma: float = 0.08  # of ln(brightness) of the centre spot against the outer two
-    beam_sigma: float = 0.5  # of ln(brightness) between the outer two: the beam has a middle
+    nearest_m: float = 0.3  # m. Source: a chosen limit
+    farthest_m: float = 150.0  # m. Source: a chosen limit
+    # σ of the optics and of a pixel's width together. Source: by construction, √(0.7² + 1/12) with
+    # optics of 0.7 px
+    blur_px: float = 0.75
+    # Of ln(size): noise, focus, the disc's own tilt. Source: by hand; uncritical halved or doubled
+    # (number-effects)
+    size_sigma: float = 0.035
+    # Of ln(brightness) of the centre spot against the outer two. Source: by hand; uncritical halved
+    # or doubled (number-effects)
+    peak_sigma: float = 0.08
+    # Of ln(brightness) between the outer two: the beam has a middle. Source: by hand; uncritical
+    # halved or doubled (number-effects)
+    beam_sigma: float = 0.5
     diameter_sigma: float = 0.03  # of ln(diameter), of all alike. Source: a ruler on 10 mm
     # Of ln(blur), of all alike. Source: experiment reflector-hidden --seed 1, whose blur varies by
     # ±20 %
     blur_sigma: float = 0.12
-    size_limit: float = 0.14  # ln, of one spot before anything else is tried
-    peak_limit: float = 1.6  # ln, between two spots
-    least_shape: float = 0.55  # small over large axis: a disc at 40° has 0.77, an edge far less
-    score_limit: float = 18.0  # χ² of three sizes and brightnesses
-    rival_margin: float = 2.5  # χ² by which the best must win over other spots
+    # ln, of one spot before anything else is tried. Source: by hand; uncritical halved or doubled
+    # (number-effects)
+    size_limit: float = 0.14
+    # ln, between two spots. Source: by hand; uncritical halved or doubled (number-effects)
+    peak_limit: float = 1.6
+    # Small over large axis: a disc at 40° has 0.77, an edge far less. Source: by construction,
+    # between the two
+    least_shape: float = 0.55
+    # χ² of three sizes and brightnesses. Source: by hand; uncritical halved or doubled (number-
+    # effects)
+    score_limit: float = 18.0
+    # χ² by which the best must win over other spots. Source: by hand; uncritical halved or doubled
+    # (number-effects)
+    rival_margin: float = 2.5
     # χ² by which it must win over other poses of the same spots, and over other spots where more
     # reflectors might have confirmed it. Source: experiment reflector-hidden --seed 1
     pose_margin: float = 16.0
     # Triplets as good as the best that chance may bring. Those of chance with five terms of
     # χ² below s grow as s^5/2, and all that pass but the best give their number.
-    chance: float = 0.25
+    chance: float = 0.25  # Source: by hand; uncritical halved or doubled (number-effects)
     # χ² of three spots of a target with more reflectors. Source: experiment reflector-hidden
     sparse_limit: float = 8.0
-    match_px: float = 1.5  # a further reflector is its spot when this near
+    # A further reflector is its spot when this near. Source: by hand; uncritical halved or doubled
+    # (number-effects)
+    match_px: float = 1.5
     # Of a fit to four or more spots: σ of a place beside the noise, px and share of the spot's
     # size (even light moves it). Beyond gate_sigma is another spot. Source: reflector-hidden
     gate_px: float = 0.015
@@ -54,7 +73,9 @@ class AcquisitionOptions:
     gate_size: float = 0.01
     # Source: experiment reflector-hidden --seed 1
     gate_sigma: float = 5.0
-    reacquisition: float = 0.25  # of the last range: how far the new one may be
+    # Of the last range: how far the new one may be. Source: by hand; uncritical halved or doubled
+    # (number-effects)
+    reacquisition: float = 0.25
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tilt_rad < math.pi / 2:

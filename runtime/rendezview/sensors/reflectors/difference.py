@@ -21,7 +21,8 @@ from rendezview.geometry.camera import Camera
 
 Grey = npt.NDArray[np.uint8]
 
-_NOISE_STEP = 12  # rows; the noise is measured on one row in so many
+# rows; the noise is measured on one row in so many. Source: by construction, a bound of time
+_NOISE_STEP = 12
 _CELL_PX = 8  # px, of the coarse background. Source: by construction, its median takes 0.1 ms
 _MEDIAN_CELLS = (25, 9, 5)  # of the medians: 200 px. Source: by construction, over the largest disc
 _FILTER_PX = 1.0  # σ. Source: by construction, that of a spot of 2 px FWHM and pixel
@@ -51,13 +52,18 @@ class ThresholdOptions:
     """Which pixels may belong to a spot. Grey levels of the 8-bit pictures."""
 
     lower_grey: float | None = None  # of the difference; None: from its noise
-    noise_factor: float = 7.0  # × noise: one pixel in 10¹¹ of pure noise
+    # × noise: one pixel in 10¹¹ of pure noise. Source: normal distribution
+    noise_factor: float = 7.0
     # × noise: the peak of a spot in a single picture. Source: reflector-real-spots, where 90 % of
     # the stars above 5 σ are to be found
     faint_factor: float = 5.0
-    least_grey: float = 12.0  # of an automatic threshold: flicker of bright background stays below
+    # Of an automatic threshold: flicker of bright background stays below. Source: by hand;
+    # uncritical halved or doubled (number-effects)
+    least_grey: float = 12.0
     upper_grey: float | None = None  # of the lit picture: brighter is a glint, not a reflector
-    dark_grey: float = 250.0  # of the dark picture: saturated there, the difference is not usable
+    # Of the dark picture: saturated there, the difference is not usable. Source: by construction,
+    # just below 255
+    dark_grey: float = 250.0
     opening: Opening = Opening.SMALL  # a far reflector may hold no more than 2 × 2 pixels
 
     def __post_init__(self) -> None:

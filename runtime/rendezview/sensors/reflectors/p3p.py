@@ -40,7 +40,9 @@ _Root = tuple[float, float, float, float]  # k, X, Y, error
 Counts = npt.NDArray[np.int64]
 
 MAX_ROOTS = 4  # poses. Source: Persson & Nordberg 2018, two conics meet in four points
-EXACT = 1e-11  # residual, in squares of the longest side, that a root of exact rays keeps below
+# residual, in squares of the longest side, that a root of exact rays keeps below. Source: by
+# construction, rounding
+EXACT = 1e-11
 
 
 def solve_p3p(rays: npt.ArrayLike, points_m: npt.ArrayLike, residual: float = EXACT) -> list[Pose]:

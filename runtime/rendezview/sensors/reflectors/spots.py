@@ -31,7 +31,8 @@ from rendezview.sensors.reflectors.difference import (
 
 SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
 _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
-MOST_SPOTS = 400  # more than that is no picture of a target
+# more than that is no picture of a target. Source: by construction, a bound of time
+MOST_SPOTS = 400
 # Columns of the spot table that the compiled loops fill.
 X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
 BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(

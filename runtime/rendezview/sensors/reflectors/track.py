@@ -16,17 +16,28 @@ from rendezview.geometry.pose import Array, Pose
 class TrackingOptions:
     """Windows, and when to give up."""
 
-    window_sizes: float = 4.0  # half width over a spot's σ …
-    window_px: float = 6.0  # … and the margin for motion
-    coasting_px: float = 4.0  # … and each reading without that spot
-    window_share: float = 0.45  # of the distance to the next reflector, at most
-    size_limit: float = 0.25  # ln of size over expected size
+    # Half width over a spot's σ … Source: by hand; uncritical halved or doubled (number-effects)
+    window_sizes: float = 4.0
+    # … and the margin for motion. Source: by hand; uncritical halved or doubled (number-effects)
+    window_px: float = 6.0
+    # … and each reading without that spot. Source: by hand; uncritical halved or doubled (number-
+    # effects)
+    coasting_px: float = 4.0
+    # Of the distance to the next reflector, at most. Source: by construction, less than half
+    window_share: float = 0.45
+    # ln of size over expected size. Source: by hand; uncritical halved or doubled (number-effects)
+    size_limit: float = 0.25
+    # Small over large axis. Source: by construction, looser than AcquisitionOptions
     least_shape: float = 0.45
-    apart_sizes: float = 6.0  # reflectors nearer than so many σ run together: not looked for
-    coast: int = 5  # readings without a pose before the whole picture is searched again
-    memory: int = 50  # … and before the last range is no longer used
+    # Reflectors nearer than so many σ run together: not looked for. Source: by construction, 3 σ of
+    # each
+    apart_sizes: float = 6.0
+    # Readings without a pose before the whole picture is searched again. Source: a chosen limit
+    coast: int = 5
+    memory: int = 50  # … and before the last range is no longer used. Source: a chosen limit
     confirm: bool = True  # a first find counts when the next reading agrees
-    gate_sigma: float = 6.0  # of a redundant fit: a spot further off is no reflector
+    # Of a redundant fit: a spot further off is no reflector. Source: normal distribution, 2·10⁻⁹
+    gate_sigma: float = 6.0
     floor_px: float = 0.01  # error of a centroid beside the noise: pixels, lens, reflector edge
     rates: AccelerationOptions = field(default_factory=AccelerationOptions)
 

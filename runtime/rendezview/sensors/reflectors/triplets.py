@@ -23,7 +23,9 @@ Ints = npt.NDArray[np.int64]
 Table = npt.NDArray[np.float64]
 
 _ALIKE = 0.3  # ln of the sizes of two spots of equal reflectors, at most
-_TIE = 0.02  # sides nearer in length than this share tie
+# sides nearer in length than this share tie. Source: Book et al.: no base where two sides tie; by
+# construction
+_TIE = 0.02
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,12 +24,18 @@ from rendezview.sensors.stereo.rig import Rig, Sights
 _FALSE_ALARM = 1e-5  # of a reading without fault. Source: by construction, a rate of false alarms
 # Source: χ² distribution
 LIMITS = np.concatenate([[np.inf], chdtri(np.arange(1, 2001), _FALSE_ALARM)])
-TOLERANCE = 0.3  # of a standard deviation: the step after one so short is a twentieth of it
+# Of a standard deviation: the step after one so short is a twentieth of it. Source: by construction
+TOLERANCE = 0.3
 ITERATIONS = 15  # Source: by construction, a bound only
-_LIKE = 9.0  # sums of squares closer than this do not distinguish two explanations
-_APART = 30.0  # squared distance of two poses, in standard deviations, that matters
+# sums of squares closer than this do not distinguish two explanations. Source: normal distribution,
+# 3 σ
+_LIKE = 9.0
+# Squared distance of two poses, in standard deviations, that matters. Source: χ² distribution, six
+# degrees, 4·10⁻⁵
+_APART = 30.0
 _FEWEST_SPARE = 2  # equations left over: with none, anything agrees. Source: by construction
-_ANYWHERE = 19.0  # 2 ln of the places, in variances, that a false spot could have at S/N 200
+# 2 ln of the places, in variances, that a false spot could have at S/N 200. Source: by construction
+_ANYWHERE = 19.0
 _MOST_TRIED = 1500  # Source: by construction, a bound of time
 UNKNOWNS = 6  # Source: by construction
 FEWEST_LIGHTS = 3  # two leave a turn about the line between them. Source: by construction

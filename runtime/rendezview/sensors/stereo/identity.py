@@ -19,13 +19,19 @@ from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, agree
 from rendezview.sensors.stereo.collinearity import squares
 from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 from rendezview.sensors.stereo.rig import Rig, Sights
-from rendezview.sensors.stereo.start import CAP, Retrieval, p3p, widest
+from rendezview.sensors.stereo.start import (
+    CAP,
+    DISTINCT_RAD,
+    NOISY_TIMES,
+    Retrieval,
+    p3p,
+    widest,
+)
 
-_MOST_SPOTS = 40  # a camera that sees more sees no target
+_MOST_SPOTS = 40  # a camera that sees more sees no target. Source: by construction, a bound of time
 _MOST_ASSIGNMENTS = 12_000  # Source: by construction, a bound of time
-_ROUGH_TIMES = 6.0  # as for a start: three lights place the others so many σ worse
-_FEWEST_SPOTS = 5  # over all cameras: four spots and four lights fit in too many ways
-_DISTINCT_RAD = np.deg2rad(3.0)
+# over all cameras: four spots and four lights fit in too many ways. Source: by construction
+_FEWEST_SPOTS = 5
 _TRIPLES = 12  # of spots that are tried, the widest first. Source: by construction, a bound of time
 _KEPT = 8  # Source: by construction, a bound of time
 
@@ -130,9 +136,9 @@ def _explain(
     misfit = np.empty(len(rotations))
     _misfits(
         rotations, translations, leds, normals, rig.rotations, rig.translations, xy,
-        weight / _ROUGH_TIMES, misfit,
+        weight / NOISY_TIMES, misfit,
     )  # fmt: skip
-    coarse = 2.0 * np.sqrt(CAP) * _ROUGH_TIMES / np.median(weight[weight > 0.0])
+    coarse = 2.0 * np.sqrt(CAP) * NOISY_TIMES / np.median(weight[weight > 0.0])
     for i in np.argsort(misfit, kind="stable")[:_KEPT]:
         pose, gate = Pose(rotations[i], translations[i]), coarse
         fit: LightsFit | Disagreement | None = None
@@ -171,7 +177,7 @@ def _verdict(
     if explained < _FEWEST_SPOTS:
         return Disagreement(f"only {explained} spots fit the target: too few to be confident")
     for other in answers[1:]:
-        apart = rotation_angle(other[3].rotation @ fit.rotation.T) > _DISTINCT_RAD
+        apart = rotation_angle(other[3].rotation @ fit.rotation.T) > DISTINCT_RAD
         # A spot more explained is worth CAP; less than that is no proof.
         if apart and other[1] - cost + CAP * (explained - other[0]) < 0.5 * CAP:
             return Disagreement(

@@ -20,8 +20,10 @@ from rendezview.sensors.stereo.collinearity import solve
 from rendezview.sensors.stereo.rig import Rig
 
 _ITERATIONS = 15  # Source: by construction, a bound only
-_TOLERANCE = 0.1
-_BREAK = 80.0  # squared distance of reading and forecast, in σ, at which the forecast is wrong
+_TOLERANCE = 0.1  # of a standard deviation, of the last step. Source: by construction
+# Squared distance of reading and forecast, in σ, at which the forecast is wrong. Source: χ²
+# distribution, six degrees, 10⁻¹⁴
+_BREAK = 80.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,8 +32,8 @@ class MotionOptions:
 
     angular_acceleration: float = 0.02  # rad/s² √s: rate error 1.1°/s after 1 s
     linear_acceleration: float = 0.02  # m/s² √s
-    first_rate: float = 0.2  # rad/s, σ of the unknown first rates
-    first_velocity: float = 0.2  # m/s
+    first_rate: float = 0.2  # rad/s, σ of the unknown first rates. Source: a chosen limit
+    first_velocity: float = 0.2  # m/s. Source: a chosen limit
 
     def __post_init__(self) -> None:
         for name in self.__slots__:

@@ -18,7 +18,7 @@ from rendezview.sensors.stereo.detectors import UNKNOWN, Spots
 from rendezview.sensors.stereo.rig import Rig, RigCamera
 from rendezview.sensors.stereo.spots import SpotOptions, find_spots
 
-_SIGMA_PX = 0.05  # of a spot in a file that gives none
+_SIGMA_PX = 0.05  # of a spot in a file that gives none. Source: stereo-accuracy --part identity
 
 
 @dataclass(frozen=True, slots=True)

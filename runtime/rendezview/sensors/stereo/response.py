@@ -16,7 +16,7 @@ TERMS = {3: 10, 5: 21}  # of a polynomial's order: the paper's cubic, and a quin
 # Powers of x and y after the cubic's, in order.
 # Source: by construction, all terms of degree 4 and 5
 _QUINTIC = tuple((n - j, j) for n in (4, 5) for j in range(n + 1))
-_FEWEST_FOR_EACH_TERM = 4
+_FEWEST_FOR_EACH_TERM = 4  # places a coefficient. Source: by construction
 
 
 class Normalisation(StrEnum):

@@ -29,8 +29,9 @@ class SpotOptions:
     """What counts as a light."""
 
     threshold_grey: float | None = None  # above the sky; None: 8 σ of the noise, at least 12 grey
-    least_pixels: int = 2  # above the threshold: a single one may be a hot pixel
-    largest_px: float = 40.0  # diameter; a larger blob is no LED
+    # above the threshold: a single one may be a hot pixel. Source: by construction
+    least_pixels: int = 2
+    largest_px: float = 40.0  # diameter; a larger blob is no LED. Source: a chosen limit
     least_sigma_px: float = 0.002  # of a place, at the best: the pixels themselves differ
 
     def __post_init__(self) -> None:

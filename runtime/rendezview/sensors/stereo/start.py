@@ -26,8 +26,10 @@ from rendezview.sensors.stereo.rig import Rig, Sights
 # Of lights, for each camera: all of six lights'.
 _MOST_TRIPLES = 20  # Source: by construction, 6 over 3
 _REFINED = 12  # starts that are refined. Source: by construction, a bound of time
-_DISTINCT_RAD = np.deg2rad(3.0)
-_NOISY_TIMES = 6.0  # a three-light pose fits the other lights so many times worse than σ
+DISTINCT_RAD = np.deg2rad(3.0)  # rad; poses nearer than this are one. Source: by construction
+# A pose of three lights fits the other lights so many times worse than σ. Source: by hand;
+# stereo-accuracy --part recovery finds all
+NOISY_TIMES = 6.0
 # Squared residual of a light, at which it counts as false: 1 in 3 million by chance.
 CAP = 30.0  # Source: χ² distribution, two degrees of freedom
 _CAMERA_MATRIX = np.eye(3)  # Source: by construction
@@ -71,7 +73,7 @@ def candidates(rig: Rig, leds: Array, normals: Array, sights: Sights) -> list[Ca
             np.vdot(one.rig_from_target.rotation, other.rig_from_target.rotation)
             for other in distinct
         ]
-        if all(trace < 1.0 + 2.0 * np.cos(_DISTINCT_RAD) for trace in traces):
+        if all(trace < 1.0 + 2.0 * np.cos(DISTINCT_RAD) for trace in traces):
             distinct.append(one)
     return distinct
 
@@ -165,7 +167,7 @@ def refine(
         return []
     arguments = (leds, normals, rig.rotations, rig.translations, sights.xy)
     rough = np.empty(len(rotations))
-    _capped(rotations, translations, *arguments, sights.weight / _NOISY_TIMES, CAP, rough)
+    _capped(rotations, translations, *arguments, sights.weight / NOISY_TIMES, CAP, rough)
     best = np.argsort(rough, kind="stable")[:_REFINED]
     rotations = np.ascontiguousarray(rotations[best])
     translations = np.ascontiguousarray(translations[best])

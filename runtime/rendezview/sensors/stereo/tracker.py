@@ -39,7 +39,8 @@ class TrackerOptions:
     """How a target is followed."""
 
     motion: MotionOptions | None = None  # the filter; None: each reading's pose as it is
-    longest_outage_s: float = 5.0  # after that the last estimate is no longer used
+    # after that the last estimate is no longer used. Source: a chosen limit
+    longest_outage_s: float = 5.0
     # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
     calibration_error: bool = False
     window: float = 0.03  # normalised; unnamed spots are looked for so far from the forecast

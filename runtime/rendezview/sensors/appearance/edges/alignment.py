@@ -49,18 +49,18 @@ class Stage(NamedTuple):
     REACH, SPREAD, STEPS, SMOOTH, ROOM, LINES, STRIDE, FIT, VIEWS, DAMPING, RELAXATION, STOP,
 ) = range(len(Stage._fields))  # fmt: skip
 
-CLOSE_PX = 1.5  # px; spread of the inliers of a refined pose …
-_LOOSE_PX = 3.0  # px; … and of a roughly aligned one
-_LOOSE_STRIDE = 2  # one point in two is enough to judge that
-_AGREEING = 0.53  # of the spread: a residual that counts exp(−½) as an inlier
-_INNER_SHARE = 0.5  # of inner edges, beside the outline, in the loose ratio
+CLOSE_PX = 1.5  # px; spread of a refined pose's inliers … Source: fixed with error_model.json
+_LOOSE_PX = 3.0  # px; … and of a roughly aligned one's. Source: by construction, twice that
+_LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by construction
+_AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
+_INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
 _HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
-_CUT_SPREADS = 2.5  # of the spread: residuals beyond do not count (Tukey)
+_CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
 _LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construction
-_LONGEST_TURN_RAD = 0.2  # rad, of one step
-_ALONG = 0.1  # of a move along the line of sight, which shows so much less in the picture
-_SMALL = 0.01  # of the target's radius in pixels: below 100 px a step stops earlier
+_LONGEST_TURN_RAD = 0.2  # rad, of one step. Source: by construction, linear to 2 %
+_ALONG = 0.1  # of a move in depth, which shows so much less. Source: by construction
+_SMALL = 0.01  # of the target's radius, px: a smaller one stops earlier. Source: by construction
 _NEAREST_RADII, _FURTHEST_RADII = 1.02, 1e9  # of the target's radius; poses beyond have diverged
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction

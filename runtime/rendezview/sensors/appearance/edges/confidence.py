@@ -18,18 +18,28 @@ from rendezview.sensors.appearance.outline.voters import Ballot
 from rendezview.sensors.appearance.sky import Sky
 
 # Weights of the merit, beside an inlier ratio of weight 1.
-_OVERSHOOT_WEIGHT = 1.0  # of mean radii of the silhouette
-_LIGHT_WEIGHT = 0.25  # of the share of grey levels that one light explains
+# Of mean radii of the silhouette. Source: by hand, seeds of docs/notes/refinement.md
+_OVERSHOOT_WEIGHT = 1.0
+# Of the share of grey levels that one light explains. Source: by hand, seeds of
+# docs/notes/refinement.md
+_LIGHT_WEIGHT = 0.25
 # Source: experiment pose-accuracy, seeds 1, 88, 99 (commits f070326, 5e90c44)
 _RESIDUAL_WEIGHT = 0.08  # of log px
-_LEAST_RESIDUAL_PX = 0.05  # px; a smaller residual is no better
+# px; a smaller residual is no better. Source: by hand, seeds of docs/notes/refinement.md
+_LEAST_RESIDUAL_PX = 0.05
 # Source: experiment pose-accuracy, seeds 1, 88, 99: of 1626 frames with a right and a wrong pose
 # the wrong one came first in 13 with shading, in 34 without
 _SHADING_WEIGHT = 0.4  # of a correlation
-_IN_DOUBT = 0.35  # merit behind the best; shading is computed for poses closer than this
+# merit behind the best; shading is computed for poses closer than this. Source: by hand, seeds of
+# docs/notes/refinement.md
+_IN_DOUBT = 0.35
 
-_RIVAL_RAD = np.deg2rad(5.0)  # rad; a pose further away is another answer, as in the experiments
-_MOST_FEATURE = 0.3  # of overshoot and of margin in the regression, which saturate there
+# rad; a pose further away is another answer, as in the experiments. Source: the limit of a wrong
+# pose there
+_RIVAL_RAD = np.deg2rad(5.0)
+# Of overshoot and of margin in the regression, which saturate there. Source: fixed with the fit of
+# error_model.json
+_MOST_FEATURE = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,9 +22,10 @@ DIRECTION_UNIT = 1.0 / 127.0  # Source: by construction, a unit vector in signed
 # The edge profile along the normal of an edge is stored as a few surfaces, from outside to inside
 # (the array ``strip``). The last surface has no end, the first of an inner edge no beginning; the
 # first of an outline begins at the point. The beginnings of the others are stored as square
-# roots, finest at the edge.
+# roots, finest at the edge. Source: by construction, format of the model file
 SURFACES = 5
-REACH_RADII = 12.0 / 196.0  # of the target's radius: length of a profile
+# Of the target's radius: length of a profile. Source: by construction, 12 px at 196 px of radius
+REACH_RADII = 12.0 / 196.0
 START_UNIT = REACH_RADII / 127.0**2  # Source: by construction
 DEPTH_UNIT = 1.0 / 127.0  # of the target's radius. Source: by construction
 KINDS_OF_SURFACE = 256  # of a byte; 0 is the sky. Source: by construction

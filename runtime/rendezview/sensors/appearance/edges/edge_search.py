@@ -52,22 +52,37 @@ _RUN_PER_POINT = RUN_UNIT / POINT_UNIT
 # m; a point must lie before the camera.
 _LEAST_DEPTH_M = 1e-6  # Source: by construction, no division by 0
 _BORDER_PX = 2.0  # px; the lines read stay inside the image by this. Source: by construction
-_LINES_APART_PX = 1.5  # px
-_BILINEAR_NOISE = 0.75  # of a pixel's noise, after bilinear reading
+_LINES_APART_PX = 1.5  # px. Source: by hand, seeds of docs/notes/refinement.md
+# Of a pixel's noise, after bilinear reading. Source: by hand, seeds of docs/notes/refinement.md
+_BILINEAR_NOISE = 0.75
 
 # Candidates.
-_SIGMAS = 3.0  # of the smoothed slope above its noise
-_LEAST_SLOPE = 10.0  # grey levels a pixel; the grain of foil stays below
-_DIM_SLOPE = 4.0  # grey levels a pixel; enough for the outline before a dark sky
+_SIGMAS = 3.0  # of the smoothed slope above its noise. Source: normal distribution, 0.3 %
+# grey levels a pixel; the grain of foil stays below. Source: by hand, seeds of
+# docs/notes/refinement.md
+_LEAST_SLOPE = 10.0
+# grey levels a pixel; enough for the outline before a dark sky. Source: by hand, seeds of
+# docs/notes/refinement.md
+_DIM_SLOPE = 4.0
 _SKY_SIGMAS, _SKY_SHARE = 3.5, 0.4  # beyond an outline: noise above the sky, or share of the step
-_HALF_CONTRAST = 60.0  # grey levels a pixel; such an edge scores a quarter of the strongest
+# grey levels a pixel; such an edge scores a quarter of the strongest. Source: by hand, seeds of
+# docs/notes/refinement.md
+_HALF_CONTRAST = 60.0
 
 # Weights.
-_EVEN_SLOPE = 12.0  # grey levels a pixel; noise and the model's errors displace the edge alike
-_INNER_WEIGHT = 0.3  # of creases and steps: two in three of their edges are others
-_HALF_WEIGHT_PX2 = 0.08**2  # px²; an edge with this variance weighs half
-_STRAINED = 0.5  # of the target's radius: distance of the edges from its middle
-_UNFITTED_WEIGHT = 0.1  # of an edge whose profile does not fit
+# grey levels a pixel; noise and the model's errors displace the edge alike. Source: by hand, seeds
+# of docs/notes/refinement.md
+_EVEN_SLOPE = 12.0
+# Of creases and steps: two in three of their edges are others. Source: by hand, seeds of
+# docs/notes/refinement.md
+_INNER_WEIGHT = 0.3
+# px²; an edge with this variance weighs half. Source: by hand, seeds of docs/notes/refinement.md
+_HALF_WEIGHT_PX2 = 0.08**2
+# Of the target's radius: distance of the edges from its middle. Source: by hand, seeds of
+# docs/notes/refinement.md
+_STRAINED = 0.5
+# Of an edge whose profile does not fit. Source: by hand, seeds of docs/notes/refinement.md
+_UNFITTED_WEIGHT = 0.1
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

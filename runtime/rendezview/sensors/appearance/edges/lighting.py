@@ -25,14 +25,23 @@ Starts = npt.NDArray[np.int8]
 _SUNS = np.ascontiguousarray(Geodesic.of_order(1).nodes)  # Source: by construction, 42 directions
 # Source: by construction, half the spacing of those directions, halved twice
 _HALVINGS_RAD = np.deg2rad(np.array([18.0, 9.0, 4.5]))  # rad; steps from one of those directions
-_BLUR_PX = 1.8  # px; samples keep this distance from the edge, whose blur reaches so far
-_BESIDE_PX = 0.5  # px; and this distance from the next surface
-_SAMPLES_EACH = 3  # of each surface of an edge profile
+# px; samples keep this distance from the edge, whose blur reaches so far. Source: by construction,
+# two σ of blur_px
+_BLUR_PX = 1.8
+# px; and this distance from the next surface. Source: by construction, half a pixel
+_BESIDE_PX = 0.5
+_SAMPLES_EACH = 3  # of each surface of an edge profile. Source: by construction, a bound of time
 _LEAST_SAMPLES, _MOST_SAMPLES = 40, 300
-_COARSELY = 3  # one sample in three gives the rough direction of the Sun
-_TOLERANCE = 0.1  # of the level of the bright samples: what diffuse shading leaves unexplained
-_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright samples
-_BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
+# One sample in three gives the rough direction of the Sun. Source: by construction, a bound of time
+_COARSELY = 3
+# Of the level of the bright samples: what diffuse shading leaves unexplained. Source: by hand,
+# seeds of docs/notes/refinement.md
+_TOLERANCE = 0.1
+# Of the levels: that of the bright samples. Source: by hand, seeds of docs/notes/refinement.md
+BRIGHT_PERCENTILE = 80
+# Least cosine between the Sun and the direction to the camera. Source: by construction, phase
+# angles to 107°
+BEHIND = -0.3
 _CANDIDATES = 6  # directions around the best one, for each step. Source: by construction, a hexagon
 # Component of a unit vector beyond which another axis is crossed with it.
 _KEEP = 0.7  # Source: by construction, any axis not along it
@@ -76,7 +85,7 @@ def fit_light(
     for a in range(3):
         away[a] = centre[a] / range_m
     normals = facing_normals(palette, rotation, away)
-    tolerance = _TOLERANCE * quantile(levels, 0.01 * _BRIGHT_PERCENTILE) + frame[0]
+    tolerance = _TOLERANCE * quantile(levels, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     strengths = np.empty(2)
     if frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0:
         copy_into(frame[3:6], sun)
@@ -166,7 +175,7 @@ def search_sun(
         for k in range(len(_SUNS)):
             for a in range(3):
                 tried[a] = _SUNS[k, a]
-            if -(tried[0] * away[0] + tried[1] * away[1] + tried[2] * away[2]) > _BEHIND:
+            if -(tried[0] * away[0] + tried[1] * away[1] + tried[2] * away[2]) > BEHIND:
                 cost = _misfit(some, of, normals, palette, tried, tolerance, strengths)
                 if cost < best:
                     best = cost

@@ -20,9 +20,12 @@ Kinds = npt.NDArray[np.uint8]
 
 
 _STEP_GREY = 5.0  # grey levels; smaller steps are left out. Source: commit 59eb67e
-LEAST_CONTRAST = 4.0  # grey levels; a profile with less has no edge
+# grey levels; a profile with less has no edge. Source: by hand, seeds of docs/notes/refinement.md
+LEAST_CONTRAST = 4.0
 FAR_PX = 99.0  # px; where the first surface of an inner edge begins. Source: by construction
-SLACK_PX = 3.0  # px; a surface moves no more than this and three times its place
+# px; a surface moves no more than this and three times its place. Source: by hand, seeds of
+# docs/notes/refinement.md
+SLACK_PX = 3.0
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

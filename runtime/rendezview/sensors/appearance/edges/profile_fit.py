@@ -10,14 +10,20 @@ from rendezview.geometry.pose import Array
 
 _INSIDE_PX, _OUTSIDE_PX = 3.2, 2.7  # px; window about the edge
 _LEAST_PIXELS = 5  # for three or four unknowns. Source: by construction
-_GAIN_SPREAD = 0.5  # one σ of the gain about 1
-_TILT_SPREAD = 0.1  # one σ of the tilt, of the largest step a pixel
-_MODEL_GREY = 3.0  # grey levels, one σ of the model's own errors
+_GAIN_SPREAD = 0.5  # one σ of the gain about 1. Source: by hand, seeds of docs/notes/refinement.md
+# One σ of the tilt, of the largest step a pixel. Source: by hand, seeds of docs/notes/refinement.md
+_TILT_SPREAD = 0.1
+# grey levels, one σ of the model's own errors. Source: by hand, seeds of docs/notes/refinement.md
+_MODEL_GREY = 3.0
 _STEPS, _STOP_PX = 4, 0.02  # iterations at most, and the move in px after which they stop
-_LONGEST_MOVE_PX = 0.6  # px, of one step
-_FURTHEST_PX = 1.5  # px from the steepest slope; further away the fit is another edge's
-_LEAST_GAIN = 0.05  # below, no edge is left
-_MOST_VARIANCE_PX2 = 1e3  # px² for one grey level squared; above, the place is undetermined
+_LONGEST_MOVE_PX = 0.6  # px, of one step. Source: by construction, less than the blur
+# px from the steepest slope; further away the fit is another edge's. Source: by construction, as
+# CLOSE_PX
+_FURTHEST_PX = 1.5
+_LEAST_GAIN = 0.05  # below, no edge is left. Source: by construction, a bound only
+# px² for one grey level squared; above, the place is undetermined. Source: by construction, a bound
+# only
+_MOST_VARIANCE_PX2 = 1e3
 _TAIL = 3.5  # σ; beyond, Φ counts as 0 or 1. Source: by construction (2e-4)
 _HELD = 1e9  # information that holds an unknown. Source: by construction
 

@@ -42,13 +42,15 @@ _QUICK = (
     np.array([Stage(20, 9, 2, smooth_px=4, room_px=4, stride=4)]),
     np.array([Stage(10, 4, 3, smooth_px=2, room_px=2, stride=2), Stage(5, 1.5, 2)]),
 )
-# … with more points and steps if that leads to no confident pose.
+# … with more points and steps if that leads to no confident pose. Source: seeds 1, 88, 99 and 123
+# of pose-accuracy, docs/notes/refinement.md
 _THOROUGH = (
     np.array([Stage(20, 9, 3, smooth_px=4, room_px=4, stride=2)]),
     np.array([Stage(10, 4, 3, smooth_px=2, room_px=2), Stage(5, 1.5, 2)]),
 )
 # Each stage iterates to convergence before the search range shrinks: attitudes 5° apart can lie
 # within half a pixel of each other. The last one uses the three nearest views (commit 5e90c44).
+# Source: seeds 1, 88, 99 and 123 of pose-accuracy, docs/notes/refinement.md
 _FINE = np.array(
     [
         Stage(8, 3, 3, room_px=2, stop_px=1.0),
@@ -58,10 +60,12 @@ _FINE = np.array(
     ]
 )
 _CUT_PX = 1.25  # px; 2.5 spreads of the last stage. Source: by construction
-# Where the craft may differ from its mesh, no edge is in place to half a pixel (commit 5cde9da).
+# Where the craft may differ from its mesh, no edge is in place to half a pixel. Source: commit
+# 5cde9da
 _INEXACT = _FINE[:-1]
 _INEXACT_CUT_PX = 3.0  # px; 2.5 spreads of its last stage. Source: by construction
-_LEAST_SIGMA_PX = 0.1  # px; one σ of an edge's place in the best of cases
+# px; one σ of an edge's place in the best of cases. Source: fixed with the fit of error_model.json
+_LEAST_SIGMA_PX = 0.1
 # Of the target's size, one σ of a strain: the contour points are those of a view up to 2.5° away,
 # and neighbouring ones err together. Source: docs/notes/refinement.md, size of the target
 _VIEW_STRAIN = 3e-4
@@ -76,7 +80,9 @@ _EXACT_RESIDUAL_PX = 0.12  # px, root mean square. Source: experiment pose-misfi
 class RefineOptions:
     """How the edges are searched."""
 
-    blur_px: float = 0.85  # σ of an edge as the camera shows it, with reading between pixels
+    # σ of an edge as the camera shows it, with reading between pixels. Source: by construction,
+    # √(0.7² + 1/12 + 1/6) with optics of 0.7 px
+    blur_px: float = 0.85
 
     def __post_init__(self) -> None:
         if not 0.3 <= self.blur_px <= 5.0:
@@ -270,4 +276,5 @@ class Refiner:
         return Refined(pose, covariance, outline, inner, visible, residual, light)
 
 
+# 1.5°. Source: by hand, seeds of docs/notes/refinement.md
 _SAME_COSINE = float(np.cos(np.deg2rad(1.5)))

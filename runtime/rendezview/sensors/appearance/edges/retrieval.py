@@ -28,15 +28,24 @@ from rendezview.sensors.appearance.outline.signature import (
     twist,
 )
 
-_KEPT = 2000  # most similar entries at a shift; of these the poses are chosen
-_HARMONICS = 20  # of a signature, compared first in a large catalogue
-_CORRELATED = 2000  # entries; of a larger catalogue those with the most similar harmonics
-_SAMPLED = 17  # one value in 17 gives the bound; no divisor of a number of bins
+# Most similar entries at a shift; of these the poses are chosen. Source: by construction, a bound
+# of time
+_KEPT = 2000
+# Of a signature, compared first in a large catalogue. Source: by construction, details of 18°
+_HARMONICS = 20
+# Entries; of a larger catalogue those with the most similar harmonics. Source: by construction, a
+# bound of time
+_CORRELATED = 2000
+# One value in 17 gives the bound; no divisor of a number of bins. Source: by construction
+_SAMPLED = 17
 # rad; the catalogue's Suns are 32° apart.
 _SUN_REACH_RAD = np.deg2rad(30.0)  # Source: by construction
-_APART_RAD = np.deg2rad(7.0)  # rad; views closer than this at the same roll are one
+# rad; views closer than this at the same roll are one. Source: spacing of the nodes' views
+_APART_RAD = np.deg2rad(7.0)
 _SAME_ROLL_BINS = 3  # of 90, so 12°. Source: by construction
-_OVERSHOOT_TOLERANCE = 0.06  # of the mean radius: perspective and the spacing of the views
+# Of the mean radius: perspective and the spacing of the views. Source: fixed with the fit of
+# error_model.json
+_OVERSHOOT_TOLERANCE = 0.06
 _BORESIGHT = np.array([0.0, 0.0, 1.0])  # Source: by construction
 
 

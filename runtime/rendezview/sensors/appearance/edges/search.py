@@ -44,25 +44,35 @@ _LEAST_VOTES = -2.0
 _LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident
-_ASIDE_RAD = np.deg2rad(9.0)  # rad; a local optimum lies about that far from the right pose
-_CLOSE_RAD = np.deg2rad(3.0)  # rad; error of a good prior
+# rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
+# 8.6°
+_ASIDE_RAD = np.deg2rad(9.0)
+# rad; error of a good prior. Source: by hand, seeds of docs/notes/refinement.md
+_CLOSE_RAD = np.deg2rad(3.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions:
     """How far to search."""
 
-    retrieved: int = 60  # views and rolls that are aligned without a prior
+    # Views and rolls that are aligned without a prior. Source: by hand, seeds of
+    # docs/notes/refinement.md
+    retrieved: int = 60
     # With voters: the likeliest are aligned first, and two of them refined. Where edges and voters
     # agree on a pose, nothing else is tried. Source: experiment tree-ablation, seed 4101
     voted_first: int = 8
     retrieved_first: int = 20  # of them, before the others; often enough. Source: commit cb7137c
-    retrieved_of_several: int = 40  # for each of several outlines before a bright sky
-    refined: int = 6  # of them that are refined
-    refined_near: int = 3  # the same near a prior
+    # For each of several outlines before a bright sky. Source: by hand, seeds of
+    # docs/notes/refinement.md
+    retrieved_of_several: int = 40
+    refined: int = 6  # of them that are refined. Source: by hand, seeds of docs/notes/refinement.md
+    # The same near a prior. Source: by hand, seeds of docs/notes/refinement.md
+    refined_near: int = 3
     # Source: commit f31a7df; poses 5° to 10° off the truth reached the limit before it
     inlier_ratio: float = 0.5  # of the pose next to a prior: then nothing else is tried …
-    inlier_ratio_bright: float = 0.6  # … and before a bright sky, where clouds give edges too
+    # … and before a bright sky, where clouds give edges too. Source: by hand, seeds of
+    # docs/notes/refinement.md
+    inlier_ratio_bright: float = 0.6
 
 
 @dataclass(slots=True, eq=False)

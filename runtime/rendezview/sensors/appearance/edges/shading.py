@@ -23,25 +23,33 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import rotate_back_into, rotate_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, POINT_UNIT
-from rendezview.sensors.appearance.edges.lighting import light_strengths
+from rendezview.sensors.appearance.edges.lighting import (
+    BEHIND,
+    BRIGHT_PERCENTILE,
+    light_strengths,
+)
 from rendezview.sensors.appearance.edges.view_tables import Lens
 
 ALBEDO_UNIT = 1.0 / 255.0  # Source: by construction, a byte
 
-_WINDOWS = 18  # across the target
-_LEAST_WINDOW_PX = 5.0  # px, a side
-_LEAST_IN_WINDOW = 5  # points
-_LEAST_POINTS = 60  # visible
-_FITTED = 240  # points at most, to which the light is fitted
-_EVEN = 0.06  # of the level of the bright points: less contrast in both counts as agreement
-_TOLERANCE = 0.4  # of the level of the bright points; a larger difference is an outlier (glints)
-_BRIGHT_PERCENTILE = 80  # of the levels: that of the bright points
-_BEHIND = -0.3  # least cosine between the Sun and the direction to the camera
+_WINDOWS = 18  # across the target. Source: by hand, seeds of docs/notes/refinement.md
+_LEAST_WINDOW_PX = 5.0  # px, a side. Source: by hand, seeds of docs/notes/refinement.md
+_LEAST_IN_WINDOW = 5  # points. Source: by hand, seeds of docs/notes/refinement.md
+_LEAST_POINTS = 60  # visible. Source: by hand, seeds of docs/notes/refinement.md
+# points at most, to which the light is fitted. Source: by construction, a bound of time
+_FITTED = 240
+# Of the level of the bright points: less contrast in both counts as agreement. Source: by hand,
+# seeds of docs/notes/refinement.md
+_EVEN = 0.06
+# Of the level of the bright points; a larger difference is an outlier (glints). Source: by hand,
+# seeds of docs/notes/refinement.md
+_TOLERANCE = 0.4
 # Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
-# of a level lie 32°, 16° and 8° apart.
+# Of a level lie 32°, 16° and 8° apart. Source: by construction, 0.8 of the level before
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
-_NEAR_SUN = 0.99  # cosine between a given Sun and the nodes that represent it
-_EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out
+# Cosine between a given Sun and the nodes that represent it. Source: spacing of the nodes, 8°
+_NEAR_SUN = 0.99
+_EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out. Source: by construction, 5°
 # rad; of the 642 directions.
 _NODE_SPACING_RAD = 0.15  # Source: by construction, mean edge of a sphere of order 3, 8.6°
 
@@ -146,7 +154,7 @@ def shading(
     albedo, sunlit = np.empty(count), np.empty(count)
     for k in range(count):
         albedo[k] = surface.albedo[which[k * every]]
-    tolerance = _TOLERANCE * quantile(some, 0.01 * _BRIGHT_PERCENTILE) + frame[0]
+    tolerance = _TOLERANCE * quantile(some, 0.01 * BRIGHT_PERCENTILE) + frame[0]
     away = centre / np.sqrt(_dot(centre, centre))
     strengths, chosen = np.empty(2), np.zeros(2)
     sun, tried, best = np.zeros(3), np.empty(3), np.inf
@@ -160,7 +168,7 @@ def shading(
             if known:
                 if tried[0] * frame[3] + tried[1] * frame[4] + tried[2] * frame[5] < _NEAR_SUN:
                     continue
-            elif _dot(tried, away) > -_BEHIND or (near > -1.0 and _dot(tried, middle) < near):
+            elif _dot(tried, away) > -BEHIND or (near > -1.0 and _dot(tried, middle) < near):
                 continue
             for k in range(count):
                 sunlit[k] = _brightness(surface, s, which[k * every], facing[k * every], tried)
@@ -173,7 +181,7 @@ def shading(
         return 0.0
     side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
     # Before a bright sky, evenness may be the sky's own.
-    even = (_EVEN * quantile(some, 0.01 * _BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
+    even = (_EVEN * quantile(some, 0.01 * BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
     return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 

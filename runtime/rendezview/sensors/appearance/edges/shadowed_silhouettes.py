@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
 
-SHADOWED_BINS = 90
+SHADOWED_BINS = 90  # 4° each. Source: by construction, format of the model file
 # Of a stored reading, thousandths of sqrt(area).
 READING_UNIT = 16.0  # Source: by construction, format of the model file
 

@@ -11,7 +11,8 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.contours import NO_POINT
 from rendezview.sensors.appearance.model import ViewModel
 
-_LARGEST_STEP_RAD = np.deg2rad(20.0)  # rad; alignment converges from about half of it
+# rad; alignment converges from about half of it. Source: by hand, seeds of docs/notes/refinement.md
+_LARGEST_STEP_RAD = np.deg2rad(20.0)
 # Of ``rotated_about``: the pose itself and its turns about the axes.
 _AXES = 7  # Source: by construction
 _STEP, _DIAGONAL_STEP = 0.8, 0.7  # of the error, and of the step for each part of a diagonal

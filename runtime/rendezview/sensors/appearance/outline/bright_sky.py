@@ -26,12 +26,19 @@ from rendezview.sensors.observation import Status
 
 # Px; larger pictures are shrunk, since the network looks at 320 × 240. Source: pose-frames' size
 _AREA_PX = 640 * 480
-_LEAST_LOG_ODDS = (0.0, -1.5, 1.5)  # log odds that count as target, tried in this order
-_LEAST_AREA_PX = 120  # px; a smaller body is missing
-_PIECE_SHARE = 0.02  # of the largest piece's area; shade cuts off pieces this small
-_PIECE_GAP = 0.6  # of the largest piece's size; pieces this near belong to it
-_SAME_PX = 4  # px; bodies whose boxes differ by less …
-_SAME_AREA = 0.04  # … and whose areas differ by a smaller share are the same
+# log odds that count as target, tried in this order. Source: seed 1, docs/notes/refinement.md
+_LEAST_LOG_ODDS = (0.0, -1.5, 1.5)
+_LEAST_AREA_PX = 120  # px; a smaller body is missing. Source: seed 1, docs/notes/refinement.md
+# Of the largest piece's area; shade cuts off pieces this small. Source: seed 1,
+# docs/notes/refinement.md
+_PIECE_SHARE = 0.02
+# Of the largest piece's size; pieces this near belong to it. Source: seed 1,
+# docs/notes/refinement.md
+_PIECE_GAP = 0.6
+# px; bodies whose boxes differ by less … Source: by construction, two pictures of one body
+_SAME_PX = 4
+# … and whose areas differ by a smaller share are the same. Source: by construction, 2 % of the size
+_SAME_AREA = 0.04
 
 
 def find_bodies(image: Picture, foreground: Foreground) -> list[Silhouette] | Missing:

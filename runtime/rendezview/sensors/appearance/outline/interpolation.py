@@ -29,16 +29,19 @@ _REACH_EDGES = 1.0
 # Edges around the answer; each view within gives a place.
 # Source: experiment trajectory-accuracy, seeds 1000–1002
 _NEAR_EDGES = 0.6
-_ROUNDS = 3  # changes of the view whose quadratic is used
+_ROUNDS = 3  # changes of the view whose quadratic is used. Source: by construction, a bound only
 _STEPS = 8  # of Gauss–Newton. Source: by construction, a bound only
-_FARTHEST_RAD = 0.17  # rad from its view; a quadratic is not used beyond
-_LONGEST_STEP = 0.07  # rad, of one step
+# rad from its view; a quadratic is not used beyond. Source: trajectory-accuracy, seeds 1000–1002
+_FARTHEST_RAD = 0.17
+_LONGEST_STEP = 0.07  # rad, of one step. Source: trajectory-accuracy, seeds 1000–1002
 _KEPT = 256  # quadratics, of the views used last. Source: by construction, a bound of memory
 # px that an outline lies too far out, by blur and the low threshold: the mean over frames with
 # truth. Source: experiment trajectory-accuracy, seeds 1000–1002
 _FAT_PX = 0.3
-_NOISE = 3.0  # thousandths; scatter of readings by rounding and noise
-_CUT = 2.5  # σ; residuals beyond weigh little
+# thousandths; scatter of readings by rounding and noise. Source: trajectory-accuracy, seeds
+# 1000–1002
+_NOISE = 3.0
+_CUT = 2.5  # σ; residuals beyond weigh little. Source: trajectory-accuracy, seeds 1000–1002
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ Box = tuple[int, int, int, int]
 
 MOST_AVERAGED_PX = 15  # px; the sum of 15 × 15 grey levels fits 16 bits. Source: by construction
 # Blobs whose border is shorter than a quarter of this share of the longest border are skipped.
+# Source: by construction, a bound of time
 _LEAST_BORDER = 0.02
 _NO_GREY = np.zeros((0, 0), dtype=np.uint8)  # Source: by construction
 
