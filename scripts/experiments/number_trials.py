@@ -54,29 +54,29 @@ def fusion(seed: int) -> Trial:
             far = 40.0 * math.exp(-t / 115.0)
             turn = Rotation.from_rotvec(rate * t).as_matrix() @ facing
             truth = Pose(turn, np.array([0.1, -0.2, far]) + drift * min(t, 60.0))
-            heard: list[Any] = []
+            received: list[Any] = []
             if not 100.0 < t < 120.0:
                 if n % 2 == 0:
                     noisy = truth.perturbed(sigma * (far / 20.0) * rng.standard_normal(6))
                     off = np.array([0.5, 0.0, 0.0]) * (150.0 < t < 225.0)
                     shifted = Pose(noisy.rotation, noisy.translation_m + off)
                     spread = np.diag((sigma * far / 20.0) ** 2)
-                    heard.append(PoseMeasurement(t, "camera", shifted, spread))
+                    received.append(PoseMeasurement(t, "camera", shifted, spread))
                 elif t > 130.0:
-                    heard.append(_ring(t, truth, ring, rng, wrong=rng.random() < 0.1))
+                    received.append(_ring(t, truth, ring, rng, wrong=rng.random() < 0.1))
                 normal = truth.rotation @ ring.axis
                 distance = float(normal @ truth.apply(ring.centre_m)) / float(normal[2])
                 echo = distance + 0.02 * rng.standard_normal()
-                heard.append(RangeMeasurement(t, "laser", echo, 0.02, (surface,)))
-            steps.append((truth, heard))
+                received.append(RangeMeasurement(t, "laser", echo, 0.02, (surface,)))
+            steps.append((truth, received))
         runs.append(steps)
 
     def trial() -> Figures:
         off, squares, none, lockouts, starts = [], [], 0, 0, 0
         for steps in runs:
             filtered = Fusion()
-            for n, (truth, heard) in enumerate(steps):
-                for measurement in heard:
+            for n, (truth, received) in enumerate(steps):
+                for measurement in received:
                     filtered.add(measurement)
                 estimate = filtered.state_at(0.5 * n)
                 if estimate.pose is None or estimate.covariance is None:

@@ -226,10 +226,10 @@ def _ring_of(target: str) -> DockingRing:
 
 
 def _prior(
-    text: str | None, told: RingPrior, known: DockingRing | None
+    text: str | None, given: RingPrior, known: DockingRing | None
 ) -> Callable[[Frame], RingPrior | None]:
     if text is None:
-        return lambda frame: told
+        return lambda frame: given
     if text == "scene":
         if known is None:
             raise RendezviewError("--prior-axis scene needs --target, which gives the ring's axis")
@@ -240,7 +240,7 @@ def _prior(
                 raise RendezviewError(
                     f"{frame.name}: the scene does not give its pose: give --prior-axis 'x,y,z'"
                 )
-            return replace(told, axis=truth.rotation @ known.axis)
+            return replace(given, axis=truth.rotation @ known.axis)
 
         return from_scene
     try:
@@ -252,4 +252,4 @@ def _prior(
             f"--prior-axis must be 'scene' or three numbers 'x,y,z', not all zero, not {text!r}"
         ) from None
     axis = axis / np.linalg.norm(axis)
-    return lambda frame: replace(told, axis=axis)
+    return lambda frame: replace(given, axis=axis)

@@ -29,8 +29,8 @@ RIGHT = 0.005  # of the range
 RANGE_M = (3.0, 9.0)  # of the client's ring; rings of other sizes at as many radii
 TILT_DEG = 35.0  # at most
 SUN_DEG = 40.0  # at most, Sun–target–camera
-AXIS_ERROR_DEG = 3.0  # of the axis that is told
-TOLD = {  # share of the range that its σ is, None: no range; known circles or not
+AXIS_ERROR_DEG = 3.0  # of the axis that is given
+GIVEN = {  # share of the range that its σ is, None: no range; known circles or not
     "range to 1 %": (0.01, False),
     "range to 1 %, circles": (0.01, True),
     "range to 5 %": (0.05, False),
@@ -63,7 +63,7 @@ def run(
     *,
     seed: int = 22,
     frames: int = 72,
-    repeats: Annotated[int, "told ranges a frame, each with its own error"] = 4,
+    repeats: Annotated[int, "given ranges a frame, each with its own error"] = 4,
     renderer: Literal["own", "mitsuba"] = "own",
     mesh: Annotated[Path | None, "another vehicle, with circular edges; default: client"] = None,
     unit: Annotated[str | None, "of that mesh"] = None,
@@ -72,7 +72,7 @@ def run(
     """Which of a vehicle's circles the ring sensor takes, and the errors of its pose.
 
     The ring is 3 to 9 m away at the client's size (5 to 15 radii), tilted by 0 to 35°; the Sun is
-    0 to 40° off the camera. The radius is told, an axis wrong by 3°, and a range with a normal
+    0 to 40° off the camera. The radius is given, an axis wrong by 3°, and a range with a normal
     error, or none. Of another mesh, every circular edge at the vehicle's outside is a ring. A pose
     is right within 0.5 % of the range. Every frame stands on its own.
     """
@@ -83,11 +83,11 @@ def run(
     name = mesh.name if mesh else "client"
     rows = table_of(
         f"{name}, {renderer} renderer, {frames} frames, seed {seed}",
-        "told | answers | within 0.5 % | ok | wrong and ok | ambiguous | ring among the candidates"
+        "given | answers | within 0.5 % | ok | wrong and ok | ambiguous | ring among the candidates"
         " | NEES, 5 d.o.f. | NEES of the place, 3",
     )
     lines = []
-    for case, (share, known) in TOLD.items():
+    for case, (share, known) in GIVEN.items():
         if known and not circles:
             continue
         known_circles = circles if known else ()
@@ -171,8 +171,8 @@ def _answer(
     axis = Rotation.from_rotvec(np.cross(view.axis, tilt)).apply(view.axis)
     prior = RingPrior(axis=axis)
     if share is not None:
-        told = far * (1.0 + share * rng.standard_normal())
-        prior = RingPrior(axis=axis, range_m=told, range_sigma_m=share * told)
+        given = far * (1.0 + share * rng.standard_normal())
+        prior = RingPrior(axis=axis, range_m=given, range_sigma_m=share * given)
     sensor = _Given(CAMERA, view.ring.radius_m, circles=circles)
     reading = sensor.read(detection, prior)
 

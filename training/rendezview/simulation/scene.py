@@ -70,7 +70,7 @@ class SceneOptions:
     mitsuba: MitsubaOptions | None = None  # render with Mitsuba instead of our own renderer
     sensor: SensorOptions = field(default_factory=SensorOptions)
     sky_level_grey: float = 0.0  # glow of the sky: grey levels behind the target, not before it
-    dust: int = 0  # specks before the camera, each frame anew
+    dust: int = 0  # specks before the camera, new in each frame
     mesh_error: float = 0.0  # RMS displacement of the surface, share of the target's radius
     masks: bool = False  # write mask_visib/ too
 

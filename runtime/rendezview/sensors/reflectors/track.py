@@ -43,10 +43,10 @@ class TrackingOptions:
 
 
 class Branch(StrEnum):
-    """How the pose is told from the mirrored one that shows nearly the same spots."""
+    """How the pose is distinguished from the mirrored one that shows nearly the same spots."""
 
     SURE = "sure"  # by the spots of this reading: no other pose shows them
-    FOLLOWED = "followed"  # by its motion, since it was sure
+    FOLLOWED = "followed"  # by its motion, since it was certain
     MERGED = "merged"  # both are within the error: the covariance holds both
     OPEN = "open"  # not at all: there is no pose
 

@@ -199,10 +199,10 @@ class RingSensor:
             )
         if aside.min() > _PLACE_TOLERANCE:
             return Which(None, (), "no ellipse where the ring should be")
-        told = self._range(prior, known=expected is not None)
-        if told is not None:
+        given = self._range(prior, known=expected is not None)
+        if given is not None:
             return by_range(
-                self.camera, edges, self.radius_m, *told, self.circles, aside < _PLACE_TOLERANCE
+                self.camera, edges, self.radius_m, *given, self.circles, aside < _PLACE_TOLERANCE
             )
         if expected is None:
             return without_range(self.camera, edges, self.radius_m, self.circles)
@@ -214,7 +214,7 @@ class RingSensor:
         return Which(best, (), "")
 
     def _range(self, prior: RingPrior, *, known: bool) -> tuple[float, float] | None:
-        """Range of the ring and its σ, as told; None where the memory of the last frame decides."""
+        """Given range of the ring and its σ; None where the memory of the last frame decides."""
         range_m = prior.range_m
         if range_m is None and prior.centre_m is not None:
             range_m = float(np.linalg.norm(prior.centre_m))

@@ -22,8 +22,8 @@ from rendezview.sensors.ring.detector import RingEdge
 
 Array = npt.NDArray[np.float64]
 
-_RANGE_FLOOR = 0.003  # of the range; σ of where the range is told to. Source: a rim's depth
-# From the told range; beyond it an ellipse is none of the ring's. Source: ring-vehicle, seed 22
+_RANGE_FLOOR = 0.003  # of the range; least σ of the point it is measured to. Source: a rim's depth
+# From the given range; beyond it an ellipse is none of the ring's. Source: ring-vehicle, seed 22
 _FARTHEST_SIGMAS = 3.0
 # Of −ln score: a long arc with companions is likelier the ring than a shadow. Source: the same
 _WORTH = 2.0

@@ -165,8 +165,8 @@ class PoseSearch:
             return None
         turned = found.best.pose.rotation @ self._half_turns
         other = float(np.max(self.ballot.scores(body.signature, turned)))
-        sure = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
-        return found if sure else None
+        leads = found.votes >= _LEAST_VOTES and found.votes - other >= _LEAST_LEAD
+        return found if leads else None
 
     def _around_best_two(
         self,

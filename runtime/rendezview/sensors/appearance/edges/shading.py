@@ -45,7 +45,7 @@ _EVEN = 0.06
 # seeds of docs/notes/refinement.md
 _TOLERANCE = 0.4
 # Nodes of each level of the sphere, and how near to the best one before, as a cosine: the nodes
-# Of a level lie 32°, 16° and 8° apart. Source: by construction, 0.8 of the level before
+# of a level lie 32°, 16° and 8° apart. Source: by construction, 0.8 of the level before
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
 # Cosine between a given Sun and the nodes that represent it. Source: spacing of the nodes, 8°
 _NEAR_SUN = 0.99
