@@ -220,7 +220,7 @@ def stereo(seed: int) -> Trial:
                 poses += 1
                 turn = Rotation.from_matrix(given.rotation @ turning[k].rotation.T).magnitude()
                 (off if motion is None else smooth).append(np.rad2deg(turn))
-        lights = sum(len(find_lights(picture).xy) for picture in pictures)
+        lights = sum(len(find_lights(picture).led) for picture in pictures)
         tracker = StereoTracker.of_target(rig, target)
         seen = tracker.update(0.0, [find_lights(picture) for picture in pictures])
         return {

@@ -21,10 +21,11 @@ Ints = npt.NDArray[np.int64]
 Vector = tuple[float, float, float]
 Tolerances = tuple[float, float, float, float, float, float]
 
-_CORRECTIONS = 2
+_CORRECTIONS = 2  # rounds. Source: by construction, a bound of time
 # Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
 _SLACK, _SLACK_NEAR = 0.01, 0.2
-_SLACK_FIRST = 0.3  # and without corrections, of base / range
+# and without corrections, of base / range. Source: by hand; see reflector-acquisition
+_SLACK_FIRST = 0.3
 # ln of a size: by so much the expected one may be smaller than the one visible. Source: by
 # construction, three times the largest σ of a size
 _SIZE_REACH = 0.3

@@ -22,7 +22,9 @@ Ints = npt.NDArray[np.int64]
 
 Table = npt.NDArray[np.float64]
 
-_ALIKE = 0.3  # ln of the sizes of two spots of equal reflectors, at most
+# ln of the sizes of two spots of equal reflectors, at most. Source: by hand; see
+# reflector-acquisition
+_ALIKE = 0.3
 # sides nearer in length than this share tie. Source: Book et al.: no base where two sides tie; by
 # construction
 _TIE = 0.02

@@ -22,16 +22,22 @@ FIRST, LAST, TURN, LENGTH = 0, 1, 2, 3
 X0, Y0, XM, YM, X1, Y1, NX, NY = 4, 5, 6, 7, 8, 9, 10, 11  # ends, middle, inward normal there
 COLUMNS = 12  # Source: by construction
 
-_POLYGON_PX = 0.9  # how far a chain may leave its polygon
-_CORNER_RAD = 1.15  # a sharper turn of the polygon is a corner
-_UNEVEN = 4.0  # a segment this much longer than its neighbour is a straight line
-_LEAST_TURN_RAD = 0.35  # of an arc
-_LEAST_LENGTH_PX = 14.0
-_SAMPLED = 24  # points of an arc that a joint conic is tested on
-_LEAST_TURN_SINGLE_RAD = 0.6  # of one arc that determines an ellipse
-_LEAST_TURN_GROUP_RAD = 1.0  # of all arcs of a group together
-_LARGE_TURN_RAD = 3.0  # the arcs of such a group start no group of their own
-_FAR_PX = 12.0  # an arc further from a well determined ellipse is not tried
+_POLYGON_PX = 0.9  # how far a chain may leave its polygon. Source: by hand; see ring-accuracy
+_CORNER_RAD = 1.15  # a sharper turn of the polygon is a corner. Source: by hand; see ring-accuracy
+# A segment this much longer than its neighbour is a straight line. Source: by hand; see
+# ring-accuracy
+_UNEVEN = 4.0
+_LEAST_TURN_RAD = 0.35  # of an arc. Source: by hand; see ring-accuracy
+_LEAST_LENGTH_PX = 14.0  # px, of an arc. Source: by hand; see ring-accuracy
+# Points of an arc that a joint conic is tested on. Source: by construction, a bound of time
+_SAMPLED = 24
+# Of one arc that determines an ellipse. Source: by hand; see ring-accuracy
+_LEAST_TURN_SINGLE_RAD = 0.6
+_LEAST_TURN_GROUP_RAD = 1.0  # of all arcs of a group together. Source: by hand; see ring-accuracy
+# The arcs of such a group start no group of their own. Source: by hand; see ring-accuracy
+_LARGE_TURN_RAD = 3.0
+# an arc further from a well determined ellipse is not tried. Source: by hand; see ring-accuracy
+_FAR_PX = 12.0
 
 
 @njit(cache=True, nogil=True)

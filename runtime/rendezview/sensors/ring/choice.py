@@ -18,12 +18,15 @@ from rendezview.sensors.ring.circle_pose import CirclePose, tangent_basis
 
 Array = npt.NDArray[np.float64]
 
-_ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one
-_MARGIN = 1.5  # the other axis must be this much further from the prior
-_PLANE_CHI2 = 30.0  # by which the false pose must misfit, and four times as much as the true one
-_POINT_SIGMAS = 3.0
-_MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much
-_MOTION_SHARE = 0.35  # and the true one by no more than this of it
+_ONE_POSE_SIGMAS = 2.0  # two axes nearer than that are one. Source: normal distribution, 5 %
+# The other axis must be this much further from the prior. Source: by hand; see ring-accuracy
+_MARGIN = 1.5
+# By which the false pose must misfit, and four times as much as the true one. Source: by
+# construction, odds of e¹⁵
+_PLANE_CHI2 = 30.0
+_POINT_SIGMAS = 3.0  # σ by which the point must tell. Source: normal distribution, 0.3 %
+_MOTION_LEAST_RAD = math.radians(2.0)  # the false axis must have turned by so much. Source: by hand
+_MOTION_SHARE = 0.35  # and the true one by no more than this of it. Source: by hand
 
 
 @dataclass(frozen=True, slots=True)

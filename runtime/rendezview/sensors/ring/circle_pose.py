@@ -20,9 +20,12 @@ from rendezview.sensors.ring.ellipse import Ellipse
 
 Array = npt.NDArray[np.float64]
 
-RADIUS_SHARE = 3e-4  # σ of a known radius: facets of a CAD ring, warmth, tolerances
+# σ of a known radius: facets of a CAD ring, warmth, tolerances. Source: by construction, 72 facets,
+# (π / 72)² / 6
+RADIUS_SHARE = 3e-4
 _FIXED_POINT_STEPS = 12  # Source: by construction, a bound only
-_LARGEST_ANGLE_RAD = 1.0  # of an axis' standard deviation: beyond it nothing is known
+# Of an axis' standard deviation: beyond it nothing is known. Source: by construction, a bound only
+_LARGEST_ANGLE_RAD = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,13 +30,17 @@ from rendezview.sensors.ring.ellipse import Ellipse
 
 Array = npt.NDArray[np.float64]
 
-PLANE_SHARE = 0.004  # σ of an edge's height over the ring's plane, as a share of the radius
+# σ of an edge's height over the ring's plane, as a share of the radius. Source: by hand; see
+# ring-accuracy
+PLANE_SHARE = 0.004
 _STEPS = 15  # Gauss–Newton iterations at most. Source: by construction, a bound only
 _LEAST_GAIN = 1e-4  # χ², a hundredth of a standard deviation: the end. Source: by construction
 # Of a parameter, for numerical slopes.
 _SLOPE_STEP = 1e-5  # Source: by construction, between rounding and curvature
-_MOST = 5
-_MISFIT = 4.0  # χ² over its degrees of freedom, of edges that are not of one plane
+_MOST = 5  # edges. Source: by construction, a bound of time
+# χ² over its degrees of freedom, of edges that are not of one plane. Source: by hand; see
+# ring-accuracy
+_MISFIT = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,10 +18,12 @@ from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_c
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-FULL_EDGES = 2.5  # full circles of a group that score 1
-LEAST_RATIO = 0.6  # of the smallest edge's radius to the largest one's
-_ASIDE = 0.04  # of the radius, how far centres may lie apart in the picture
-_UNALIKE = 0.04  # difference of the shapes, relative
+FULL_EDGES = 2.5  # full circles of a group that score 1. Source: by hand; see ring-accuracy
+# Of the smallest edge's radius to the largest one's. Source: by hand; see ring-accuracy
+LEAST_RATIO = 0.6
+# Of the radius, how far centres may lie apart in the picture. Source: by hand; see ring-accuracy
+_ASIDE = 0.04
+_UNALIKE = 0.04  # difference of the shapes, relative. Source: by hand; see ring-accuracy
 
 
 def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[Ints, Array, Ints]:

@@ -31,16 +31,25 @@ _MOST_ARCS = 120  # Source: by construction, a bound of time
 class RingOptions:
     """What counts as a ring's edge."""
 
-    least_contrast_grey: float = 8.0
-    edge_sigmas: float = 5.0  # of the smoothed gradient's noise
-    fit_tolerance_px: float = 1.2  # of arcs from their common conic
-    least_semi_axis_px: float = 8.0  # the short one
-    least_ratio: float = 0.2  # short over long: a tilt of 78°
-    least_arc_rad: float = math.radians(75.0)  # of the circle with edges, all pieces together
-    least_share: float = 0.5  # of the longest piece's neighbourhood; see `verify`
-    blur_px: float = 0.9  # σ of an edge in the picture: optics, pixel and interpolation
-    sample_px: float = 1.5  # between samples of the final fit
-    floor_px: float = 0.03  # σ added to an ellipse's numbers: errors of the edge model
+    least_contrast_grey: float = 8.0  # grey levels. Source: a chosen limit
+    # Of the smoothed gradient's noise. Source: normal distribution, 6·10⁻⁷
+    edge_sigmas: float = 5.0
+    # Of arcs from their common conic. Source: by hand; see ring-accuracy
+    fit_tolerance_px: float = 1.2
+    least_semi_axis_px: float = 8.0  # the short one. Source: a chosen limit
+    least_ratio: float = 0.2  # short over long: a tilt of 78°. Source: a chosen limit
+    # Of the circle with edges, all pieces together. Source: a chosen limit
+    least_arc_rad: float = math.radians(75.0)
+    # Of the longest piece's neighbourhood; see `verify`. Source: by hand; see ring-accuracy
+    least_share: float = 0.5
+    # σ of an edge in the picture: optics, pixel and interpolation. Source: by hand; see
+    # ring-accuracy
+    blur_px: float = 0.9
+    # Between samples of the final fit. Source: by construction, 1.7 σ of the blur
+    sample_px: float = 1.5
+    # σ added to an ellipse's numbers: errors of the edge model. Source: docs/notes/ring.md, meant
+    # for real frames
+    floor_px: float = 0.03
     most: int = 12  # ellipses kept. Source: by construction, a bound of time
 
 

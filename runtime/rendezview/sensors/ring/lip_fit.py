@@ -38,9 +38,10 @@ from rendezview.sensors.ring.steps import sample_steps
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 
-LEAST_ARC = 0.5  # rad of either sense, below which no second edge is looked for
-_GAP_PX = (0.4, 6.0)  # least and most, between the two
-_SIGMAS = 3.0
+# rad of either sense, below which no second edge is looked for. Source: by hand; see ring-accuracy
+LEAST_ARC = 0.5
+_GAP_PX = (0.4, 6.0)  # least and most, between the two. Source: by hand; see ring-accuracy
+_SIGMAS = 3.0  # of the gap. Source: normal distribution, 0.3 %
 
 
 @njit(cache=True, nogil=True)

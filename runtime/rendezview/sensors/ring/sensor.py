@@ -30,9 +30,12 @@ _COMPANIONS_BY_SCORE = (0.8, 1.25)  # where the first may be an inner edge. Sour
 # σ of an ellipse's numbers over that of its edge's systematic part: the ellipse takes in a part.
 _SYSTEMATIC = 1.0  # Source: ring-vehicle, seed 22
 _LEAST_SYSTEMATIC_PX = 1e-3  # Source: by construction, far below any error
-_FORGET_FRAMES = 5  # frames without a pose, after which the last one is forgotten
+# Frames without a pose, after which the last one is forgotten. Source: a chosen limit
+_FORGET_FRAMES = 5
 _RANGE_SHARE = 0.05  # of a range without a σ. Source: half the relief of a vehicle
-_PLACE_TOLERANCE = 0.35  # of the semi-axis: how far a ring may have moved since it was known
+# Of the semi-axis: how far a ring may have moved since it was known. Source: by hand; see
+# ring-accuracy
+_PLACE_TOLERANCE = 0.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)

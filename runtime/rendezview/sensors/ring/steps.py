@@ -34,9 +34,13 @@ from rendezview.sensors.ring.samples import (
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 
-LEAST_GAP = 2.2  # px between two edges that can still be resolved
-_FARTHEST_PX = 1.6  # from the ellipse, of an edge that the linear model places
-_FLOOR_PX2 = 4e-4  # px², variance of a place beside the noise: (0.02 px)²
+# px between two edges that can still be resolved. Source: by construction, the blur's width at half
+# height
+LEAST_GAP = 2.2
+# From the ellipse, of an edge that the linear model places. Source: by hand; see ring-accuracy
+_FARTHEST_PX = 1.6
+# px², variance of a place beside the noise: (0.02 px)². Source: by hand; see ring-accuracy
+_FLOOR_PX2 = 4e-4
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

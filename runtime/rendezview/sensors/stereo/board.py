@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,9 @@ from rendezview.sensors.stereo.rig import Rig, RigCamera
 
 OPENCV_FIVE = ("fx", "fy", "cx", "cy", "l1", "l2", "l3", "p1", "p2")  # as cv2.calibrateCamera
 _FEWEST_VIEWS = 3  # Source: Zhang 2000, three views for all intrinsics
-_WINDOW_PX = 5  # half-width; a wider one takes in the neighbouring corners of small squares
+# half-width; a wider one takes in the neighbouring corners of small squares. Source: by hand,
+# stereo-calibration --part pictures
+_WINDOW_PX = 5
 _CORNER_PX = 1.0  # initial σ; the residuals give the true one. Source: by construction
 
 
@@ -61,17 +63,9 @@ def read_board_views(
     for name, paths in folders:
         size: tuple[int, int] | None = None
         found: list[Array | None] = []
-        for path in paths:
-            grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-            if grey is None:
-                raise RendezviewError(f"{path}: is no picture that can be read: replace it")
-            if size not in (None, grey.shape[::-1]):
-                raise RendezviewError(
-                    f"{path}: is {grey.shape[1]} × {grey.shape[0]} pixels, the others of camera "
-                    f"{name!r} are {size}: give pictures of one camera"
-                )
-            size = (int(grey.shape[1]), int(grey.shape[0]))
-            found.append(find_corners(np.asarray(grey, np.uint8), board))
+        for grey in pictures_of_a_camera(paths):
+            size = (grey.shape[1], grey.shape[0])
+            found.append(find_corners(grey, board))
         if size is None or sum(view is not None for view in found) < _FEWEST_VIEWS:
             raise RendezviewError(
                 f"camera {name!r}: the board with {board.columns} × {board.rows} inner corners is "
@@ -81,6 +75,26 @@ def read_board_views(
         sizes.append(size)
         corners.append(tuple(found))
     return BoardViews(board, tuple(name for name, _ in folders), tuple(sizes), tuple(corners))
+
+
+def pictures_of_a_camera(paths: Iterable[StrPath]) -> Iterator[npt.NDArray[np.uint8]]:
+    """The pictures (H, W) of files, which must all be of one size.
+
+    Raises:
+        RendezviewError: a picture cannot be read or differs in size.
+    """
+    first: tuple[int, ...] | None = None
+    for path in paths:
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        if grey is None:
+            raise RendezviewError(f"{path}: is no picture that can be read: replace it")
+        first = first or grey.shape
+        if grey.shape != first:
+            raise RendezviewError(
+                f"{path}: is {grey.shape[1]} × {grey.shape[0]} pixels, the others are "
+                f"{first[1]} × {first[0]}: give pictures of one camera"
+            )
+        yield np.asarray(grey, np.uint8)
 
 
 def find_corners(grey: npt.NDArray[np.uint8], board: Chessboard) -> Array | None:

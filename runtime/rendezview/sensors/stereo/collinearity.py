@@ -147,20 +147,10 @@ def count_lights(weight: Array) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve(
-    rotation: Array,
-    translation: Array,
-    leds: Array,
-    cr: Array,
-    ct: Array,
-    xy: Array,
-    weight: Array,
-    prior: Array,
-    prior_rotation: Array,
-    prior_translation: Array,
-    iterations: int,
-    tolerance: float,
-    information: Array,
-) -> tuple[float, int, bool]:
+    rotation: Array, translation: Array, leds: Array, cr: Array, ct: Array, xy: Array,
+    weight: Array, prior: Array, prior_rotation: Array, prior_translation: Array, iterations: int,
+    tolerance: float, information: Array,
+) -> tuple[float, int, bool]:  # fmt: skip
     """Newton-linearised least squares from (rotation, translation), which become the answer.
 
     Plain steps as in the paper; one that makes the sum of squares larger is shortened by
@@ -176,65 +166,83 @@ def solve(
     Returns:
         sum of squares, steps taken, and whether it ended within the tolerance.
     """
-    gradient = np.empty(6)
-    damped = np.empty((6, 6))
-    lower = np.zeros((6, 6))
-    step = np.empty(6)
+    gradient, step, trial_gradient = np.empty(6), np.empty(6), np.empty(6)
+    damped, lower, trial_information = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
     trial_r, trial_t = np.empty((3, 3)), np.empty(3)
-    trial_information, trial_gradient = np.empty((6, 6)), np.empty(6)
-    has_prior = prior[0, 0] > 0.0
-    cost = normal_equations(
-        rotation, translation, leds, cr, ct, xy, weight, information, gradient
+    cost = _cost_at(
+        rotation, translation, leds, cr, ct, xy, weight, prior, prior_rotation, prior_translation,
+        information, gradient,
     )  # fmt: skip
-    if has_prior:
-        cost += _add_prior(
-            rotation, translation, prior, prior_rotation, prior_translation, information, gradient
-        )
     if not cost < np.inf:
         return np.inf, 0, False
     damping = 0.0
     for taken in range(1, iterations + 1):
         while True:
-            for i in range(6):
-                for j in range(6):
-                    damped[i, j] = information[i, j]
-                damped[i, i] *= 1.0 + damping
+            _damp(information, damping, damped)
             if not linear_algebra.solve(damped, gradient, lower, step):
                 if damping > 1e9 or not information[0, 0] > 0.0:
                     return cost, taken, False
                 damping = max(10.0 * damping, 1e-6)
                 continue
-            length = 0.0  # stepᵀ JᵀJ step, since JᵀJ step = Jᵀr
-            for i in range(6):
-                length += step[i] * gradient[i]
-                trial_t[i % 3] = translation[i % 3] + step[3 + i % 3]
+            length = _try_step(step, gradient, rotation, translation, trial_r, trial_t)
             if not length < 1e30:
                 return cost, taken, False
-            so3.perturb_into(step, rotation, trial_r)
             if length < tolerance * tolerance and damping < 1e-2:
-                rotation[:] = trial_r
-                translation[:] = trial_t
+                rotation[:], translation[:] = trial_r, trial_t
                 return cost - length, taken, True  # so short a step is as good as linear
-            trial = normal_equations(
-                trial_r, trial_t, leds, cr, ct, xy, weight, trial_information, trial_gradient
-            )
-            if has_prior and trial < np.inf:
-                trial += _add_prior(
-                    trial_r, trial_t, prior, prior_rotation, prior_translation,
-                    trial_information, trial_gradient,
-                )  # fmt: skip
+            trial = _cost_at(
+                trial_r, trial_t, leds, cr, ct, xy, weight, prior, prior_rotation,
+                prior_translation, trial_information, trial_gradient,
+            )  # fmt: skip
             if trial <= cost * (1.0 + 1e-12) + 1e-12 or (iterations == 1 and trial < np.inf):
                 break
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e9:
                 return cost, taken, False
-        rotation[:] = trial_r
-        translation[:] = trial_t
-        information[:] = trial_information
-        gradient[:] = trial_gradient
-        cost = trial
+        rotation[:], translation[:] = trial_r, trial_t
+        information[:], gradient[:], cost = trial_information, trial_gradient, trial
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     return cost, iterations, False
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _cost_at(
+    rotation: Array, translation: Array, leds: Array, cr: Array, ct: Array, xy: Array,
+    weight: Array, prior: Array, prior_rotation: Array, prior_translation: Array,
+    information: Array, gradient: Array,
+) -> float:  # fmt: skip
+    """`normal_equations` with the prior added, if there is one."""
+    cost = normal_equations(
+        rotation, translation, leds, cr, ct, xy, weight, information, gradient
+    )  # fmt: skip
+    if prior[0, 0] > 0.0 and cost < np.inf:
+        cost += _add_prior(
+            rotation, translation, prior, prior_rotation, prior_translation, information, gradient
+        )
+    return cost
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _damp(information: Array, damping: float, damped: Array) -> None:
+    for i in range(6):
+        for j in range(6):
+            damped[i, j] = information[i, j]
+        damped[i, i] *= 1.0 + damping
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _try_step(
+    step: Array, gradient: Array, rotation: Array, translation: Array, trial_r: Array,
+    trial_t: Array,
+) -> float:  # fmt: skip
+    """Fill the pose after a step; stepᵀ JᵀJ step, since JᵀJ step = Jᵀr."""
+    length = 0.0
+    for i in range(6):
+        length += step[i] * gradient[i]
+        trial_t[i % 3] = translation[i % 3] + step[3 + i % 3]
+    if length < 1e30:
+        so3.perturb_into(step, rotation, trial_r)
+    return length
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

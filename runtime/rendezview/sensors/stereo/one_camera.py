@@ -13,7 +13,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
-from rendezview.sensors.stereo.board import Chessboard, find_corners
+from rendezview.sensors.stereo.board import Chessboard, find_corners, pictures_of_a_camera
 
 _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm")
 _FEWEST_VIEWS = 5  # Source: OpenCV's calibration tutorial asks for ten; five determine it
@@ -81,17 +81,9 @@ def calibrate_camera(
     detector = board.detector() if isinstance(board, CharucoBoard) else None
     size: tuple[int, int] | None = None
     points, corners, without = [], [], []
-    for path in paths:
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if grey is None:
-            raise RendezviewError(f"{path}: is no picture that can be read: replace it")
-        if size not in (None, grey.shape[::-1]):
-            raise RendezviewError(
-                f"{path}: is {grey.shape[1]} × {grey.shape[0]} pixels, the others are {size}: give "
-                "pictures of one camera"
-            )
-        size = (int(grey.shape[1]), int(grey.shape[0]))
-        found = _seen(np.asarray(grey, np.uint8), board, detector)
+    for path, grey in zip(paths, pictures_of_a_camera(paths), strict=True):
+        size = (grey.shape[1], grey.shape[0])
+        found = _seen(grey, board, detector)
         if found is None:
             without.append(path.name)
             continue

@@ -32,7 +32,8 @@ class SpotOptions:
     # above the threshold: a single one may be a hot pixel. Source: by construction
     least_pixels: int = 2
     largest_px: float = 40.0  # diameter; a larger blob is no LED. Source: a chosen limit
-    least_sigma_px: float = 0.002  # of a place, at the best: the pixels themselves differ
+    # Of a place, at the best: the pixels themselves differ. Source: by hand
+    least_sigma_px: float = 0.002
 
     def __post_init__(self) -> None:
         if self.threshold_grey is not None and not 0.0 < self.threshold_grey < 255.0:

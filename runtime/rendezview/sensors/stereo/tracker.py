@@ -31,7 +31,9 @@ from rendezview.sensors.stereo.observation import Names, StereoObservation
 from rendezview.sensors.stereo.rig import Rig, Sights, required_leds
 from rendezview.sensors.stereo.start import candidates
 
-_ALIKE = 15.0  # sums of squares closer than this do not distinguish two minima
+# sums of squares closer than this do not distinguish two minima. Source: by construction, odds of
+# e⁷
+_ALIKE = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +45,9 @@ class TrackerOptions:
     longest_outage_s: float = 5.0
     # Add the covariance of the rig's calibration to each pose's: 7 ms where the pose has moved.
     calibration_error: bool = False
-    window: float = 0.03  # normalised; unnamed spots are looked for so far from the forecast
+    # normalised; unnamed spots are looked for so far from the forecast. Source: by hand; see
+    # stereo-accuracy --part identity
+    window: float = 0.03
 
 
 class StereoTracker:

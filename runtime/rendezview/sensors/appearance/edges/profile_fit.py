@@ -27,6 +27,12 @@ _MOST_VARIANCE_PX2 = 1e3
 _TAIL = 3.5  # σ; beyond, Φ counts as 0 or 1. Source: by construction (2e-4)
 _HELD = 1e9  # information that holds an unknown. Source: by construction
 
+# Upper triangle of the normal equations a00 a01 a02 a03 a11 a12 a13 a22 a23 (a33 is the number of
+# pixels), their right side r0 … r3, and the sum of squares.
+_Sums = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float, float, float
+]
+
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def fit_profile(
@@ -52,7 +58,6 @@ def fit_profile(
     Returns:
         Whether it fits.
     """
-    # One function, longer than others: split, it took a tenth more time of refinement.
     inverse = 1.0 / sigma
     place, gain, tilt, base = start, 1.0, 0.0, background
     height = 0.0
@@ -65,85 +70,17 @@ def fit_profile(
         used = last - first + 1
         if used < _LEAST_PIXELS:
             return False
-        # Upper triangle of the normal equations, and their right side.
-        a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = 0.0
-        r0 = r1 = r2 = r3 = cost = 0.0
-        for i in range(first, last + 1):
-            d = place - (i - zero)
-            shape, slope = 0.0, 0.0
-            for k in range(steps):
-                z = (d - depths[k]) * inverse
-                if z > _TAIL:
-                    shape += levels[k]
-                elif z > -_TAIL:
-                    at = (z + REACH) * PER_UNIT
-                    cell = int(at)
-                    part = at - cell
-                    shape += levels[k] * (PHI[cell] + part * (PHI[cell + 1] - PHI[cell]))
-                    slope += levels[k] * (
-                        DENSITY[cell] + part * (DENSITY[cell + 1] - DENSITY[cell])
-                    )
-            share = normal_cdf(d * inverse)
-            j0, j1, j2 = gain * slope * inverse + tilt * share, shape, d * share
-            r = profile[i] - base - gain * shape - tilt * j2
-            cost += r * r
-            a00 += j0 * j0
-            a01 += j0 * j1
-            a02 += j0 * j2
-            a03 += j0
-            a11 += j1 * j1
-            a12 += j1 * j2
-            a13 += j1
-            a22 += j2 * j2
-            a23 += j2
-            r0 += j0 * r
-            r1 += j1 * r
-            r2 += j2 * r
-            r3 += r
-        a33 = float(used)
-        # Prior knowledge counts as one more reading each, as uncertain as a few grey levels.
-        uncertain = _MODEL_GREY * _MODEL_GREY + noise * noise
-        known = uncertain / (_GAIN_SPREAD * _GAIN_SPREAD)
-        a11 += known
-        r1 += known * (1.0 - gain)
-        spread = _TILT_SPREAD * height + 1e-3
-        known = uncertain / (spread * spread)
-        a22 += known
-        r2 -= known * tilt
-        if held:
-            a33 += _HELD
-        a00 += _HELD if step == 0 else 1e-6  # gain, tilt and background first
-        # Background, tilt and gain are eliminated in turn, which leaves the equation of the place.
-        f = a23 / a33
-        a22 -= f * a23
-        a12 -= f * a13
-        a02 -= f * a03
-        r2 -= f * r3
-        f = a13 / a33
-        a11 -= f * a13
-        a01 -= f * a03
-        r1 -= f * r3
-        f = a03 / a33
-        a00 -= f * a03
-        r0 -= f * r3
-        f = a12 / a22
-        a11 -= f * a12
-        a01 -= f * a02
-        r1 -= f * r2
-        f = a02 / a22
-        a00 -= f * a02
-        r0 -= f * r2
-        f = a01 / a11
-        a00 -= f * a01
-        r0 -= f * r1
-        move = r0 / a00
-        variance = 1.0 / a00
-        more = (r1 - a01 * move) / a11
-        bend = (r2 - a02 * move - a12 * more) / a22
+        sums = _sums(
+            profile, first, last, zero, place, gain, tilt, base, inverse, depths, levels, steps
+        )
+        cost = sums[13]
+        move, more, bend, lift, variance = _solved(
+            sums, used, gain, tilt, height, noise, held, step == 0
+        )
         place += min(max(move, -_LONGEST_MOVE_PX), _LONGEST_MOVE_PX)
         gain += more
         tilt += bend
-        base += (r3 - a03 * move - a13 * more - a23 * bend) / a33
+        base += lift
         if gain <= _LEAST_GAIN:
             return False
         if step > 0 and abs(move) < _STOP_PX:
@@ -153,3 +90,103 @@ def fit_profile(
     result[0] = place
     result[1] = (cost / (used - 3) + noise * noise) * variance
     return True
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _shape_at(
+    d: float, inverse: float, depths: Array, levels: Array, steps: int
+) -> tuple[float, float]:
+    """Grey levels of the model's profile at a depth, and σ times their slope."""
+    shape, slope = 0.0, 0.0
+    for k in range(steps):
+        z = (d - depths[k]) * inverse
+        if z > _TAIL:
+            shape += levels[k]
+        elif z > -_TAIL:
+            at = (z + REACH) * PER_UNIT
+            cell = int(at)
+            part = at - cell
+            shape += levels[k] * (PHI[cell] + part * (PHI[cell + 1] - PHI[cell]))
+            slope += levels[k] * (DENSITY[cell] + part * (DENSITY[cell + 1] - DENSITY[cell]))
+    return shape, slope
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _sums(
+    profile: Array, first: int, last: int, zero: int, place: float, gain: float, tilt: float,
+    base: float, inverse: float, depths: Array, levels: Array, steps: int,
+) -> _Sums:  # fmt: skip
+    """Normal equations of place, gain, tilt and background over some pixels; see `_Sums`."""
+    a00 = a01 = a02 = a03 = a11 = a12 = a13 = a22 = a23 = 0.0
+    r0 = r1 = r2 = r3 = cost = 0.0
+    for i in range(first, last + 1):
+        d = place - (i - zero)
+        shape, slope = _shape_at(d, inverse, depths, levels, steps)
+        share = normal_cdf(d * inverse)
+        j0, j1, j2 = gain * slope * inverse + tilt * share, shape, d * share
+        r = profile[i] - base - gain * shape - tilt * j2
+        cost += r * r
+        a00 += j0 * j0
+        a01 += j0 * j1
+        a02 += j0 * j2
+        a03 += j0
+        a11 += j1 * j1
+        a12 += j1 * j2
+        a13 += j1
+        a22 += j2 * j2
+        a23 += j2
+        r0 += j0 * r
+        r1 += j1 * r
+        r2 += j2 * r
+        r3 += r
+    return a00, a01, a02, a03, a11, a12, a13, a22, a23, r0, r1, r2, r3, cost
+
+
+@njit(cache=True, nogil=True, fastmath=True, inline="always")
+def _solved(
+    sums: _Sums, used: int, gain: float, tilt: float, height: float, noise: float, held: bool,
+    first: bool,
+) -> tuple[float, float, float, float, float]:  # fmt: skip
+    """Steps of place, gain, tilt and background, and the variance of the place."""
+    a00, a01, a02, a03, a11, a12, a13, a22, a23, r0, r1, r2, r3, _ = sums
+    # Prior knowledge counts as one more reading each, as uncertain as a few grey levels.
+    uncertain = _MODEL_GREY * _MODEL_GREY + noise * noise
+    known = uncertain / (_GAIN_SPREAD * _GAIN_SPREAD)
+    a11 += known
+    r1 += known * (1.0 - gain)
+    spread = _TILT_SPREAD * height + 1e-3
+    known = uncertain / (spread * spread)
+    a22 += known
+    r2 -= known * tilt
+    a33 = float(used)
+    if held:
+        a33 += _HELD
+    a00 += _HELD if first else 1e-6  # gain, tilt and background first
+    # Background, tilt and gain are eliminated in turn, which leaves the equation of the place.
+    f = a23 / a33
+    a22 -= f * a23
+    a12 -= f * a13
+    a02 -= f * a03
+    r2 -= f * r3
+    f = a13 / a33
+    a11 -= f * a13
+    a01 -= f * a03
+    r1 -= f * r3
+    f = a03 / a33
+    a00 -= f * a03
+    r0 -= f * r3
+    f = a12 / a22
+    a11 -= f * a12
+    a01 -= f * a02
+    r1 -= f * r2
+    f = a02 / a22
+    a00 -= f * a02
+    r0 -= f * r2
+    f = a01 / a11
+    a00 -= f * a01
+    r0 -= f * r1
+    move = r0 / a00
+    more = (r1 - a01 * move) / a11
+    bend = (r2 - a02 * move - a12 * more) / a22
+    lift = (r3 - a03 * move - a13 * more - a23 * bend) / a33
+    return move, more, bend, lift, 1.0 / a00
