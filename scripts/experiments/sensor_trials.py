@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.frame import CLIENT, MODELS_CAD, nees
 from experiments.reflectors import acquisition, speed
+from experiments.reflectors.accuracy import random_pose
 from experiments.reflectors.run import CAMERA
 from experiments.ring import accuracy as ring_accuracy
 from experiments.stereo import accuracy as stereo_accuracy
@@ -49,7 +50,7 @@ def reflectors(seed: int) -> Trial:
     single, runs = [], []
     for k in range(90):
         range_m = math.exp(rng.uniform(0.0, math.log(12.0)))
-        pose, _ = acquisition.random_pose(rng, pattern, range_m)
+        pose, _ = random_pose(rng, pattern, range_m)
         clutter = (foil(CAMERA, rng, int(rng.integers(12, 41))), glints(CAMERA, rng, k % 7))
         hidden = ((0,), (1,), (0, 2))[k // 3 % 3] if k % 3 == 0 else ()
         pair = render_pair(CAMERA, pattern, pose, options, rng, hidden=hidden, clutter=clutter)
@@ -57,7 +58,7 @@ def reflectors(seed: int) -> Trial:
         clear = not hidden and acquisition.clear_of(places, clutter, 0.0125 * CAMERA.fx / range_m)
         single.append((pose, LitDark(*pair), clear, bool(hidden)))
     for k in range(10):
-        pose, _ = acquisition.random_pose(rng, pattern, 2.0 + k)
+        pose, _ = random_pose(rng, pattern, 2.0 + k)
         step = rng.normal(0.0, [0.02, 0.02, 0.02, 0.02, 0.02, 0.05])
         poses = [pose.perturbed(n * step) for n in range(12)]
         runs.append(
