@@ -127,6 +127,7 @@ def tried(number: Number, value: Any, trial: Callable[[], Figures]) -> Figures |
         try:
             loops = number.loops()
             number.set(value)
+            loop: Any  # numba's own `recompile` would delete the cache on disk
             for loop in loops:
                 loop._cache = NullCache()
                 loop._make_finalizer()()

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from experiments import sensor_trials
 from experiments.frame import CLIENT, mesh_of, nees
-from experiments.pose import speed as pose_speed
 from experiments.trajectory import methods
 from rendezview.fusion import (
     BeamSurface,
@@ -22,13 +21,14 @@ from rendezview.fusion import (
     RingCandidate,
     RingMeasurement,
 )
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.background import Earth
-from rendezview.trajectory import Nothing, fit_spin
+from rendezview.trajectory import Method, Nothing, fit_spin
 
 Figures = dict[str, float]
 Trial = Callable[[], Figures]
@@ -136,7 +136,7 @@ def trajectory(seed: int) -> Trial:
     def trial() -> Figures:
         off, failed, rates, none = [], 0, [], 0
         for kind, cloud, flown in clouds:
-            found = methods.by_us(cloud, kind, method=methods.Method.BEST)
+            found = methods.by_us(cloud, kind, method=Method.BEST)
             truth = flown(cloud.times_s)
             far = np.linalg.norm(truth, axis=1)
             error = np.inf
@@ -166,7 +166,7 @@ def appearance(seed: int, model: Path | None) -> Trial:
     views = ViewModel.load(model)
     _, mesh = mesh_of("hubble")
     rng = np.random.default_rng(seed)
-    camera = pose_speed.Camera.from_fov(640, 480, np.deg2rad(40.0))
+    camera = Camera.from_fov(640, 480, np.deg2rad(40.0))
     frames, sequence = [], []
     for k in range(22):
         rotation = Rotation.random(random_state=rng).as_matrix()
