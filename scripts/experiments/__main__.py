@@ -24,6 +24,7 @@ EXPERIMENTS = {
             "pose.shape:misfit",
             "covariances where the mesh is wrong and none says so",
         ),
+        "pose-joints": ("pose.joints", "first poses and tracking of a target whose parts turn"),
         "pose-confidence": ("pose.confidence", "fits confidence and covariance to logs"),
         "photo-accuracy": ("pose.photo_accuracy", "poses from photographs in SPEED+'s form"),
         "sketch-confidence": ("pose.sketch_confidence", "fits the choice among poses of sketches"),

@@ -27,6 +27,7 @@ from pydantic import (
 from rendezview.errors import RendezviewError
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.files import StrPath, checked, read_text
+from rendezview.io.joints import JointedParts, joint_of
 
 Array = npt.NDArray[np.float64]
 
@@ -80,6 +81,7 @@ class Target:
     leds: tuple[Led, ...] = ()
     symmetries: tuple[Symmetry, ...] = ()
     shape_error: float = 0.0  # σ of the strain between mesh and craft
+    joints: tuple[JointedParts, ...] = ()  # parts that turn
 
     @property
     def mesh_path(self) -> Path:
@@ -187,6 +189,17 @@ class _LedTable(_Table):
     normal: _Direction
 
 
+class _JointTable(_Table):
+    name: _Name
+    axis: _Direction
+    origin_m: _Vector
+    limits_deg: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    symmetry_deg: Annotated[FiniteFloat, Field(gt=0.0, le=360.0)] | None = None
+    nodes: list[_Name] = []
+    boxes_m: list[Annotated[list[_Vector], Field(min_length=2, max_length=2)]] = []
+    meshes: list[_Name] = []
+
+
 class _DiscreteTable(_Table):
     kind: Literal["discrete"]
     axis: _Direction
@@ -206,6 +219,7 @@ class _TargetFile(_Table):
     reflectors: list[_ReflectorTable] = []
     leds: list[_LedTable] = []
     symmetries: list[Annotated[_DiscreteTable | _ContinuousTable, Field(discriminator="kind")]] = []
+    joints: list[_JointTable] = []
 
 
 _TARGET_FILE = TypeAdapter(_TargetFile)
@@ -220,6 +234,7 @@ def _read_target(path: Path) -> Target:
     file = checked(_TARGET_FILE, data, str(path))
     _refuse_twice(path, "reflectors", [reflector.name for reflector in file.reflectors])
     _refuse_twice(path, "leds", [led.name for led in file.leds])
+    _refuse_twice(path, "joints", [joint.name for joint in file.joints])
     mesh_path = None
     if file.mesh is not None:
         mesh_path = Path(os.path.normpath(path.parent / file.mesh.path))
@@ -252,7 +267,29 @@ def _read_target(path: Path) -> Target:
             Symmetry(s.kind, _frozen(s.axis), getattr(s, "angle_rad", None))
             for s in file.symmetries
         ),
+        joints=tuple(_joint(path, joint) for joint in file.joints),
     )
+
+
+def _joint(path: Path, table: _JointTable) -> JointedParts:
+    if not (table.nodes or table.boxes_m or table.meshes):
+        raise RendezviewError(
+            f"{path}: joint {table.name!r} has no parts: give nodes, boxes_m or meshes"
+        )
+    joint = joint_of(
+        str(path), table.name, table.axis, table.origin_m, table.limits_deg, table.symmetry_deg
+    )
+    meshes = tuple(Path(os.path.normpath(path.parent / name)) for name in table.meshes)
+    for mesh in meshes:
+        if not split_node(mesh)[0].is_file():
+            raise RendezviewError(f"{path}: joint {table.name!r}: there is no file {mesh}")
+    boxes = tuple(np.array(box, dtype=np.float64) for box in table.boxes_m)
+    for low, high in boxes:
+        if not np.all(low < high):
+            raise RendezviewError(
+                f"{path}: joint {table.name!r}: boxes_m must be [lowest, highest] corners"
+            )
+    return JointedParts(joint, tuple(table.nodes), boxes, meshes)
 
 
 def _ring(table: _RingTable) -> DockingRing:

@@ -19,6 +19,7 @@ from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place
 from rendezview.io.target import Target
 from rendezview.simulation.background import Earth, Stars
+from rendezview.simulation.joint_motion import joint_motion
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions
 from rendezview.simulation.ranger import Ranger, write_echoes
 from rendezview.simulation.scene import SceneOptions
@@ -27,6 +28,7 @@ from rendezview.simulation.sensor import SensorOptions
 from rendezview.simulation.shading import ShadingOptions
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.command_options import Jobs
+from rendezview.training.joints import with_parts
 from rendezview.training.mesh import Mesh, load_mesh
 
 
@@ -104,6 +106,10 @@ def simulate(
         float,
         typer.Option(help="Smooth error of the mesh: RMS displacement, share of its radius."),
     ] = 0.0,
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(help="NAME=ANGLE or NAME=ANGLE,RATE of a joint, degrees (a second)."),
+    ] = None,
     bearing: Annotated[
         float, typer.Option(help="Random trajectory: largest angle off the boresight, degrees.")
     ] = 0.0,
@@ -125,6 +131,8 @@ def simulate(
     """
     found = find_target(target)
     mesh = load_mesh(found.mesh_path, unit or found.unit)
+    mesh = with_parts(mesh, found, unit)
+    moving = joint_motion([parts.joint for parts in found.joints], joint or [])
     flight_camera = load_camera(camera) if camera else default_camera()
     options = SceneOptions(
         sky_frame="camera" if kind is Kind.TUMBLE else "target",
@@ -167,6 +175,7 @@ def simulate(
             options,
             output,
             seed,
+            joints=moving if moving.joints else None,
             jobs=1 if mitsuba else jobs,  # Mitsuba uses all cores itself
             progress=lambda done, total: progress("frames", done, total),
             overwrite=overwrite,

@@ -25,6 +25,7 @@ from rendezview.simulation.background import (
     star_radiance,
 )
 from rendezview.simulation.dust import add_dust
+from rendezview.simulation.joint_motion import JointMotion
 from rendezview.simulation.mesh_error import MOST_MESH_ERROR, deformed
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions, render_mitsuba
 from rendezview.simulation.sensor import SensorOptions, UInt8s, automatic_exposure, expose
@@ -150,14 +151,16 @@ def simulate(
     folder: Path,
     seed: int,
     *,
+    joints: JointMotion | None = None,
     jobs: int = 1,
     progress: Progress | None = None,
     overwrite: bool = False,
 ) -> None:
     """Render every pose and write a BOP scene; frame i of ``poses`` is image i.
 
-    The bytes depend on ``seed`` and not on ``jobs``: each frame has a child seed. Automatic
-    exposure is set once for the scene, from a few of its frames.
+    With ``joints`` the parts of the mesh move, and ``scene_joints.json`` has their angles. The
+    bytes depend on ``seed`` and not on ``jobs``: each frame has a child seed. Automatic exposure
+    is set once for the scene, from a few of its frames.
 
     Raises:
         RendezviewError: there are no poses, times do not increase, or the folder cannot be
@@ -172,6 +175,9 @@ def simulate(
         raise RendezviewError("jobs must be a number of threads, or −1 for all cores, not 0")
     if options.mesh_error > 0.0:  # after the trajectory, which is planned with the CAD model
         mesh = deformed(mesh, options.mesh_error, np.random.default_rng([seed, _MESH_STREAM]))
+    meshes = [mesh] * len(poses)
+    if joints is not None:
+        meshes = [joints.posed(mesh, time_s) for time_s in times_s]
     scene_seed, *frame_seeds = np.random.SeedSequence(seed).spawn(len(poses) + 1)
     scene_azimuth = float(np.random.default_rng(scene_seed).uniform(0.0, 2.0 * math.pi))
     suns = []
@@ -187,15 +193,15 @@ def simulate(
         chosen = np.unique(np.linspace(0, len(poses) - 1, _METERED_FRAMES).round().astype(int))
         # One sample per pixel without shadows is enough to measure the sunlit faces.
         plain = replace(options.shading, samples=1, shadows=False)
-        drawn = [render(mesh, camera, poses[i][1], suns[i], plain) for i in chosen]
+        drawn = [render(meshes[i], camera, poses[i][1], suns[i], plain) for i in chosen]
         pictures = [(picture.radiance, picture.coverage) for picture in drawn]
         options = replace(
             options, sensor=replace(options.sensor, exposure=_exposure(mesh, pictures, options))
         )
     with BopSceneWriter(folder, camera, overwrite=overwrite) as writer:
         frames = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(
-            delayed(_frame)(mesh, camera, pose, sun, options, rng, time_s)
-            for (time_s, pose), sun, rng in zip(poses, suns, rngs, strict=True)
+            delayed(_frame)(own, camera, pose, sun, options, rng, time_s)
+            for own, (time_s, pose), sun, rng in zip(meshes, poses, suns, rngs, strict=True)
         )
         for i, (image, coverage) in enumerate(frames):
             time_s, pose = poses[i]
@@ -205,6 +211,8 @@ def simulate(
             writer.add(i, image, pose, time_s, mask=mask)
             if progress is not None:
                 progress(i + 1, len(poses))
+    if joints is not None:
+        joints.write(folder, times_s)
 
 
 def _sun(mesh: Mesh, pose: Pose, options: SceneOptions, azimuth_rad: float) -> Array:

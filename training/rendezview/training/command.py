@@ -19,12 +19,11 @@ from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.training.command_options import Dask, Jobs
 from rendezview.training.job import Trained
-from rendezview.training.job import train as train_model
 from rendezview.training.mesh import load_mesh
 from rendezview.training.open_executor import open_executor
 from rendezview.training.options import Neighbourhood, TrainingOptions
 from rendezview.training.renderers import Renderer, working_renderer
-from rendezview.training.symmetries import find_symmetries
+from rendezview.training.target_job import train_target
 
 _DEFAULT = TrainingOptions()
 _SHELLS = ",".join(f"{shell:g}" for shell in _DEFAULT.contour_radii)
@@ -63,6 +62,10 @@ def train(
         Neighbourhood, typer.Option(help="Interpretation of the paper's 73 views.")
     ] = Neighbourhood.DISC,
     renderer: Annotated[Renderer, typer.Option(help="Renderer of the views.")] = Renderer.NUMBA,
+    joint_step: Annotated[
+        float,
+        typer.Option(min=1.0, max=90.0, help="Degrees between the sheets of a target with joints."),
+    ] = 15.0,
     jobs: Jobs = -1,
     dask: Dask = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random views.")] = 0,
@@ -104,14 +107,14 @@ def train(
         open_executor(jobs, dask, tell=lambda line: console.print(line, style="dim")) as executor,
         ProgressBar() as progress,
     ):
-        trained = train_model(
+        trained = train_target(
+            found,
             mesh,
             output,
-            name=found.name,
+            unit,
             options=options,
             camera=load_camera(camera) if camera else None,
-            symmetries=found.symmetries or find_symmetries(mesh),
-            shape_error=found.shape_error,
+            step_rad=float(np.deg2rad(joint_step)),
             executor=executor,
             progress=progress,
         )
@@ -154,6 +157,11 @@ def summary(trained: Trained) -> str:
             f"refinement: {model.contours.kind.shape[2]} contour points per view from "
             f"{len(model.contours.shells_m)} distances, {lit} shadowed silhouettes; "
             + (f"{len(model.symmetries)} symmetries" if model.symmetries else "no symmetry")
+        )
+    for k, joint in enumerate(model.joints):
+        angles = sorted({float(np.rad2deg(m.angles_rad[k])) for m in (model, *model.sheets)})
+        lines.append(
+            f"joint {joint.name!r}: {len(angles)} angles from {angles[0]:.1f}° to {angles[-1]:.1f}°"
         )
     if trained.decisions is not None:
         d = trained.decisions

@@ -23,6 +23,7 @@ from rendezview.sensors.appearance.edges.contours import (
     packed_start,
 )
 from rendezview.training.crossings import (
+    FACE,
     KIND,
     LENGTH,
     STEP_RADII,
@@ -108,7 +109,11 @@ def contour_points(
     starts = np.stack([packed_start(inside / radius_m), deeper / (radius_m * DEPTH_UNIT)], axis=-1)
     place = (points - np.array([0.0, 0.0, range_m])) @ view.rotation
     surfaces = packed_surfaces(normal @ view.rotation, colour)
-    return {
+    turning = {}
+    if mesh.face_part is not None:
+        faces = kept[:, FACE].astype(np.intp)
+        turning["part"] = _packed(mesh.face_part[faces], count, np.uint8)
+    return turning | {
         "point": _packed(place / (radius_m * POINT_UNIT), count, np.int16),
         "tangent": _packed(kept[:, 5:8] @ view.rotation / DIRECTION_UNIT, count, np.int8),
         "kind": _packed(kept[:, KIND], count, np.uint8, NO_POINT),

@@ -26,7 +26,8 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 _OUTLINE, _STEP, _CREASE = 0, 1, 2  # kinds of edges: against the sky, in depth, in normal or albedo
 # Columns of a crossing: u v, point (3), tangent (3), then
 KIND, LENGTH = 8, 9  # kind of the edge; length of the outline that it represents, px
-_COLUMNS = 10
+FACE = 10  # whose edge it is
+_COLUMNS = 11
 
 
 def faces_beside(mesh: Mesh) -> npt.NDArray[np.int32]:
@@ -289,7 +290,7 @@ def edge_crossings(
     vertices: Array, points: Array, faces: Int32s, normals: Array, beside: Int32s, pixels: Int32s,
     focal: float, middle: float, nearness: Float32s, owner: Int32s, step: float,
 ) -> Array:  # fmt: skip
-    """Where the edges beside some pixels cross the lines to their neighbours: (M, 10) rows.
+    """Where the edges beside some pixels cross the lines to their neighbours: (M, 11) rows.
 
     Args:
         vertices: (V, 3), camera frame, and ``points``: (V, 2), their pixels.
@@ -318,5 +319,6 @@ def edge_crossings(
         a, b = faces[last, edge], faces[last, (edge + 1) % 3]
         u, v = x + dx * leave, y + dy * leave
         if _write_crossing(rows[count], vertices, a, b, u, v, dx, dy, focal, middle, kind):
+            rows[count, FACE] = last
             count += 1
     return rows[:count]

@@ -20,6 +20,7 @@ import rendezview.training
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.model import HeldOut, ViewModel, Views
@@ -57,6 +58,7 @@ def train(
     camera: Camera | None = None,
     symmetries: Sequence[Symmetry] = (),
     shape_error: float = 0.0,
+    bounding_sphere: tuple[Array, float] | None = None,
     jobs: int = -1,
     executor: ShardExecutor | None = None,
     progress: Progress | None = None,
@@ -76,6 +78,8 @@ def train(
         shape_error: σ of the strain between the mesh and the real spacecraft.
         camera: the flight camera; it sets the sphere radius and the sharpness of the perturbed
             views. ``None``: a 40° field of view, 480 pixels.
+        bounding_sphere: centre (3,) and radius (m) around the target at all angles of its joints;
+            ``None``: the mesh's own.
         jobs: parallel jobs on this machine, −1 for all cores.
         executor: where shards run instead, such as a ``Cluster``.
         progress: called with the stage, the shards done and all shards.
@@ -88,7 +92,7 @@ def train(
     executor = executor or Cores(jobs)
     if (path.exists() and not path.is_file()) or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
-    geometry = view_geometry(mesh, options, camera)
+    geometry = view_geometry(mesh, options, camera, bounding_sphere)
     inputs = provenance(mesh, options, camera)
     renderer = make_renderer(options.renderer, mesh)
     surfaces = renderer if isinstance(renderer, PyrenderRenderer) else None

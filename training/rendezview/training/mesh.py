@@ -40,6 +40,8 @@ class Mesh:
     faces: NDArray[np.int32]  # (F, 3)
     face_rgb: NDArray[np.float32]  # (F, 3) in [0, 1]; 0.6 grey without a colour in the file
     notes: tuple[str, ...]  # one sentence for everything found, guessed or ignored
+    # (F,) 0: the body, k: the parts of joint k − 1; None: nothing turns
+    face_part: NDArray[np.uint8] | None = None
 
     @property
     def bounding_sphere(self) -> tuple[Array, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fnmatch
 import os
 import sys
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ _MOST_NAMED = 12  # nodes in a message. Source: fits a line
 def nodes_below(graph: Any, name: str | None, path: Path) -> set[str] | None:
     """A node of trimesh's scene graph and all below it; None if no node was named.
 
+    ``*`` and ``?`` in the name stand for other characters, as in file names.
+
     Raises:
         RendezviewError: there is no such node; the message lists those that there are.
     """
@@ -31,11 +34,12 @@ def nodes_below(graph: Any, name: str | None, path: Path) -> set[str] | None:
     for parent, child, _ in graph.to_edgelist():
         children.setdefault(str(parent), []).append(str(child))
     known = {str(node) for node in graph.nodes}
-    if name not in known:
+    matching = [name] if name in known else fnmatch.filter(sorted(known), name)
+    if not matching:
         names = sorted(known - {str(graph.base_frame)})
         listed = ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")
         raise RendezviewError(f"{path}#{name}: the scene has no node {name!r}; it has {listed}")
-    found, waiting = set(), [name]
+    found, waiting = set(), matching
     while waiting:
         node = waiting.pop()
         found.add(node)

@@ -141,14 +141,22 @@ _LEAST_SPHERE_RADII = 1.05  # target radii; least sphere radius that an option m
 _LEAST_SHELL_RADII = 1.02  # target radii; least distance of a shell
 
 
-def view_geometry(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> ViewGeometry:
+def view_geometry(
+    mesh: Mesh,
+    options: TrainingOptions,
+    camera: Camera | None,
+    bounding_sphere: tuple[Array, float] | None = None,
+) -> ViewGeometry:
     """The sphere of views: its radius as given, or such that the target fills the picture.
+
+    ``bounding_sphere``: centre (3,) and radius (m) instead of the mesh's own, of a target whose
+    parts turn.
 
     Raises:
         RendezviewError: the sphere does not enclose the target, or the camera does not determine
             its radius.
     """
-    centre_m, target_radius_m = mesh.bounding_sphere
+    centre_m, target_radius_m = bounding_sphere or mesh.bounding_sphere
     if options.sphere_radius_m is not None:
         radius_m = options.sphere_radius_m
         if radius_m <= _LEAST_SPHERE_RADII * target_radius_m:

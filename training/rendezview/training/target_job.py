@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.training import job
-from rendezview.training.mesh import load_mesh
+from rendezview.training.job import Trained
+from rendezview.training.joints import STEP_RAD, with_parts
+from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
+from rendezview.training.sheets import train_sheets
 from rendezview.training.stages import Progress
 from rendezview.training.symmetries import find_symmetries
 
@@ -41,15 +45,31 @@ def train(
     """
     found = target if isinstance(target, Target) else find_target(str(target))
     mesh = load_mesh(found.mesh_path, unit or found.unit)
-    trained = job.train(
-        mesh,
-        Path(output),
-        name=found.name,
-        options=options,
-        camera=camera,
-        symmetries=found.symmetries or find_symmetries(mesh),
-        shape_error=found.shape_error,
-        jobs=jobs,
+    return train_target(
+        found, mesh, Path(output), unit, options=options, camera=camera, jobs=jobs,
         progress=progress,
+    ).model  # fmt: skip
+
+
+def train_target(
+    target: Target, mesh: Mesh, output: Path, unit: str | None = None, **arguments: Any
+) -> Trained:
+    """Train a target whose mesh is loaded, with its joints if it has any.
+
+    Args:
+        target: gives name, symmetries, shape error and joints.
+        mesh: of the target's file.
+        output: the model file to write.
+        unit: of a bare mesh.
+        arguments: options, camera and so on, of ``job.train``; ``step_rad`` of ``train_sheets``.
+    """
+    step_rad = arguments.pop("step_rad", STEP_RAD)
+    arguments |= {"name": target.name, "shape_error": target.shape_error}
+    if not target.joints:
+        alike = target.symmetries or find_symmetries(mesh)
+        return job.train(mesh, output, symmetries=alike, **arguments)
+    joints = [parts.joint for parts in target.joints]
+    whole = with_parts(mesh, target, unit)
+    return train_sheets(
+        whole, output, joints, step_rad=step_rad, symmetries=target.symmetries, **arguments
     )
-    return trained.model

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.geodesic import Geodesic
+from rendezview.geometry.joint import Joint
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.container import read_container, write_container
@@ -107,6 +108,11 @@ class ViewModel:
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
     shape_covariance: Array | None = None
+    # Of a target with joints: the mesh is at these angles, and ``sheets`` are the same target at
+    # others, with the same view centre and radius.
+    joints: tuple[Joint, ...] = ()
+    angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
+    sheets: tuple[ViewModel, ...] = ()
 
     @property
     def shape_uncertainty(self) -> Array:
@@ -133,29 +139,39 @@ class ViewModel:
 
     def save(self, path: Path | str) -> None:
         """Write the model file, atomically and byte for byte reproducibly."""
-        arrays: dict[str, npt.NDArray[Any]] = {
-            f"views.{f.name}": getattr(self.views, f.name)
-            for f in fields(Views)
-            if getattr(self.views, f.name) is not None
-        }
-        arrays |= {f"forest.{f.name}": getattr(self.forest, f.name) for f in fields(Forest)}
-        arrays |= {name: getattr(self, name) for name in _ARRAYS}
-        if self.contours is not None:
-            arrays |= {
-                f"contours.{f.name}": getattr(self.contours, f.name) for f in fields(Contours)
-            }
-        if self.lit is not None:
-            arrays |= {
-                f"lit.{f.name}": getattr(self.lit, f.name) for f in fields(ShadowedSilhouettes)
-            }
-        if self.surface is not None:
-            arrays |= {f"surface.{f.name}": getattr(self.surface, f.name) for f in fields(Surface)}
-        if self.voters is not None:
-            arrays |= {f"voters.{f.name}": getattr(self.voters, f.name) for f in fields(Voters)}
-        if self.sketches is not None:
-            arrays |= {
-                f"sketches.{f.name}": getattr(self.sketches, f.name) for f in fields(ViewSketches)
-            }
+        header, arrays = self._stored()
+        for k, sheet in enumerate(self.sheets):
+            its_header, its_arrays = sheet._stored()
+            header.setdefault("sheets", []).append(its_header)
+            arrays |= {f"sheet{k}.{name}": array for name, array in its_arrays.items()}
+        write_container(Path(path), header, arrays)
+
+    @classmethod
+    def load(cls, path: Path | str) -> ViewModel:
+        """Read a model file.
+
+        Raises:
+            RendezviewError: the file is missing, of another kind, newer, cut off,
+                damaged, or does not hold together.
+        """
+        path = Path(path)
+        header, arrays = read_container(path)
+        try:
+            return cls._of(header, arrays)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise RendezviewError(
+                f"{path}: the model does not hold together ({error}); train it again"
+            ) from None
+
+    def _stored(self) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+        """Header and arrays of the file, without the other sheets."""
+        arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in _ARRAYS}
+        for name in _PARTS:
+            part = getattr(self, name)
+            if part is None:
+                continue
+            values = {f.name: getattr(part, f.name) for f in fields(part)}
+            arrays |= {f"{name}.{n}": value for n, value in values.items() if value is not None}
         header = {
             "name": self.name,
             "order": self.order,
@@ -174,53 +190,50 @@ class ViewModel:
             header["shape_covariance"] = self.shape_covariance.tolist()
         if self.error_model is not None:
             header["error_model"] = self.error_model.record()
-        write_container(Path(path), header, arrays)
+        if self.joints:
+            header["joints"] = [joint.record() for joint in self.joints]
+            header["angles_rad"] = self.angles_rad.tolist()
+        return header, arrays
 
     @classmethod
-    def load(cls, path: Path | str) -> ViewModel:
-        """Read a model file.
-
-        Raises:
-            RendezviewError: the file is missing, of another kind, newer, cut off,
-                damaged, or does not hold together.
-        """
-        path = Path(path)
-        header, arrays = read_container(path)
-        try:
-            # Files of earlier versions have edge profiles of cells.
-            if "contours.strip" in arrays and "contours.start" not in arrays:
-                cells, kind = arrays["contours.strip"], arrays["contours.kind"]
-                arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
-                arrays.pop("contours.rim", None)
-            model = cls(
-                name=str(header["name"]),
-                order=int(header["order"]),
-                sphere_radius_m=float(header["sphere_radius_m"]),
-                target_radius_m=float(header["target_radius_m"]),
-                smooth_bins=int(header["smooth_bins"]),
-                views=_views(arrays),
-                forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
-                held_out=HeldOut(**header["held_out"]),
-                contours=_part(arrays, "contours", Contours),
-                lit=_part(arrays, "lit", ShadowedSilhouettes),
-                surface=_part(arrays, "surface", Surface),
-                voters=_part(arrays, "voters", Voters),
-                sketches=_part(arrays, "sketches", ViewSketches),
-                symmetries=tuple(
-                    Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
-                    for s in header.get("symmetries", [])
-                ),
-                shape_error=float(header.get("shape_error", 0.0)),
-                error_model=_error_model(header),
-                shape_covariance=_shape_covariance(header),
-                provenance=dict(header["provenance"]),
-                **{name: arrays[name] for name in _ARRAYS},
-            )
-            model._check()
-        except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise RendezviewError(
-                f"{path}: the model does not hold together ({error}); train it again"
-            ) from None
+    def _of(cls, header: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> ViewModel:
+        """The model of ``_stored``, with its sheets."""
+        # Files of earlier versions have edge profiles of cells.
+        if "contours.strip" in arrays and "contours.start" not in arrays:
+            cells, kind = arrays["contours.strip"], arrays["contours.kind"]
+            arrays["contours.strip"], arrays["contours.start"] = surfaces_of_cells(cells, kind)
+            arrays.pop("contours.rim", None)
+        sheets = header.get("sheets", [])
+        model = cls(
+            name=str(header["name"]),
+            order=int(header["order"]),
+            sphere_radius_m=float(header["sphere_radius_m"]),
+            target_radius_m=float(header["target_radius_m"]),
+            smooth_bins=int(header["smooth_bins"]),
+            views=_views(arrays),
+            forest=Forest(**{f.name: arrays[f"forest.{f.name}"] for f in fields(Forest)}),
+            held_out=HeldOut(**header["held_out"]),
+            contours=_part(arrays, "contours", Contours),
+            lit=_part(arrays, "lit", ShadowedSilhouettes),
+            surface=_part(arrays, "surface", Surface),
+            voters=_part(arrays, "voters", Voters),
+            sketches=_part(arrays, "sketches", ViewSketches),
+            symmetries=tuple(
+                Symmetry(s["kind"], np.array(s["axis"], dtype=np.float64), s["angle_rad"])
+                for s in header.get("symmetries", [])
+            ),
+            shape_error=float(header.get("shape_error", 0.0)),
+            error_model=_error_model(header),
+            shape_covariance=_shape_covariance(header),
+            joints=tuple(Joint.of_record(joint) for joint in header.get("joints", [])),
+            angles_rad=np.array(header.get("angles_rad", []), dtype=np.float64),
+            sheets=tuple(
+                cls._of(sheet, _below(arrays, f"sheet{k}.")) for k, sheet in enumerate(sheets)
+            ),
+            provenance=dict(header["provenance"]),
+            **{name: arrays[name] for name in _ARRAYS},
+        )
+        model._check()
         return model
 
     def _check(self) -> None:
@@ -251,6 +264,11 @@ class ViewModel:
             self.voters.check(nodes)
         if self.sketches is not None:
             self.sketches.check()
+        if len(self.angles_rad) != len(self.joints):
+            raise ValueError(f"{len(self.angles_rad)} angles of {len(self.joints)} joints")
+        for sheet in self.sheets:
+            if len(sheet.joints) != len(self.joints) or sheet.order != self.order:
+                raise ValueError("its sheets are of different targets")
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape} instead of {shape}")
@@ -284,8 +302,15 @@ def _part(
     arrays: dict[str, npt.NDArray[Any]], name: str, kind: Callable[..., _Part]
 ) -> _Part | None:
     """A part that is optional in a model."""
-    found = {key.partition(".")[2]: a for key, a in arrays.items() if key.startswith(f"{name}.")}
+    found = _below(arrays, f"{name}.")
     return kind(**found) if found else None
 
 
+def _below(arrays: dict[str, npt.NDArray[Any]], start: str) -> dict[str, npt.NDArray[Any]]:
+    """The arrays whose names begin so, under the rest of their names."""
+    return {key.removeprefix(start): a for key, a in arrays.items() if key.startswith(start)}
+
+
+# Source: by construction, format of the model file
+_PARTS = ("views", "forest", "contours", "lit", "surface", "voters", "sketches")
 _ARRAYS = ("centre_m", "leaf_on", "leaf_off", "training_accuracy", "held_out_accuracy")

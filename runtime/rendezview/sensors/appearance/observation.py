@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.confidence import Found
+from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 from rendezview.sensors.observation import Observation, Status
@@ -36,6 +37,7 @@ class AppearanceObservation(Observation):
     silhouette: Silhouette | None = None
     signature: Signature | None = None
     found: Found | None = None  # the best refined pose and its rival, given or not
+    joints: JointAngles | None = None  # of a target with joints, with its pose
 
     @property
     def cloud(self) -> tuple[Array, Array]:
@@ -74,6 +76,7 @@ class AppearanceObservation(Observation):
             "on_nodes": self.active_nodes,
             "weights": self.weights,
             "points_m": self.points_m,
+            **({} if self.joints is None else {"joints": self.joints.record()}),
             "stage_ms": stage_ms,
         }
 

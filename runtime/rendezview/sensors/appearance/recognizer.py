@@ -9,10 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.levels import LevelSearch
+from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import (
     CLOSE_MARGIN,
@@ -22,13 +23,18 @@ from rendezview.sensors.appearance.observation import (
 from rendezview.sensors.appearance.outline.recognition import OutlineRecognition
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
+from rendezview.sensors.appearance.sheets import around, best_of, nearest_sheet
 from rendezview.sensors.appearance.sketch.found import SketchFound
 from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 
+# Frame, prior, its error, direction to the Sun, inlier ratio that is enough.
+_Look = tuple[Picture, Pose | None, float | None, npt.ArrayLike | None, float]
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
+# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
+_NEAR_RAD = np.deg2rad(8.0)
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
 
@@ -71,6 +77,8 @@ class Recognizer:
         self.least_confidence = least_confidence
         self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
         self.sketch = None
+        # A sketch shows one angle of the joints only.
+        sketch = sketch and not model.joints
         if sketch and self.search is not None and model.sketches is not None:
             self.sketch = SketchSearch(model, camera, self.search.refiner.views)
         if silhouette is None and self.search is not None:
@@ -78,6 +86,14 @@ class Recognizer:
             silhouette = SilhouetteOptions(rival_fraction=2.0, merge_gap=0.6)
         self.outline = OutlineRecognition(model, camera, silhouette or SilhouetteOptions(), match)
         self.prior_error_rad = self.outline.matcher.options.prior_error_rad
+        # The same target with its joints at other angles.
+        self._others = tuple(
+            Recognizer(
+                sheet, camera, silhouette, match, refine=refine, trees=trees,
+                least_confidence=least_confidence,
+            )
+            for sheet in model.sheets
+        )  # fmt: skip
         self._lock = threading.Lock()
 
     def recognize(
@@ -88,6 +104,7 @@ class Recognizer:
         sun_camera: npt.ArrayLike | None = None,
         enough_inliers: float = 1.0,
         *,
+        angles_rad: npt.ArrayLike | None = None,
         time_s: float | None = None,
     ) -> AppearanceObservation:
         """Look at one frame.
@@ -101,6 +118,7 @@ class Recognizer:
             sun_camera: (3,) towards the Sun, camera frame, if it is known.
             enough_inliers: inlier ratio at which the pose next to the prior is accepted without
                 another search, where it is below that of the search's options.
+            angles_rad: (J,) of the joints with the prior, to a few degrees; ``None``: unknown.
             time_s: when the frame was taken; the observation carries it.
 
         Raises:
@@ -109,8 +127,44 @@ class Recognizer:
         """
         frame = check_frame(image, self.camera.width, self.camera.height)
         with self._lock:
-            seen = self._recognize(frame, prior, prior_error_rad, sun_camera, enough_inliers)
+            look = (frame, prior, prior_error_rad, sun_camera, enough_inliers)
+            if self.model.joints and self.search is not None:
+                seen = self._of_sheets(look, angles_rad)
+            else:
+                seen = self._recognize(*look)
         return seen if time_s is None else replace(seen, time_s=time_s)
+
+    def _of_sheets(self, look: _Look, angles_rad: npt.ArrayLike | None) -> AppearanceObservation:
+        """The look of the sheet next to the angles, or the best of all."""
+        sheets = (self, *self._others)
+        models = [sheet.model for sheet in sheets]
+        if look[1] is not None and angles_rad is not None:
+            angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
+            return sheets[nearest_sheet(models, angles)]._turned_to(angles, look)
+        looks = [sheet._turned_to(sheet.model.angles_rad, look) for sheet in sheets]
+        best = best_of(looks, models, self._judged)
+        if best.found is None or best.found.best.angles_rad is None:
+            return best
+        # Edges of a part may have led to a local optimum of its angle.
+        pose = best.found.best.pose
+        again = []
+        for angles in around(self.model.joints, best.found.best.angles_rad):
+            sheet = sheets[nearest_sheet(models, angles)]
+            again.append(sheet._turned_to(angles, (look[0], pose, _NEAR_RAD, *look[3:])))
+        return best_of([*looks, *again], models, self._judged)
+
+    def _turned_to(self, angles_rad: Array, look: _Look) -> AppearanceObservation:
+        """The look of this sheet, with the joints starting at some angles (J,)."""
+        assert self.search is not None
+        self.search.start_at(angles_rad)
+        return self._recognize(*look)
+
+    def _judged(self, seen: AppearanceObservation) -> AppearanceObservation:
+        """The observation with its found pose given or refused."""
+        assert seen.found is not None
+        if self._confident(seen.found):
+            return self._given(seen, seen.found)
+        return _refused(seen, seen.found)
 
     def _recognize(
         self,
@@ -131,7 +185,7 @@ class Recognizer:
             found = search.at(frame, sky, prior, error_rad, enough_inliers)
             clock.lap("refine")
             if found is not None and not self.trees:
-                return _given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
+                return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
         if prior is None and traced.outlines:
             found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera)
@@ -143,12 +197,12 @@ class Recognizer:
             found = search.near(frame, sky, prior, error_rad, traced.outlines, also)
             clock.lap("refine")
         if found is not None and self._confident(found):
-            return _given(seen, found)
+            return self._given(seen, found)
         if self.sketch is not None:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
             if sketched is not None and self._confident(sketched):
-                return _given(seen, sketched)
+                return self._given(seen, sketched)
             if sketched is not None and (found is None or sketched.confidence > found.confidence):
                 found = sketched
         return _refused(seen, found)
@@ -160,23 +214,26 @@ class Recognizer:
         choice = search.anywhere(frame) if prior is None else search.near(frame, prior, error_rad)
         return None if choice is None else SketchFound.of(choice, dark=sky.dark)
 
+    def _given(self, seen: AppearanceObservation, found: Found) -> AppearanceObservation:
+        """The observation with the refined pose."""
+        best, joints = found.best, None
+        if best.angles_rad is not None and best.joint_covariance is not None:
+            joints = JointAngles(self.model.joints, best.angles_rad, best.joint_covariance)
+        return replace(
+            seen,
+            status=Status.OK,
+            reason=None,
+            pose=best.pose,
+            covariance=best.covariance,
+            confidence=found.confidence,
+            joints=joints,
+            found=found,
+        )
+
     def _confident(self, found: Found) -> bool:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
         close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
         return found.confidence >= self.least_confidence and not close
-
-
-def _given(seen: AppearanceObservation, found: Found) -> AppearanceObservation:
-    """The observation with the refined pose."""
-    return replace(
-        seen,
-        status=Status.OK,
-        reason=None,
-        pose=found.best.pose,
-        covariance=found.best.covariance,
-        confidence=found.confidence,
-        found=found,
-    )
 
 
 def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:
@@ -207,6 +264,7 @@ def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObse
         pose=None,
         covariance=None,
         confidence=None if found is None else found.confidence,
+        joints=None,
         points_m=np.zeros((0, 3)),
         found=found,
     )

@@ -10,6 +10,8 @@ import numpy.typing as npt
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance import joint_angles
+from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.sketch.found import SketchFound
@@ -59,6 +61,8 @@ class _Motion:
     time_s: float | None  # None: a first prior, before the first frame
     turn_rad_s: Array  # (3,) camera frame
     move_m_s: Array  # (3,) of the view centre, camera frame
+    joints: JointAngles | None = None  # of the last pose, of a target with joints
+    joint_rates_rad_s: Array | None = None  # (J,)
 
     @property
     def moves(self) -> bool:
@@ -119,6 +123,16 @@ class Tracker:
         near = pose.apply(model.centre_m)[2] < _NEAREST_RADII * model.target_radius_m
         return motion.pose if near else pose
 
+    def _predicted_angles(self, time_s: float) -> Array | None:
+        """(J,) angles of the joints expected at a time; None where they are not known."""
+        motion = self._motion
+        if motion is None or motion.joints is None or motion.time_s is None:
+            return None
+        if motion.joint_rates_rad_s is None:
+            return motion.joints.angles_rad
+        ahead_s = min(time_s - motion.time_s, self.options.longest_prediction_s)
+        return joint_angles.predicted(motion.joints, motion.joint_rates_rad_s, ahead_s)
+
     def update(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
     ) -> AppearanceObservation:
@@ -171,8 +185,9 @@ class Tracker:
             options.widest_rad,
         )
         observation = self.recognizer.recognize(
-            image, prior, error_rad, sun_camera, self._enough_inliers(), time_s=time_s
-        )
+            image, prior, error_rad, sun_camera, self._enough_inliers(),
+            angles_rad=self._predicted_angles(time_s), time_s=time_s,
+        )  # fmt: skip
         late = prior is not None and self._misses >= options.restart_after
         if late and observation.pose is None and self.recognizer.search is not None:
             again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
@@ -225,11 +240,14 @@ class Tracker:
     def _follow(self, observation: AppearanceObservation, pose: Pose, time_s: float) -> None:
         """Take a pose over, the rates since the last one, and how well it is confirmed."""
         last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
+        joints, joint_rates = observation.joints, None
         if last is not None and last.time_s is not None and time_s > last.time_s:
             centre_m: Array = self.recognizer.model.centre_m
             rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
             turn_rad_s, move_m_s = rates[:3], rates[3:]
-        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
+            if joints is not None and last.joints is not None:
+                joint_rates = joint_angles.rates(last.joints, joints, time_s - last.time_s)
+        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s, joints, joint_rates)
         self._misses, self._rivals = 0, []
         found = observation.found
         if found is None or isinstance(found, SketchFound):  # its inlier ratio is another

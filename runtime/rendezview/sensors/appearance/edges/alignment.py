@@ -56,7 +56,7 @@ _AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with erro
 _INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
 _HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
-_CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
+CUT_SPREADS = 2.5  # spreads; no residual beyond counts. Source: by hand, docs/notes/refinement.md
 _LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construction
 _LONGEST_TURN_RAD = 0.2  # rad, of one step. Source: by construction, linear to 2 %
 _ALONG = 0.1  # of a move in depth, which shows so much less. Source: by construction
@@ -273,7 +273,7 @@ def align(
                     int(stage[REACH]), stage[SPREAD], int(stage[SMOOTH]), stage[ROOM],
                     int(stage[LINES]), int(stage[STRIDE]), fit, rows,
                 )  # fmt: skip
-            used, weights = normal_equations(edges, _CUT_SPREADS * stage[SPREAD], matrix, right)
+            used, weights = normal_equations(edges, CUT_SPREADS * stage[SPREAD], matrix, right)
             if used < _LEAST_EDGES:
                 return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre

@@ -72,6 +72,8 @@ class Contours:
     # (S, V, N, SURFACES − 1, 2) where all but the first begin: inwards of the point, and deeper
     start: npt.NDArray[np.int8]
     palette: npt.NDArray[np.float32]  # (KINDS_OF_SURFACE, 4) mean normal and albedo
+    # (S, V, N) 0: the body, k: the parts of joint k − 1; None: nothing turns
+    part: npt.NDArray[np.uint8] | None = None
 
     def check(self, views: int) -> None:
         """The arrays belong together.
@@ -86,6 +88,8 @@ class Contours:
         }
         wanted |= {"kind": shape, "run": (*shape, 2), "strip": (*shape, SURFACES)}
         wanted |= {"start": (*shape, SURFACES - 1, 2), "palette": (KINDS_OF_SURFACE, 4)}
+        if self.part is not None:
+            wanted["part"] = shape
         for name, size in wanted.items():
             if getattr(self, name).shape != size:
                 found = getattr(self, name).shape

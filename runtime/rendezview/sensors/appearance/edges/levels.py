@@ -51,6 +51,12 @@ class LevelSearch:
         """That of the picture itself."""
         return self.whole.refiner
 
+    def start_at(self, angles_rad: Array) -> None:
+        """Joints start at these angles (J,) in the next frame."""
+        for level in self._levels.values():
+            if level.refiner.articulation is not None:
+                level.refiner.articulation.start_rad = angles_rad.copy()
+
     def anywhere(
         self,
         image: Picture,
@@ -118,7 +124,13 @@ class LevelSearch:
         refined = search.refiner.refine(picture, its_sky, pose, closely=True)
         if refined is None or refined.pose.angle_to(pose) > _MOST_APART_RAD:
             return found
-        best = replace(found.best, pose=refined.pose, covariance=refined.covariance)
+        best = replace(
+            found.best,
+            pose=refined.pose,
+            covariance=refined.covariance,
+            angles_rad=refined.angles_rad,
+            joint_covariance=refined.joint_covariance,
+        )
         return replace(found, best=best)
 
     def _range_m(self, pose: Pose) -> float:
@@ -138,6 +150,8 @@ class LevelSearch:
             blur_px = shrunk_blur(whole.refine_options.blur_px, times)
             level.refine_options = replace(whole.refine_options, blur_px=blur_px)
             level.refiner = Refiner(self.model, level.camera, level.refine_options)
+            if level.refiner.articulation is not None and whole.refiner.articulation is not None:
+                level.refiner.articulation.start_rad = whole.refiner.articulation.start_rad
         small = shrunk(image, times)
         return self._levels[times], small, shrunk_sky(small, sky)
 

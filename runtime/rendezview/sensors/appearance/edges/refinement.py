@@ -7,7 +7,7 @@ ratio, the share of points with an edge in place, chooses among several starting
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,9 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import (
     CLOSE_PX,
+    CUT_SPREADS,
     DIVERGED,
+    SPREAD,
     VIEWS,
     Stage,
     align,
@@ -27,6 +29,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     inlier_ratios,
     strain_covariance,
 )
+from rendezview.sensors.appearance.edges.articulation import Articulation
 from rendezview.sensors.appearance.edges.contours import Contours
 from rendezview.sensors.appearance.edges.edge_search import COLUMNS
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
@@ -74,6 +77,8 @@ _VIEW_STRAIN = 3e-4
 # target's radius. Source: experiment pose-misfit, hubble, seed 6, strains of 0, 1 and 4 %
 _STRAIN_OF_RESIDUAL = 12.0
 _EXACT_RESIDUAL_PX = 0.12  # px, root mean square. Source: experiment pose-misfit
+_JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints
+_TURNED_PX = 0.3  # px; angles whose step moves their edges less are found. Source: its last stage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +105,10 @@ class Refined:
     visible: float  # share of the outline that lies in the picture
     residual_px: float  # root mean square over the inliers
     light: float  # share of the grey levels beside the edges that one light explains
+    edge_variance_px2: float = 0.0  # σ² of an edge, with all inflation
+    strain_covariance: Array | None = None  # (6, 6) the share of the mesh in the covariance
+    angles_rad: Array | None = None  # (J,) of the joints; None: a rigid target
+    joint_covariance: Array | None = None  # (6 + J, 6 + J) as ``covariance``, then the angles
 
     @property
     def inlier_ratio(self) -> float:
@@ -120,11 +129,12 @@ class Refiner:
         self.options = options or RefineOptions()
         self.error_model = model.error_model or ErrorModel.packaged()
         contours: Contours = model.contours
+        own = np.copy if model.joints else np.asarray  # the points of parts are turned in place
         self.views = ViewTables(
             np.ascontiguousarray(model.lattice.nodes),
             np.ascontiguousarray(contours.shells_m),
-            contours.point,
-            contours.tangent,
+            own(contours.point),
+            own(contours.tangent),
             contours.kind,
             contours.run,
             contours.strip,
@@ -134,6 +144,7 @@ class Refiner:
             self.options.blur_px,
             model.shape_error,
         )
+        self.articulation = Articulation(model, self.views) if model.joints else None
         self._surface = None
         if model.surface is not None:
             self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
@@ -154,12 +165,8 @@ class Refiner:
         ``closely``: only edges a few pixels away are looked for.
         """
         rotation, centre = self._centred(start)
-        frame, stages = sky.vector, self._stages[1:] if closely else self._stages
-        edges = np.zeros((self._rows, COLUMNS))
-        light = align(image, self._lens, frame, stages, self.views, rotation, centre, edges)
-        if light == DIVERGED:
-            return None
-        return self._result(image, frame, rotation, centre, light, edges)
+        stages = self._stages[1:] if closely else self._stages
+        return self._refined(image, sky.vector, stages, rotation, centre)
 
     def measured(self, image: Picture, sky: Sky, start: Pose) -> MeasuredEdges | None:
         """The edges at the pose next to ``start`` that fits them; None where it finds no hold."""
@@ -200,21 +207,71 @@ class Refiner:
         merit = (2.0 * ratios[:, 0] + ratios[:, 1]) / 3.0
         chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
         found = []
-        edges = np.zeros((self._rows, COLUMNS))
         for k in chosen:
-            light = align(
-                image,
-                self._lens,
-                frame,
-                self._stages,
-                self.views,
-                rotations[k],
-                centres[k],
-                edges,
-            )
-            if light != DIVERGED:
-                found.append(self._result(image, frame, rotations[k], centres[k], light, edges))
+            refined = self._refined(image, frame, self._stages, rotations[k], centres[k])
+            if refined is not None:
+                found.append(refined)
         return sorted(found, key=lambda r: -r.inlier_ratio)
+
+    def _refined(
+        self, image: Picture, frame: Array, stages: Array, rotation: Array, centre: Array
+    ) -> Refined | None:
+        """The pose (changed in place) moved onto the edges; None where it finds no hold."""
+        edges = np.zeros((self._rows, COLUMNS))
+        if self.articulation is not None:
+            return self._turned(self.articulation, image, frame, stages, rotation, centre, edges)
+        light = align(image, self._lens, frame, stages, self.views, rotation, centre, edges)
+        if light == DIVERGED:
+            return None
+        return self._result(image, frame, rotation, centre, light, edges)
+
+    def _turned(
+        self, articulation: Articulation, image: Picture, frame: Array, stages: Array,
+        rotation: Array, centre: Array, edges: Array,
+    ) -> Refined | None:  # fmt: skip
+        """The pose and the angles of the joints, in turns; None where they find no hold.
+
+        As the pose, the angles are found on edges further away first, and then on near ones.
+        """
+        angles = articulation.start_rad.copy()
+        step, light = None, DIVERGED
+        last = stages[1:] if len(stages) == len(self._stages) else stages
+        for part in (*(stages[: k + 1] for k in range(2)), *[last] * _JOINT_ROUNDS):
+            articulation.turn(angles, rotation, centre)
+            light = align(image, self._lens, frame, part, self.views, rotation, centre, edges)
+            if light == DIVERGED:
+                return None
+            fine = part is last
+            cut_px = self._cut_px if fine else CUT_SPREADS * part[-1, SPREAD]
+            step = articulation.step(
+                edges, cut_px, int(part[-1, VIEWS]), rotation, centre, angles, self._nothing_known
+            )
+            if step is None:
+                return None
+            if fine and step.moved_px < _TURNED_PX:
+                break
+        articulation.turn(angles, rotation, centre)
+        refined = self._result(image, frame, rotation, centre, light, edges)
+        return self._with_angles(refined, angles, step.covariance, rotation) if step else None
+
+    def _with_angles(
+        self, refined: Refined, angles: Array, unscaled: Array, rotation: Array
+    ) -> Refined:
+        """The pose with the angles and the covariance of all of them.
+
+        The edges give both; what the strain of the mesh does to the pose is added.
+        """
+        to_origin = np.eye(len(unscaled))
+        x, y, z = rotation @ self.model.centre_m
+        to_origin[3:6, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        own = to_origin @ unscaled @ to_origin.T
+        # As the covariance of the pose alone was scaled: its residual, inflation and views.
+        scale = refined.edge_variance_px2
+        joint = scale * own
+        if refined.strain_covariance is not None:
+            joint[:6, :6] += refined.strain_covariance
+        joint = 0.5 * (joint + joint.T)
+        return replace(refined, angles_rad=angles, joint_covariance=joint, covariance=joint[:6, :6])
 
     def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
         """Agreement of bright and dark with a pose, −1 … 1; None where the model has no surface."""
@@ -269,11 +326,20 @@ class Refiner:
         outline, inner, visible = inlier_ratios(
             image, self._lens, frame, self.views, rotation, centre, CLOSE_PX, 1, edges
         )
-        covariance *= self.error_model.inflation(outline, spread_px, frame[2])
-        covariance *= self._stages[-1, VIEWS]  # which show the same edges
-        covariance += strained
+        inflation = self.error_model.inflation(outline, spread_px, frame[2])
+        inflation *= self._stages[-1, VIEWS]  # which show the same edges
         pose = Pose(rotation, centre - arm)
-        return Refined(pose, covariance, outline, inner, visible, residual, light)
+        return Refined(
+            pose,
+            inflation * covariance + strained,
+            outline,
+            inner,
+            visible,
+            residual,
+            light,
+            inflation * max(spread_px, _LEAST_SIGMA_PX) ** 2,
+            strained,
+        )
 
 
 # 1.5°. Source: by hand, seeds of docs/notes/refinement.md

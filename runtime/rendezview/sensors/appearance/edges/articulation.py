@@ -1,0 +1,185 @@
+"""The joints of one sheet: its contour points turned, and the angles found with the pose."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import exp
+from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.contours import POINT_UNIT
+from rendezview.sensors.appearance.edges.edge_search import FOUND, RESIDUAL, STATE, WEIGHT
+from rendezview.sensors.appearance.edges.view_tables import ViewTables
+from rendezview.sensors.appearance.model import ViewModel
+
+_CONE_COSINE = np.cos(np.deg2rad(15.0))  # of views that a refinement may reach. Source: twice 5°
+_STALE_RAD = 1e-5  # rad; a smaller turn is below the unit of the points. Source: by construction
+_LONGEST_RAD = 0.15  # rad, of one step of an angle. Source: half the sheets' distance, and some
+# Of angles that no edge shows. Source: as of the alignment's first stage
+_DAMPING = 1e-3
+_LEVER_RADII = 0.3  # of the target's radius: of a part that turns. Source: experiment pose-joints
+# Of the target's radius: a measured point and the table's own. Source: by construction
+_SAME_RADII = 5e-3
+_INT16 = 32767  # Source: by construction, the largest stored coordinate
+
+
+class JointStep(NamedTuple):
+    """A Gauss–Newton step of a pose with its angles."""
+
+    moved_px: float  # of the turning edges, root mean square
+    covariance: Array  # (6 + J, 6 + J) of the view centre's pose and the angles, for 1 px² of σ²
+
+
+class Articulation:
+    """Turns the contour points of a sheet, in tables of its own, and refines its angles."""
+
+    def __init__(self, model: ViewModel, views: ViewTables) -> None:
+        """Tables (changed in place) of a sheet of a target with joints.
+
+        Raises:
+            ValueError: the model's contour points have no parts.
+        """
+        contours = model.contours
+        if contours is None or contours.part is None:
+            raise ValueError("the contour points of a target with joints need their parts")
+        self.joints = model.joints
+        self._model, self._views = model, views
+        self._part, self._point, self._tangent = contours.part, contours.point, contours.tangent
+        self._turned_to = np.tile(model.angles_rad, (len(views.directions), 1))
+        self.start_rad = model.angles_rad.copy()  # of the next refinement
+
+    def turn(self, angles_rad: Array, rotation: Array, centre_m: Array) -> None:
+        """Turn the points of the views around a pose to angles (J,)."""
+        views = self._views
+        towards = -(centre_m @ rotation) / np.linalg.norm(centre_m)
+        stale = np.abs(self._turned_to - angles_rad).max(axis=1) > _STALE_RAD
+        stale &= views.directions @ towards > _CONE_COSINE
+        chosen = np.flatnonzero(stale)
+        if not len(chosen):
+            return
+        turns = np.stack(
+            [
+                joint.turn(float(joint.apart(angle, rest)))
+                for joint, angle, rest in zip(
+                    self.joints, angles_rad, self._model.angles_rad, strict=True
+                )
+            ]
+        )
+        origins = np.stack([j.origin_m - self._model.centre_m for j in self.joints])
+        shifts = origins - np.einsum("kij,kj->ki", turns, origins)
+        unit_m = views.radius_m * POINT_UNIT
+        _turn_points(
+            chosen, self._part, self._point, self._tangent, turns, shifts / unit_m,
+            views.point, views.tangent,
+        )  # fmt: skip
+        self._turned_to[chosen] = angles_rad
+
+    def step(
+        self, edges: Array, cut_px: float, nearest: int, rotation: Array, centre_m: Array,
+        angles_rad: Array, loose: Array,
+    ) -> JointStep | None:  # fmt: skip
+        """One step of pose and angles, all in place; None where the equations give none.
+
+        Args:
+            edges: (N, COLUMNS) measured at this pose, of the ``nearest`` views.
+            cut_px: residuals beyond do not count.
+            rotation: (3, 3), and ``centre_m``: (3,) of the view centre, camera frame.
+            angles_rad: (J,)
+            loose: (6,) information that there is anyway.
+        """
+        rows, slopes = self._slopes(edges, cut_px, nearest, rotation, centre_m)
+        if not len(rows):
+            return None
+        residual = rows[:, RESIDUAL]
+        weight = rows[:, WEIGHT] * (1.0 - (residual / cut_px) ** 2) ** 2
+        weighted = weight[:, None] * slopes
+        information = slopes.T @ weighted
+        joints = len(self.joints)
+        lever_px = (
+            _LEVER_RADII
+            * self._model.target_radius_m
+            * np.linalg.norm(slopes[:, 3:6])
+            / (np.sqrt(len(slopes)))
+        )
+        held = np.concatenate([loose, np.full(joints, _DAMPING * weight.sum() * lever_px**2)])
+        information[np.diag_indices(6 + joints)] += held
+        try:
+            response = np.linalg.inv(information)
+        except np.linalg.LinAlgError:
+            return None
+        step = response @ (weighted.T @ residual)
+        if not np.isfinite(step).all():
+            return None
+        step *= min(1.0, _LONGEST_RAD / max(float(np.abs(step[6:]).max()), 1e-12))
+        rotation[:] = exp(step[:3]) @ rotation
+        centre_m += step[3:6]
+        for k, joint in enumerate(self.joints):
+            angles_rad[k] = joint.within(float(angles_rad[k] + step[6 + k]))
+        moved = slopes[:, 6:] @ step[6:]
+        total = max(float(weight.sum()), 1e-12)
+        spread = weighted.T @ weighted
+        spread[np.diag_indices(6 + joints)] += np.concatenate([loose, np.zeros(joints)])
+        return JointStep(float(np.sqrt(weight @ moved**2 / total)), response @ spread @ response.T)
+
+    def _slopes(
+        self, edges: Array, cut_px: float, nearest: int, rotation: Array, centre_m: Array
+    ) -> tuple[Array, Array]:
+        """The rows that count, and the slopes (M, 6 + J) of their predicted edges, px."""
+        views = self._views
+        chosen = np.zeros(nearest, dtype=np.int64)
+        shell = nearest_views(views.directions, views.shells_m, rotation, centre_m, chosen)
+        points = views.kind.shape[2]
+        inside = edges[: nearest * points, STATE] == FOUND
+        inside &= np.abs(edges[: nearest * points, RESIDUAL]) < cut_px
+        rows = edges[: nearest * points][inside]
+        part = self._part[shell, chosen].reshape(-1)[inside]
+        # A pose slope is (q × j, j) for a point q, and j · (q + centre) = 0: q follows from it.
+        turned, j = rows[:, :3], rows[:, 3:6]
+        along = -(j @ centre_m)
+        square = np.maximum(np.sum(j * j, axis=1), 1e-30)
+        q = (np.cross(j, turned) + along[:, None] * j) / square[:, None]
+        q, j = q @ rotation, j @ rotation  # target axes
+        unit_m = views.radius_m * POINT_UNIT
+        known = views.point[shell, chosen].reshape(-1, 3)[inside] * unit_m
+        same = np.linalg.norm(q - known, axis=1) < _SAME_RADII * views.radius_m
+        slopes = np.zeros((len(rows), 6 + len(self.joints)))
+        slopes[:, :6] = rows[:, :6]
+        for k, joint in enumerate(self.joints):
+            own = same & (part == k + 1)
+            lever = known[own] + self._model.centre_m - joint.origin_m
+            slopes[own, 6 + k] = np.sum(j[own] * np.cross(joint.axis, lever), axis=1)
+        return rows, slopes
+
+
+@njit(cache=True, nogil=True)
+def _turn_points(
+    views: npt.NDArray[np.int64], part: npt.NDArray[np.uint8], point: npt.NDArray[np.int16],
+    tangent: npt.NDArray[np.int8], turns: Array, shifts: Array, out_point: npt.NDArray[np.int16],
+    out_tangent: npt.NDArray[np.int8],
+) -> None:  # fmt: skip
+    """Fill the points and tangents of some views with those of a sheet, turned part by part.
+
+    Args:
+        views: (M,) of the views.
+        part, point, tangent: of ``Contours``, at the sheet's own angles.
+        turns: (J, 3, 3), and ``shifts``: (J, 3) in units of the points.
+    """
+    p, t = np.empty(3), np.empty(3)
+    for shell in range(part.shape[0]):
+        for view in views:
+            for j in range(part.shape[2]):
+                k = int(part[shell, view, j]) - 1
+                if k < 0:
+                    continue
+                for a in range(3):
+                    p[a], t[a] = shifts[k, a], 0.0
+                    for b in range(3):
+                        p[a] += turns[k, a, b] * point[shell, view, j, b]
+                        t[a] += turns[k, a, b] * tangent[shell, view, j, b]
+                for a in range(3):
+                    out_point[shell, view, j, a] = min(max(np.rint(p[a]), -_INT16), _INT16)
+                    out_tangent[shell, view, j, a] = np.rint(t[a])
