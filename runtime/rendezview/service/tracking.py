@@ -244,9 +244,17 @@ def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) 
     return counted.count
 
 
-def contour_at(model: ViewModel, camera: Camera, pose: Pose) -> Contour | None:
-    """Contour points of the view nearest to a pose, projected; None if the model has none."""
-    found = contour_pixels(model, camera, pose)
+def contour_at(
+    model: ViewModel,
+    camera: Camera,
+    pose: Pose,
+    angles_rad: npt.NDArray[np.float64] | None = None,
+) -> Contour | None:
+    """Contour points of the view nearest to a pose, projected; None if the model has none.
+
+    ``angles_rad``: (J,) of the joints of a target that has any.
+    """
+    found = contour_pixels(model, camera, pose, angles_rad)
     if found is None:
         return None
     return Contour.model_construct(

@@ -240,7 +240,13 @@ class WorkerProcess:
         """What watchers asked for. The sender of the frame already has its answer."""
         contour: Contour | None = None
         if more["contour"] and observation.pose is not None:
-            contour = contour_at(tracker.model, tracker.camera, observation.pose)
+            joints = observation.joints
+            contour = contour_at(
+                tracker.model,
+                tracker.camera,
+                observation.pose,
+                None if joints is None else joints.angles_rad,
+            )
         outlines = silhouette_px(observation) if more["silhouette"] else None
         picture = jpeg(image, more["width"]) if more["width"] else b""
         header: Header = {

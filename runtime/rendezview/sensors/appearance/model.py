@@ -114,6 +114,17 @@ class ViewModel:
     angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
     sheets: tuple[ViewModel, ...] = ()
 
+    def sheet_at(self, angles_rad: Array) -> ViewModel:
+        """The sheet whose angles are nearest to some angles (J,); itself without joints."""
+        if not self.joints:
+            return self
+
+        def apart(sheet: ViewModel) -> float:
+            pairs = zip(self.joints, sheet.angles_rad, angles_rad, strict=True)
+            return max(abs(joint.apart(float(a), float(b))) for joint, a, b in pairs)
+
+        return min((self, *self.sheets), key=apart)
+
     @property
     def shape_uncertainty(self) -> Array:
         """(6, 6) covariance of the strain between model and craft, as ``strain_covariance`` reads

@@ -111,7 +111,7 @@ def draw_observation(
     clip = _Canvas(picture[:height], scale, width)  # a view: nothing is drawn into the bar
     factor = None
     if observation.pose is not None:
-        _edges(clip, observation.pose, camera, model)
+        _edges(clip, observation, observation.pose, camera, model)
         factor = _ellipse(clip, observation, camera, model)
         _axes(clip, observation.pose, camera, model)
     if title:
@@ -120,8 +120,15 @@ def draw_observation(
     return picture
 
 
-def _edges(canvas: _Canvas, pose: Pose, camera: Camera, model: ViewModel) -> None:
-    contour = contour_pixels(model, camera, pose)
+def _edges(
+    canvas: _Canvas,
+    observation: AppearanceObservation,
+    pose: Pose,
+    camera: Camera,
+    model: ViewModel,
+) -> None:
+    angles = None if observation.joints is None else observation.joints.angles_rad
+    contour = contour_pixels(model, camera, pose, angles)
     if contour is None or not len(contour.points_px):
         return
     points = contour.points_px

@@ -23,7 +23,7 @@ from rendezview.sensors.appearance.observation import (
 from rendezview.sensors.appearance.outline.recognition import OutlineRecognition
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.sheets import around, best_of, nearest_sheet
+from rendezview.sensors.appearance.sheets import around, best_of
 from rendezview.sensors.appearance.sketch.found import SketchFound
 from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
@@ -138,9 +138,13 @@ class Recognizer:
         """The look of the sheet next to the angles, or the best of all."""
         sheets = (self, *self._others)
         models = [sheet.model for sheet in sheets]
+
+        def at(angles: Array) -> Recognizer:
+            return sheets[models.index(self.model.sheet_at(angles))]
+
         if look[1] is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
-            return sheets[nearest_sheet(models, angles)]._turned_to(angles, look)
+            return at(angles)._turned_to(angles, look)
         looks = [sheet._turned_to(sheet.model.angles_rad, look) for sheet in sheets]
         best = best_of(looks, models, self._judged)
         if best.found is None or best.found.best.angles_rad is None:
@@ -149,8 +153,7 @@ class Recognizer:
         pose = best.found.best.pose
         again = []
         for angles in around(self.model.joints, best.found.best.angles_rad):
-            sheet = sheets[nearest_sheet(models, angles)]
-            again.append(sheet._turned_to(angles, (look[0], pose, _NEAR_RAD, *look[3:])))
+            again.append(at(angles)._turned_to(angles, (look[0], pose, _NEAR_RAD, *look[3:])))
         return best_of([*looks, *again], models, self._judged)
 
     def _turned_to(self, angles_rad: Array, look: _Look) -> AppearanceObservation:

@@ -10,6 +10,7 @@ import numpy as np
 from rendezview.geometry.joint import Joint
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
+from rendezview.sensors.appearance.joint_angles import farthest_apart
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
@@ -17,12 +18,6 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 _OTHER_RAD = np.deg2rad(5.0)
 # Rad, of an angle, where its edges are looked for again. Source: experiment pose-joints
 _ASIDE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0])
-
-
-def nearest_sheet(models: Sequence[ViewModel], angles_rad: Array) -> int:
-    """The sheet whose angles are nearest to some angles (J,)."""
-    joints = models[0].joints
-    return int(np.argmin([_apart(joints, m.angles_rad, angles_rad) for m in models]))
 
 
 def best_of(
@@ -80,8 +75,4 @@ def _another(
         return True
     if one.angles_rad is None or other.angles_rad is None:
         return False
-    return bool(_apart(joints, one.angles_rad, other.angles_rad) > _OTHER_RAD)
-
-
-def _apart(joints: Sequence[Joint], a: Array, b: Array) -> float:
-    return max(abs(j.apart(float(x), float(y))) for j, x, y in zip(joints, a, b, strict=True))
+    return bool(farthest_apart(joints, one.angles_rad, other.angles_rad) > _OTHER_RAD)

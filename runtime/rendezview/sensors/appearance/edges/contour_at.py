@@ -26,8 +26,15 @@ class ContourPixels:
     kinds: npt.NDArray[np.uint8]  # (N,) OUTLINE, STEP or CREASE
 
 
-def contour_pixels(model: ViewModel, camera: Camera, pose: Pose) -> ContourPixels | None:
-    """The contour of a model at ``camera_from_target``; None if the model has no contour points."""
+def contour_pixels(
+    model: ViewModel, camera: Camera, pose: Pose, angles_rad: Array | None = None
+) -> ContourPixels | None:
+    """The contour of a model at ``camera_from_target``; None if the model has no contour points.
+
+    ``angles_rad``: (J,) of the joints of a target that has any; ``None``: the first sheet's.
+    """
+    if angles_rad is not None:
+        model = model.sheet_at(angles_rad)
     contours = model.contours
     if contours is None:
         return None
@@ -40,6 +47,15 @@ def contour_pixels(model: ViewModel, camera: Camera, pose: Pose) -> ContourPixel
     radius_m = model.target_radius_m
     points_m = contours.point[shell, view][used] * (POINT_UNIT * radius_m)
     tangents = contours.tangent[shell, view][used] * DIRECTION_UNIT
+    if angles_rad is not None and contours.part is not None:
+        part = contours.part[shell, view][used]
+        for k, joint in enumerate(model.joints):
+            own, angle = (
+                part == k + 1,
+                joint.apart(float(angles_rad[k]), float(model.angles_rad[k])),
+            )
+            points_m[own] = joint.moved(points_m[own] + model.centre_m, angle) - model.centre_m
+            tangents[own] = tangents[own] @ joint.turn(angle).T
     places_m = points_m @ pose.rotation.T + centre
     points_px = camera.project(places_m)
     beyond_px = camera.project(places_m + _STEP_RADII * radius_m * (tangents @ pose.rotation.T))
