@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ RIGHT_DEG = 5.0
 RANGE_RADII = (3.0, 7.0)
 TURN_DEG_S = 0.5  # of every joint, and of the target
 LATER_S = 1.0  # between tracked frames
+COST_FRAMES = 40
 
 
 def run(
@@ -85,6 +87,28 @@ def run(
                 _judge(views, seen, now, turned, errors, angles, scores)
     if sequences:
         _tell(f"tracked, {sequences} sequences", errors, angles, scores, spent)
+    _tell_cost(views, mesh, camera, seed)
+
+
+def _tell_cost(views: ViewModel, mesh, camera: Camera, seed: int) -> None:
+    """Time near a prior with the joint free, beside a rigid model of one sheet; same frames."""
+    rigid = replace(views, joints=(), angles_rad=np.zeros(0), sheets=())
+    ways = {"free": Recognizer(views, camera), "rigid": Recognizer(rigid, camera)}
+    spent: dict[str, list[float]] = {name: [] for name in ways}
+    for k in range(COST_FRAMES):
+        rng = np.random.default_rng([seed, k])
+        pose, sun, _ = _drawn(views, rng, 30.0)
+        own = posed(mesh, views.joints, views.angles_rad)
+        image = render_frame(own, camera, pose, sun, SceneOptions(sky_frame="camera"), rng)
+        for name, recognizer in ways.items():
+            angles = views.angles_rad if name == "free" else None
+            for _ in range(2):  # the first finds memory and caches cold
+                began_s = time.perf_counter()
+                recognizer.recognize(image, pose, np.deg2rad(3.0), angles_rad=angles)
+                took = time.perf_counter() - began_s
+            spent[name].append(took)
+    free, held = (1e3 * float(np.median(spent[name])) for name in ("free", "rigid"))
+    print(f"near a prior: {free:.2f} ms, a rigid model {held:.2f} ms, ratio {free / held:.2f}")
 
 
 def _drawn(views: ViewModel, rng: np.random.Generator, phase_deg: float):

@@ -38,15 +38,3 @@ class JointAngles:
 def farthest_apart(joints: Sequence[Joint], a: Array, b: Array) -> float:
     """The largest difference between the angles (J,) of one state and another, rad."""
     return max(abs(j.apart(float(x), float(y))) for j, x, y in zip(joints, a, b, strict=True))
-
-
-def predicted(angles: JointAngles, rates_rad_s: Array, ahead_s: float) -> Array:
-    """(J,) angles after a time, in the joints' ranges."""
-    later = angles.angles_rad + ahead_s * rates_rad_s
-    return np.array([j.within(float(a)) for j, a in zip(angles.joints, later, strict=True)])
-
-
-def rates(before: JointAngles, after: JointAngles, passed_s: float) -> Array:
-    """(J,) rad/s between two frames."""
-    both = zip(after.joints, after.angles_rad, before.angles_rad, strict=True)
-    return np.array([joint.apart(float(a), float(b)) for joint, a, b in both]) / passed_s

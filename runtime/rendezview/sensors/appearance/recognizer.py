@@ -35,6 +35,7 @@ _Look = tuple[Picture, Pose | None, float | None, npt.ArrayLike | None, float]
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 # Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
 _NEAR_RAD = np.deg2rad(8.0)
+_SHEETS = 3  # of a target with joints that are searched whole. Source: experiment pose-joints
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
 
@@ -136,16 +137,19 @@ class Recognizer:
 
     def _of_sheets(self, look: _Look, angles_rad: npt.ArrayLike | None) -> AppearanceObservation:
         """The look of the sheet next to the angles, or the best of all."""
-        sheets = (self, *self._others)
-        models = [sheet.model for sheet in sheets]
+        sheets = every = (self, *self._others)
+        models = [sheet.model for sheet in every]
 
         def at(angles: Array) -> Recognizer:
-            return sheets[models.index(self.model.sheet_at(angles))]
+            return every[models.index(self.model.sheet_at(angles))]
 
         if look[1] is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
             return at(angles)._turned_to(angles, look)
-        looks = [sheet._turned_to(sheet.model.angles_rad, look) for sheet in sheets]
+        looks: list[AppearanceObservation] = []
+        if look[1] is None:
+            sheets, looks = self._likely(sheets, look)
+        looks += [sheet._turned_to(sheet.model.angles_rad, look) for sheet in sheets]
         best = best_of(looks, models, self._judged)
         if best.found is None or best.found.best.angles_rad is None:
             return best
@@ -155,6 +159,27 @@ class Recognizer:
         for angles in around(self.model.joints, best.found.best.angles_rad):
             again.append(at(angles)._turned_to(angles, (look[0], pose, _NEAR_RAD, *look[3:])))
         return best_of([*looks, *again], models, self._judged)
+
+    def _likely(
+        self, sheets: tuple[Recognizer, ...], look: _Look
+    ) -> tuple[tuple[Recognizer, ...], list[AppearanceObservation]]:
+        """The sheets that fit best after a brief search, and the looks of the others."""
+        frame, sky = look[0], Sky.of(look[0], look[3])
+        traced = self.outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
+        merits, looks = [], []
+        for sheet in sheets:
+            assert sheet.search is not None
+            sheet.search.start_at(sheet.model.angles_rad)
+            found = None
+            if traced.outlines:
+                found = sheet.search.anywhere(
+                    frame, sky, traced.outlines, sky.sun_camera, brief=True
+                )
+            merits.append(-np.inf if found is None else found.merit)
+            looks.append(AppearanceObservation(Status.LOST, found=found))
+        order = np.argsort(-np.array(merits), kind="stable")
+        chosen, others = order[:_SHEETS], order[_SHEETS:]
+        return tuple(sheets[k] for k in chosen), [looks[k] for k in others]
 
     def _turned_to(self, angles_rad: Array, look: _Look) -> AppearanceObservation:
         """The look of this sheet, with the joints starting at some angles (J,)."""

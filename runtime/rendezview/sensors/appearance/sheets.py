@@ -6,16 +6,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.joint import Joint
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
+from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.joint_angles import farthest_apart
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
 # Rad; a pose or an angle further away is another answer. Source: as in the experiments
 _OTHER_RAD = np.deg2rad(5.0)
+_AS_GOOD = 0.03  # merit; poses that differ by less fit as well. Source: experiment pose-joints
 # Rad, of an angle, where its edges are looked for again. Source: experiment pose-joints
 _ASIDE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0])
 
@@ -45,7 +48,34 @@ def best_of(
         if _another(best, looks[k], models[0], joints):
             margin = min(margin, _merit(best) - _merit(looks[k]))
             break
-    return confident(replace(best, found=replace(best.found, margin=margin)))
+    best_pose = _spread(best.found.best, [looks[k] for k in found[1:]], _merit(best), joints)
+    return confident(replace(best, found=replace(best.found, margin=margin, best=best_pose)))
+
+
+def _spread(
+    best: Refined, others: Sequence[AppearanceObservation], merit: float, joints: Sequence[Joint]
+) -> Refined:
+    """The best pose, its covariance widened to the nearby ones that fit as well.
+
+    A plate seen edge-on fits at two angles.
+    """
+    covariance = best.joint_covariance
+    if covariance is None or best.angles_rad is None:
+        return best
+    for look in others:
+        assert look.found is not None
+        other = look.found.best
+        if other.angles_rad is None or merit - look.found.merit > _AS_GOOD:
+            continue
+        if best.pose.angle_to(other.pose) > _OTHER_RAD:
+            continue
+        turn = Rotation.from_matrix(other.pose.rotation @ best.pose.rotation.T).as_rotvec()
+        move = other.pose.translation_m - best.pose.translation_m
+        pairs = zip(joints, other.angles_rad, best.angles_rad, strict=True)
+        apart = np.concatenate([turn, move, [j.apart(float(a), float(b)) for j, a, b in pairs]])
+        if apart @ np.linalg.solve(covariance, apart) > len(apart):
+            covariance = covariance + np.outer(apart, apart)
+    return replace(best, joint_covariance=covariance, covariance=covariance[:6, :6])
 
 
 def around(joints: Sequence[Joint], angles_rad: Array) -> list[Array]:

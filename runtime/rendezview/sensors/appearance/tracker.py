@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance import joint_angles
-from rendezview.sensors.appearance.joint_angles import JointAngles
+from rendezview.sensors.appearance.joint_filter import JointFilter
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
 from rendezview.sensors.appearance.sketch.found import SketchFound
@@ -61,8 +60,6 @@ class _Motion:
     time_s: float | None  # None: a first prior, before the first frame
     turn_rad_s: Array  # (3,) camera frame
     move_m_s: Array  # (3,) of the view centre, camera frame
-    joints: JointAngles | None = None  # of the last pose, of a target with joints
-    joint_rates_rad_s: Array | None = None  # (J,)
 
     @property
     def moves(self) -> bool:
@@ -97,6 +94,7 @@ class Tracker:
         self._misses = 0
         self._rivals: list[tuple[Pose, float]] = []
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
+        self._joints: JointFilter | None = None  # of a target with joints, after its first pose
         self._lock = threading.Lock()
 
     @property
@@ -125,13 +123,9 @@ class Tracker:
 
     def _predicted_angles(self, time_s: float) -> Array | None:
         """(J,) angles of the joints expected at a time; None where they are not known."""
-        motion = self._motion
-        if motion is None or motion.joints is None or motion.time_s is None:
+        if self._motion is None or self._joints is None:
             return None
-        if motion.joint_rates_rad_s is None:
-            return motion.joints.angles_rad
-        ahead_s = min(time_s - motion.time_s, self.options.longest_prediction_s)
-        return joint_angles.predicted(motion.joints, motion.joint_rates_rad_s, ahead_s)
+        return self._joints.predicted(time_s, self.options.longest_prediction_s)
 
     def update(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None = None
@@ -158,11 +152,23 @@ class Tracker:
                 observation = self._decide(time_s, image, sun_camera)
             else:
                 observation = self._look(time_s, image, sun_camera)
+            observation = self._with_joints(observation, time_s)
             if observation.pose is None:
                 self._misses += 1
             else:
                 self._follow(observation, observation.pose, time_s)
             return observation
+
+    def _with_joints(
+        self, observation: AppearanceObservation, time_s: float
+    ) -> AppearanceObservation:
+        """The observation improved by what earlier frames tell of the joints' angles."""
+        if observation.joints is None:
+            return observation
+        if self._joints is None or self._motion is None:
+            self._joints = JointFilter(observation.joints, time_s)
+            return observation
+        return self._joints.followed(observation, self.options.longest_outage_s)
 
     def _age(self, time_s: float) -> None:
         """Date a first prior by the first frame, and forget a pose that is too old."""
@@ -240,14 +246,11 @@ class Tracker:
     def _follow(self, observation: AppearanceObservation, pose: Pose, time_s: float) -> None:
         """Take a pose over, the rates since the last one, and how well it is confirmed."""
         last, turn_rad_s, move_m_s = self._motion, np.zeros(3), np.zeros(3)
-        joints, joint_rates = observation.joints, None
         if last is not None and last.time_s is not None and time_s > last.time_s:
             centre_m: Array = self.recognizer.model.centre_m
             rates = rates_between(last.pose, pose, time_s - last.time_s, centre_m)
             turn_rad_s, move_m_s = rates[:3], rates[3:]
-            if joints is not None and last.joints is not None:
-                joint_rates = joint_angles.rates(last.joints, joints, time_s - last.time_s)
-        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s, joints, joint_rates)
+        self._motion = _Motion(pose, time_s, turn_rad_s, move_m_s)
         self._misses, self._rivals = 0, []
         found = observation.found
         if found is None or isinstance(found, SketchFound):  # its inlier ratio is another

@@ -97,32 +97,32 @@ class Articulation:
         residual = rows[:, RESIDUAL]
         weight = rows[:, WEIGHT] * (1.0 - (residual / cut_px) ** 2) ** 2
         weighted = weight[:, None] * slopes
-        information = slopes.T @ weighted
         joints = len(self.joints)
+        known = np.concatenate([loose, np.full(joints, loose[0])])
+        information = slopes.T @ weighted + np.diag(known)
         lever_px = (
             _LEVER_RADII
             * self._model.target_radius_m
             * np.linalg.norm(slopes[:, 3:6])
             / (np.sqrt(len(slopes)))
         )
-        held = np.concatenate([loose, np.full(joints, _DAMPING * weight.sum() * lever_px**2)])
-        information[np.diag_indices(6 + joints)] += held
+        held = np.zeros(6 + joints)
+        held[6:] = _DAMPING * weight.sum() * lever_px**2
         try:
+            step = np.linalg.solve(information + np.diag(held), weighted.T @ residual)
             response = np.linalg.inv(information)
         except np.linalg.LinAlgError:
             return None
-        step = response @ (weighted.T @ residual)
         if not np.isfinite(step).all():
             return None
         step *= min(1.0, _LONGEST_RAD / max(float(np.abs(step[6:]).max()), 1e-12))
-        rotation[:] = exp(step[:3]) @ rotation
+        rotation[:] = exp(np.asarray(step[:3], dtype=np.float64)) @ rotation
         centre_m += step[3:6]
         for k, joint in enumerate(self.joints):
             angles_rad[k] = joint.within(float(angles_rad[k] + step[6 + k]))
         moved = slopes[:, 6:] @ step[6:]
         total = max(float(weight.sum()), 1e-12)
-        spread = weighted.T @ weighted
-        spread[np.diag_indices(6 + joints)] += np.concatenate([loose, np.zeros(joints)])
+        spread = weighted.T @ weighted + np.diag(known)
         return JointStep(float(np.sqrt(weight @ moved**2 / total)), response @ spread @ response.T)
 
     def _slopes(

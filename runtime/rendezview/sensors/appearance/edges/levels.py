@@ -63,6 +63,8 @@ class LevelSearch:
         sky: Sky,
         bodies: list[Outlines],
         sun_camera: Array | None = None,
+        *,
+        brief: bool = False,
     ) -> Found | None:
         """``PoseSearch.anywhere``; the outlines tell the size of the target."""
         area_sr = float(np.median([body.signature.area_sr for body in bodies]))
@@ -71,7 +73,7 @@ class LevelSearch:
         times = self.whole.camera.width // search.camera.width
         if times > 1:
             bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
-        found = search.anywhere(picture, its_sky, bodies, sun_camera)
+        found = search.anywhere(picture, its_sky, bodies, sun_camera, brief=brief)
         return self._finished(found, image, sky)
 
     def at(

@@ -100,8 +100,13 @@ class PoseSearch:
         sky: Sky,
         bodies: list[Outlines],
         sun_camera: Array | None = None,
+        *,
+        brief: bool = False,
     ) -> Found | None:
-        """The pose without a prior, from one or several readings of the outline."""
+        """The pose without a prior, from one or several readings of the outline.
+
+        ``brief``: of the likeliest starts only, confident or not.
+        """
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
         starts = [
@@ -113,6 +118,10 @@ class PoseSearch:
             agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0])
             if agreed is not None:
                 return agreed
+        if brief:
+            rotations, centres = (np.concatenate([s[k][:first] for s in starts]) for k in (0, 1))
+            candidates.add(self.refiner.best(image, sky, rotations, centres, _REFINED_OF_VOTED))
+            return candidates.choose()
         turned: list[Refined] = []  # poses whose half turns have been tried
         found = None
         for part, thorough in (
