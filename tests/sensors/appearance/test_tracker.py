@@ -40,6 +40,7 @@ class Script:
         sun_camera=None,
         enough_inliers=1.0,
         *,
+        angles_rad=None,
         time_s,
     ) -> AppearanceObservation:
         self.priors.append(prior)
@@ -186,6 +187,7 @@ class Rivals(Script):
         sun_camera=None,
         enough_inliers=1.0,
         *,
+        angles_rad=None,
         time_s,
     ) -> AppearanceObservation:
         if prior is None:
