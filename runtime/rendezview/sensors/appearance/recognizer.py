@@ -11,6 +11,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, check_frame
+from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.joint_angles import JointAngles
@@ -145,7 +146,13 @@ class Recognizer:
 
         if look[1] is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
-            return at(angles)._turned_to(angles, look)
+            seen = at(angles)._turned_to(angles, look, tracked=True)
+            if seen.found is None or seen.found.best.joint_support >= LEAST_SUPPORT:
+                return seen
+            # The parts are elsewhere, or hidden.
+            others = around(self.model.joints, angles) + [model.angles_rad for model in models]
+            again = [at(other)._turned_to(other, look) for other in others]
+            return best_of([seen, *again], models, self._judged)
         looks: list[AppearanceObservation] = []
         if look[1] is None:
             sheets, looks = self._likely(sheets, look)
@@ -181,10 +188,12 @@ class Recognizer:
         chosen, others = order[:_SHEETS], order[_SHEETS:]
         return tuple(sheets[k] for k in chosen), [looks[k] for k in others]
 
-    def _turned_to(self, angles_rad: Array, look: _Look) -> AppearanceObservation:
+    def _turned_to(
+        self, angles_rad: Array, look: _Look, *, tracked: bool = False
+    ) -> AppearanceObservation:
         """The look of this sheet, with the joints starting at some angles (J,)."""
         assert self.search is not None
-        self.search.start_at(angles_rad)
+        self.search.start_at(angles_rad, tracked=tracked)
         return self._recognize(*look)
 
     def _judged(self, seen: AppearanceObservation) -> AppearanceObservation:

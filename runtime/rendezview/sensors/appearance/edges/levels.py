@@ -51,11 +51,12 @@ class LevelSearch:
         """That of the picture itself."""
         return self.whole.refiner
 
-    def start_at(self, angles_rad: Array) -> None:
-        """Joints start at these angles (J,) in the next frame."""
+    def start_at(self, angles_rad: Array, *, tracked: bool = False) -> None:
+        """Joints start at these angles (J,) in the next frame; ``tracked``: from the last one."""
         for level in self._levels.values():
             if level.refiner.articulation is not None:
                 level.refiner.articulation.start_rad = angles_rad.copy()
+                level.refiner.articulation.tracked = tracked
 
     def anywhere(
         self,
@@ -132,6 +133,7 @@ class LevelSearch:
             covariance=refined.covariance,
             angles_rad=refined.angles_rad,
             joint_covariance=refined.joint_covariance,
+            joint_support=refined.joint_support,
         )
         return replace(found, best=best)
 

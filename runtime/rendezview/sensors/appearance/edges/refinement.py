@@ -29,7 +29,11 @@ from rendezview.sensors.appearance.edges.alignment import (
     inlier_ratios,
     strain_covariance,
 )
-from rendezview.sensors.appearance.edges.articulation import Articulation
+from rendezview.sensors.appearance.edges.articulation import (
+    LEAST_SUPPORT,
+    Articulation,
+    JointStep,
+)
 from rendezview.sensors.appearance.edges.contours import Contours
 from rendezview.sensors.appearance.edges.edge_search import COLUMNS
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
@@ -108,6 +112,7 @@ class Refined:
     edge_variance_px2: float = 0.0  # σ² of an edge, with all inflation
     strain_covariance: Array | None = None  # (6, 6) the share of the mesh in the covariance
     angles_rad: Array | None = None  # (J,) of the joints; None: a rigid target
+    joint_support: float = 1.0  # least share of a joint's visible points with an edge in place
     joint_covariance: Array | None = None  # (6 + J, 6 + J) as ``covariance``, then the angles
 
     @property
@@ -233,10 +238,11 @@ class Refiner:
 
         As the pose, the angles are found on edges further away first, and then on near ones.
         """
+        coarse = [stages[:1]] if articulation.tracked else [stages[:1], stages[:2]]
         angles = articulation.start_rad.copy()
         step, light = None, DIVERGED
         last = stages[1:] if len(stages) == len(self._stages) else stages
-        for part in (*(stages[: k + 1] for k in range(2)), *[last] * _JOINT_ROUNDS):
+        for part in [*coarse, *[last] * _JOINT_ROUNDS]:
             articulation.turn(angles, rotation, centre)
             light = align(image, self._lens, frame, part, self.views, rotation, centre, edges)
             if light == DIVERGED:
@@ -252,15 +258,17 @@ class Refiner:
                 break
         articulation.turn(angles, rotation, centre)
         refined = self._result(image, frame, rotation, centre, light, edges)
-        return self._with_angles(refined, angles, step.covariance, rotation) if step else None
+        return self._with_angles(refined, angles, step, rotation) if step else None
 
     def _with_angles(
-        self, refined: Refined, angles: Array, unscaled: Array, rotation: Array
+        self, refined: Refined, angles: Array, step: JointStep, rotation: Array
     ) -> Refined:
         """The pose with the angles and the covariance of all of them.
 
-        The edges give both; what the strain of the mesh does to the pose is added.
+        The edges give both; what the strain of the mesh does to the pose is added. An angle whose
+        parts have few edges in place could be any.
         """
+        unscaled = step.covariance
         to_origin = np.eye(len(unscaled))
         x, y, z = rotation @ self.model.centre_m
         to_origin[3:6, :3] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
@@ -271,7 +279,17 @@ class Refiner:
         if refined.strain_covariance is not None:
             joint[:6, :6] += refined.strain_covariance
         joint = 0.5 * (joint + joint.T)
-        return replace(refined, angles_rad=angles, joint_covariance=joint, covariance=joint[:6, :6])
+        for k, turned in enumerate(self.model.joints):
+            if step.support[k] < LEAST_SUPPORT:
+                range_rad = turned.highest_rad - turned.lowest_rad
+                joint[6 + k, 6 + k] += range_rad**2 / 12.0  # as evenly spread
+        return replace(
+            refined,
+            angles_rad=angles,
+            joint_covariance=joint,
+            joint_support=float(step.support.min()),
+            covariance=joint[:6, :6],
+        )
 
     def shading(self, image: Picture, sky: Sky, pose: Pose) -> float | None:
         """Agreement of bright and dark with a pose, −1 … 1; None where the model has no surface."""
