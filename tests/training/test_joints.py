@@ -12,6 +12,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.edges.articulation import point_of_slope
 from rendezview.sensors.appearance.tracker import Tracker
 from rendezview.sensors.observation import Status
 from rendezview.simulation.joint_motion import joint_motion
@@ -219,3 +220,28 @@ def test_joints_move_in_simulated_scenes(target: Target) -> None:
     for setting in ("tail=3", "wing=x", "wing=50", "wing=1,2,3"):
         with pytest.raises(RendezviewError, match="--joint"):
             joint_motion(joints, [setting])
+
+
+def test_the_slope_of_an_edge_with_the_angle_is_that_of_the_projection(model: ViewModel) -> None:
+    """Beside numbers: the point of a pose slope, and what a small turn does to its projection."""
+    rng = np.random.default_rng(4)
+    pose = some_pose(model)
+    centre = pose.apply(model.centre_m)
+    normal = np.array([0.6, -0.8])
+
+    def place(point: np.ndarray) -> float:
+        x, y, z = pose.rotation @ point + centre
+        return float(500.0 * normal @ np.array([x / z, y / z]))
+
+    for _ in range(20):
+        point = rng.normal(size=3)
+        x, y, z = pose.rotation @ point + centre
+        j = 500.0 / z * np.array([*normal, -(normal @ [x / z, y / z])])
+        edge = np.concatenate([np.cross(pose.rotation @ point, j), j, np.zeros(7)])
+        q, g = np.empty(3), np.empty(3)
+        point_of_slope(edge, pose.rotation, centre, q, g)
+        assert q == pytest.approx(point, abs=1e-9)
+        joint = model.joints[0]
+        turned = joint.moved([point + model.centre_m], 1e-6)[0] - model.centre_m
+        slope = g @ np.cross(joint.axis, point + model.centre_m - joint.origin_m)
+        assert slope == pytest.approx((place(turned) - place(point)) / 1e-6, rel=1e-4, abs=1e-3)

@@ -150,6 +150,24 @@ class Articulation:
 
 
 @njit(cache=True, nogil=True)
+def point_of_slope(edge: Array, rotation: Array, centre_m: Array, q: Array, g: Array) -> None:
+    """Fill q (3,), the point of an edge from the view centre, and g (3,), its slope, target axes.
+
+    A pose slope is (x × j, j) for a point x, and j · (x + centre) = 0 as for every projection: so
+    the point follows from it.
+    """
+    x, d = edge[:3], edge[3:6]
+    along = -(d[0] * centre_m[0] + d[1] * centre_m[1] + d[2] * centre_m[2])
+    square = max(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], 1e-30)
+    x0 = (d[1] * x[2] - d[2] * x[1] + d[0] * along) / square
+    x1 = (d[2] * x[0] - d[0] * x[2] + d[1] * along) / square
+    x2 = (d[0] * x[1] - d[1] * x[0] + d[2] * along) / square
+    for i in range(3):
+        q[i] = rotation[0, i] * x0 + rotation[1, i] * x1 + rotation[2, i] * x2
+        g[i] = rotation[0, i] * d[0] + rotation[1, i] * d[1] + rotation[2, i] * d[2]
+
+
+@njit(cache=True, nogil=True)
 def _joint_slopes(
     edges: Array, cut_px: float, part: npt.NDArray[np.uint8], point: npt.NDArray[np.int16],
     chosen: npt.NDArray[np.int64], rotation: Array, centre_m: Array, axes: Array, origins_m: Array,
@@ -157,8 +175,7 @@ def _joint_slopes(
 ) -> int:  # fmt: skip
     """Fill the slopes of the edges with |r| < cut with pose and angles; how many there are.
 
-    A pose slope is (q × j, j) for a point q from the view centre, and j · (q + centre) = 0: so q
-    follows from it. An edge that is not the table's own point gets no slope with the angles.
+    An edge that is not the table's own point gets no slope with the angles.
 
     Args:
         edges: (N, COLUMNS) of the ``chosen`` views (K,), one after the other.
@@ -192,18 +209,11 @@ def _joint_slopes(
         slope[6:] = 0.0
         if k < 0:
             continue
-        x, d = edges[n, :3], edges[n, 3:6]
-        along = -(d[0] * centre_m[0] + d[1] * centre_m[1] + d[2] * centre_m[2])
-        square = max(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], 1e-30)
-        q[0] = (d[1] * x[2] - d[2] * x[1] + d[0] * along) / square
-        q[1] = (d[2] * x[0] - d[0] * x[2] + d[1] * along) / square
-        q[2] = (d[0] * x[1] - d[1] * x[0] + d[2] * along) / square
+        point_of_slope(edges[n], rotation, centre_m, q, g)
         apart = 0.0
-        for i in range(3):  # in target axes
+        for i in range(3):
             known[i] = point[view, j, i] * POINT_UNIT * radius_m
-            own = rotation[0, i] * q[0] + rotation[1, i] * q[1] + rotation[2, i] * q[2]
-            g[i] = rotation[0, i] * d[0] + rotation[1, i] * d[1] + rotation[2, i] * d[2]
-            apart += (own - known[i]) ** 2
+            apart += (q[i] - known[i]) ** 2
             known[i] -= origins_m[k, i]
         if apart > (_SAME_RADII * radius_m) ** 2:
             continue
