@@ -18,6 +18,7 @@ from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.files import check_place, make_folder
 from rendezview.io.results import read_results
 from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.sequences.images import write_png
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.as_built import (
     AsBuilt,
@@ -25,6 +26,7 @@ from rendezview.sensors.appearance.as_built import (
     strain_names,
     strained,
 )
+from rendezview.sensors.appearance.as_built.picture import shape_picture
 from rendezview.sensors.reflectors.card import write_card
 from rendezview.sensors.stereo.board import Chessboard
 from rendezview.sensors.stereo.one_camera import CharucoBoard, calibrate_camera
@@ -128,6 +130,10 @@ def shape(
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="PNG to write: residuals over the surface, before and after."),
+    ] = None,
 ) -> None:
     """Estimate how a target differs from its CAD model, from a fly-around, and correct the model.
 
@@ -136,6 +142,8 @@ def shape(
     Example: rendezview calibrate shape tango.rvm fly-around -o as-built.rvm --length x=0.571/0.560
     """
     check_place(output, "the model")
+    if picture is not None:
+        check_place(picture, "the picture")
     loaded = ViewModel.load(model)
     sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
     if frames < 1 or not len(sequence):
@@ -153,6 +161,8 @@ def shape(
         say,
     )
     strained(loaded, found.strain, found.covariance).save(output)
+    if picture is not None:
+        write_png(picture, shape_picture(found, f"{loaded.name}: {found.used} frames"))
     _tell(found, output, len(chosen))
 
 

@@ -12,6 +12,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
+from rendezview.sensors.appearance.as_built.picture import shape_picture
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
 STRAIN = np.array([[-0.03, 0.0, 0.008], [0.0, 0.012, 0.0], [0.008, 0.0, 0.005]])
@@ -138,3 +139,15 @@ def test_a_wrong_mesh_that_nobody_mentions_widens_the_covariance(
 
     assert normalised(refining_model) < 30.0  # some 300 where only edges counted
     assert normalised(strained(refining_model, found.strain)) > 0.3
+
+
+def test_the_picture_shows_residuals_before_and_after(found, refining_model):
+    radius_m = refining_model.target_radius_m
+    for residuals in (found.before, found.after):
+        assert len(residuals.place_m) == len(residuals.share) > 500
+        assert np.linalg.norm(residuals.place_m, axis=1).max() < 1.05 * radius_m
+    assert np.abs(found.after.share).mean() < 0.7 * np.abs(found.before.share).mean()
+    picture = shape_picture(found, "bumpy")
+    half = picture.shape[0] // 2
+    colourful = (picture.max(axis=2).astype(int) - picture.min(axis=2)) > 120
+    assert colourful[:half].sum() > 2 * colourful[half:-60].sum()  # the legend is below

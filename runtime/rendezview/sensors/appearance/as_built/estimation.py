@@ -39,6 +39,7 @@ from rendezview.sensors.appearance.sky import Sky
 # σ of the strain while it is not yet known: edges are looked for further away, without profiles.
 _ROUGH = 0.02  # Source: by construction
 _ROUGH_ROUNDS = 3  # Source: by construction
+_MOST_SHOWN = 6000  # edges in a picture. Source: by construction
 # Mean of the strain along the axes. Source: by construction
 _SIZE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) / 3.0
 
@@ -60,6 +61,14 @@ class ShapeOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SurfaceResiduals:
+    """Where the edges of all frames lie beside those of the model, over its surface."""
+
+    place_m: Array  # (N, 3) from the view centre, target axes
+    share: Array  # (N,) outwards, of the target's radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AsBuilt:
     """The strain of a craft, and how well it explains the frames."""
 
@@ -70,6 +79,8 @@ class AsBuilt:
     rms_before: float  # median over the frames, of the target's radius
     rms_after: float
     size_known: bool  # by lengths, or by the frames
+    before: SurfaceResiduals  # of the model as it was
+    after: SurfaceResiduals
 
     @property
     def components(self) -> Array:
@@ -138,12 +149,14 @@ class ShapeEstimator:
         self._check_spread(used)
         sketcher = recognizer.sketch
         strain, before = np.zeros(6), None
+        untouched = SurfaceResiduals(np.zeros((0, 3)), np.zeros(0))
         measured: list[MeasuredEdges | None] = []
         for turn in range(self.options.rounds):
             measured = self._measured(used, strain, sketcher, rough=turn < _ROUGH_ROUNDS)
             rms = self._shares(used, measured)
             if before is None:
                 before = float(np.median(rms[np.isfinite(rms)]))
+                untouched = self._over_surface(used, measured)
             step = self._step(used, measured, rms, strain, known or {})
             strain = strain + step
             largest = float(np.abs(step).max())
@@ -162,6 +175,7 @@ class ShapeEstimator:
         return AsBuilt(
             matrix_of(strain), covariance, size_sigma, tuple(poses), before or 0.0,
             float(np.median(rms[good])), size_sigma < 0.5 * self.options.size_sigma,
+            untouched, self._over_surface(used, measured),
         )  # fmt: skip
 
     def _posed(
@@ -228,6 +242,22 @@ class ShapeEstimator:
             radius_px = self.camera.fx * scale * self.model.target_radius_m / edges.centre_m[2]
             shares[k] = edges.residual_rms_px / radius_px
         return shares
+
+    def _over_surface(
+        self, frames: list[_Frame], measured: list[MeasuredEdges | None]
+    ) -> SurfaceResiduals:
+        """Edges of all frames on the target, thinned to what a picture shows."""
+        places, shares = [np.zeros((0, 3))], [np.zeros(0)]
+        for frame, edges in zip(frames, measured, strict=True):
+            if edges is None:
+                continue
+            scale = 1.0 / frame.times if frame.sketch is None else frame.sketch.scale
+            radius_px = self.camera.fx * scale * self.model.target_radius_m / edges.centre_m[2]
+            places.append(edges.places_m)
+            shares.append(edges.residual_px / radius_px)
+        place, share = np.concatenate(places), np.concatenate(shares)
+        kept = slice(None, None, 1 + len(place) // _MOST_SHOWN)
+        return SurfaceResiduals(place[kept], share[kept])
 
     def _good(self, rms: Array) -> np.ndarray:
         """(F,) the frames that count."""

@@ -38,8 +38,8 @@ class MeasuredEdges:
         )
 
     @property
-    def strain_slopes(self) -> Array:
-        """(N, 6) of the predicted edge, px per unit of each of ``STRAINS``, target axes.
+    def places_m(self) -> Array:
+        """(N, 3) of the edges on the target, from the view centre, target axes.
 
         A pose slope is (q × j, j) for a point q from the view centre, and j · (q + centre) = 0 as
         for every projection; so q follows from the slope (see ``strain_covariance``).
@@ -47,7 +47,12 @@ class MeasuredEdges:
         turned, j = self.pose_slopes[:, :3], self.pose_slopes[:, 3:]
         along = -(j @ self.centre_m)
         q = (np.cross(j, turned) + along[:, None] * j) / np.sum(j * j, axis=1)[:, None]
-        q, j = q @ self.rotation, j @ self.rotation  # target axes
+        return np.asarray(q @ self.rotation)
+
+    @property
+    def strain_slopes(self) -> Array:
+        """(N, 6) of the predicted edge, px per unit of each of ``STRAINS``, target axes."""
+        q, j = self.places_m, self.pose_slopes[:, 3:] @ self.rotation
         return np.stack(
             [j[:, a] * q[:, b] + (j[:, b] * q[:, a] if a != b else 0.0) for a, b in STRAINS], axis=1
         )
