@@ -67,11 +67,15 @@ class SensorOptions:
     inflation: float = 1.0  # Source: by construction, neutral
     floor_rad: float = 0.0  # rad, σ added to its attitude or axis. Source: by construction, off
     floor_range: float = 0.0  # σ added to its place, over the range. Source: by construction, off
-    bias_share: Annotated[float, _key("bias_share")] = 0.8  # of the variance, that is a bias
-    bias_s: Annotated[float, _key("bias_s")] = 30.0  # s, correlation time of the bias
-    bias_range: Annotated[float, _key("bias_range")] = (
-        0.5  # change of ln(range) over which the bias decorrelates
-    )
+    # Of the variance, that is a bias. Source: by hand; halved, the 95 % error doubles
+    # (number-effects)
+    bias_share: Annotated[float, _key("bias_share")] = 0.8
+    # s, correlation time of the bias. Source: by hand; uncritical halved or doubled
+    # (number-effects)
+    bias_s: Annotated[float, _key("bias_s")] = 30.0
+    # Change of ln(range) over which the bias decorrelates. Source: by hand; uncritical halved or
+    # doubled (number-effects)
+    bias_range: Annotated[float, _key("bias_range")] = 0.5
     # Probability that a good measurement is rejected.
     gate: float = 1e-4  # Source: by construction, a rate of false alarms
     # Rejected in a row: locked out. Source: by construction, 10⁻¹² by chance with this gate
@@ -121,8 +125,9 @@ class FusionOptions:
     ring_radius_sigma: float = 0.0  # Source: by construction, off
     # m, of the ring's place along its axis; 0: it is known.
     ring_depth_sigma_m: float = 0.0  # Source: by construction, off
-    ring_other_edge: float = 0.1  # probability that another edge was taken for the ring's; then
-    # only its bearing counts
+    # Probability that another edge was taken for the ring's; then only its bearing counts. Source:
+    # by hand; uncritical halved or doubled (number-effects)
+    ring_other_edge: float = 0.1
     # Poses that must agree before the state is believed. Source: number-effects: with 2 the mean
     # NEES is 5194, with 3 it is 9
     start_with: int = 3

@@ -27,7 +27,9 @@ _SILENT_S = 5.0
 _WHOLE = 6  # degrees of freedom of a pose. Source: by construction
 # Squared distance of a place, in σ of another edge. Source: χ² distribution, mean of three degrees
 _BESIDE = 3.0
-_FOLLOW = 0.5  # weight of the latest residual in the running mean of an outlier
+# Weight of the latest residual in the running mean of an outlier. Source: by hand; uncritical
+# halved or doubled (number-effects)
+_FOLLOW = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
