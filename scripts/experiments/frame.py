@@ -23,7 +23,6 @@ MODELS_CAD = ROOT / "models_cad"
 CLIENT = MODELS_CAD / "client"
 PICTURES = ROOT / "docs" / "pictures"
 
-Seeds = Annotated[tuple[int, int], "the first seed, and the one after the last"]
 PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
 Log = Annotated[Path | None, "every answer, JSON lines"]
 Dask = Annotated[str | None, "scheduler of a cluster that has the files too"]

@@ -60,7 +60,6 @@ class RingScene:
     plates: tuple[Plate, ...]
     circles: tuple[Circle, ...]
     sky_grey: float = 12.0
-    visible_arc_rad: float = _TAU  # of the ring, without regard to the picture's border
 
     @property
     def ring(self) -> Circle | None:
