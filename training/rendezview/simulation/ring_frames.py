@@ -151,7 +151,7 @@ def random_scene(
             Plate(centre + 0.02 * r * axis, axis, across, float(rng.uniform(5.0, 110.0)),
                   radii_m=(0.0, 60.0 * r), sector_rad=(start, _TAU - arc))
         )  # fmt: skip
-    return RingScene(camera, tuple(plates), tuple(circles), float(rng.uniform(5, 20)), arc)
+    return RingScene(camera, tuple(plates), tuple(circles), float(rng.uniform(5, 20)))
 
 
 def tilted_axis(centre_m: Array, tilt_rad: float, towards_rad: float) -> Array:
