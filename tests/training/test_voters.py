@@ -7,8 +7,24 @@ from sklearn.metrics import roc_auc_score
 from sklearn.tree import DecisionTreeClassifier
 
 from rendezview.sensors.appearance.outline.trees import split_entropy
-from rendezview.sensors.appearance.outline.voters import LEAF
-from rendezview.training.voters import grow, split
+from rendezview.training.grown_tree import (
+    BRANCHLESS,
+    LEVELS,
+    GrownTree,
+    Rules,
+    entropies,
+    grow,
+    split,
+)
+
+RULES = Rules(least_split=16, least_leaf=8, least_gain=4.0)
+
+
+def grown(
+    readings: np.ndarray, labels: np.ndarray, drawn: np.ndarray, keys: np.ndarray
+) -> GrownTree:
+    levels = np.ascontiguousarray(readings.T)
+    return grow(levels, labels, drawn, keys, RULES, entropies(len(drawn)))
 
 
 def samples(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -21,8 +37,12 @@ def test_split_is_the_best_of_all_thresholds_by_equation_5():
     for seed in range(5):
         rng = np.random.default_rng(seed)
         readings, labels = samples(rng, 200)
-        bins = np.arange(12)
-        where, level = split(readings, labels, np.arange(200), bins, np.zeros(12, np.int64), 8)
+        bins, no_keys = np.arange(12), np.zeros(0, np.int64)
+        weights = np.where(labels, 1 << 32, 1)
+        where, level = split(
+            np.ascontiguousarray(readings.T), weights, np.arange(200), bins, no_keys, RULES,
+            entropies(200), np.empty(LEVELS, np.int64),
+        )  # fmt: skip
         best = (-np.inf, -1, -1)
         for b in range(12):
             for threshold in np.unique(readings[:, b]):
@@ -41,17 +61,17 @@ def test_a_grown_tree_separates_as_scikit_learns_does():
     readings, labels = samples(rng, 2000)
     fresh, truth = samples(rng, 2000)
     keys = rng.integers(0, 2**31, (255, 12))
-    component, threshold, right, on, off = grow(readings, labels, np.arange(2000), keys, 8)
+    component, threshold, right, on, off = grown(readings, labels, np.arange(2000), keys)
     odds = []
     for row in fresh:
         entry = 0
-        while component[entry] != LEAF:
+        while component[entry] != BRANCHLESS:
             entry += 1 if row[component[entry]] <= threshold[entry] else right[entry]
         odds.append(on[entry] / (on[entry] + off[entry]))
     peer = DecisionTreeClassifier(criterion="entropy", min_samples_leaf=8, random_state=0)
     theirs = peer.fit(readings, labels).predict_proba(fresh)[:, 1]
     assert roc_auc_score(truth, odds) > roc_auc_score(truth, theirs) - 0.02
-    leaves = component == LEAF
+    leaves = component == BRANCHLESS
     assert (on + off)[leaves].sum() == 2000
     assert np.all(right[~leaves] >= 2)
 
@@ -61,7 +81,7 @@ def test_a_tree_has_no_more_entries_than_keys():
     readings, labels = samples(rng, 2000)
     for most in (1, 7, 31):
         keys = rng.integers(0, 2**31, (most, 12))
-        component, _, right, _, _ = grow(readings, labels, rng.integers(0, 2000, 2000), keys, 8)
+        component, _, right, _, _ = grown(readings, labels, rng.integers(0, 2000, 2000), keys)
         assert len(component) <= most
-        inner = np.flatnonzero(component != LEAF)
+        inner = np.flatnonzero(component != BRANCHLESS)
         assert np.all(inner + right[inner] < len(component))

@@ -66,13 +66,21 @@ class Geodesic:
 
     def within(self, direction: npt.ArrayLike, angle_rad: float) -> npt.NDArray[np.intp]:
         """Indices of the nodes at most ``angle_rad`` from a unit direction (3,), ascending."""
-        cosine = np.cos(min(angle_rad, np.pi)) - 1e-12
-        return np.flatnonzero(self.nodes @ np.asarray(direction, dtype=np.float64) >= cosine)
+        return within(self.nodes, direction, angle_rad)
 
     def nearest(self, directions: npt.ArrayLike) -> npt.NDArray[np.intp]:
         """Index of the node nearest to each unit direction (..., 3)."""
         cosines = np.asarray(directions, dtype=np.float64) @ self.nodes.T
         return np.asarray(np.argmax(cosines, axis=-1), dtype=np.intp)
+
+
+def within(
+    directions: npt.NDArray[np.floating], direction: npt.ArrayLike, angle_rad: float
+) -> npt.NDArray[np.intp]:
+    """Indices of unit directions (N, 3) at most ``angle_rad`` from another (3,), ascending."""
+    # single precision is off by 1e-7
+    cosine = np.cos(min(angle_rad, np.pi)) - (1e-12 if directions.dtype == np.float64 else 1e-6)
+    return np.flatnonzero(directions @ np.asarray(direction, dtype=directions.dtype) >= cosine)
 
 
 def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:

@@ -30,15 +30,15 @@ from rendezview.training.crossings import (
     edge_crossings,
     edge_pixels,
     face_normals,
-    some_of,
 )
+from rendezview.training.curve import evenly_spread
 from rendezview.training.drawn_view import draw_view
 from rendezview.training.edge_profiles import edge_profiles
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.projection import SurfaceRenderer
 from rendezview.training.surface_palette import packed_surfaces
-from rendezview.training.zbuffer import Float32s
+from rendezview.training.zbuffer import Float32s, Int32s
 
 _BORDER_PX = 4.0  # px around the target in the picture
 _THIN_PX = 2.0  # px; an edge with a shorter free run is unreliable
@@ -46,9 +46,8 @@ _CLEAR_RADII = 3.0 / 196.0  # target radii beyond _THIN_PX; from there an edge i
 _FREE_RADII = 64.0 / 196.0  # target radii; length along the normal in which a free run ends
 _INNER_SHARE = 0.25  # share of the points for steps and creases inside the outline
 _CANDIDATES = 4  # candidates per kept point, for which free runs are measured
-_PIXELS = 64  # pixels per kept point, for which the exact crossing is computed
+_PIXELS = 8  # pixels per kept point, for which the exact crossing is computed
 _LEAST_RELIABILITY = 0.02  # weight of an unreliable edge: chosen only where there is no other
-_CELL_PX = 4.0  # px; cells of the space-filling curve
 _OWN_LINE_PX = 2.5  # px; nearer, the marks of an edge's own line block the search
 
 
@@ -83,13 +82,10 @@ def contour_points(
     pixels, edges = edge_pixels(
         view.vertices, view.faces, normals, albedo, focal, middle, nearness, owner, step_m
     )
-    inner_ones = pixels[:, 3] > OUTLINE
-    kept_pixels = np.empty(len(pixels), dtype=np.bool_)
-    for group, most in ((~inner_ones, count - inner), (inner_ones, inner)):
-        kept_pixels[group] = some_of(int(np.count_nonzero(group)), _PIXELS * most)
     crossings = edge_crossings(
-        view.vertices, view.points, view.faces, normals, beside, pixels[kept_pixels], focal,
-        middle, nearness, owner, step_m,
+        view.vertices, view.points, view.faces, normals, beside,
+        _some_pixels(pixels, _PIXELS * (count - inner), _PIXELS * inner), focal, middle, nearness,
+        owner, step_m,
     )  # fmt: skip
     candidates = _chosen(crossings, _CANDIDATES * (count - inner), _CANDIDATES * inner)
     crossings = crossings[candidates]
@@ -163,43 +159,27 @@ def _packed(
     return packed
 
 
+def _some_pixels(pixels: Int32s, outline: int, inner: int) -> Int32s:
+    """Pixels (M, 4) of ``edge_pixels``, evenly spread over the edges: outline, then the others."""
+    chosen = _of_both(pixels[:, 3] > OUTLINE, pixels, np.ones(len(pixels)), outline, inner)
+    return pixels[chosen]
+
+
 def _chosen(crossings: Array, outline: int, inner: int) -> npt.NDArray[np.intp]:
     """Points evenly spread over the length of the edges: first the outline, then the others."""
-    inside = crossings[:, KIND] > OUTLINE
-    return np.concatenate(
-        [
-            _spread(crossings, np.flatnonzero(~inside), outline),
-            _spread(crossings, np.flatnonzero(inside), inner),
-        ]
-    )
+    places = crossings[:, :2].astype(np.int32)
+    return _of_both(crossings[:, KIND] > OUTLINE, places, crossings[:, LENGTH], outline, inner)
 
 
-def _spread(crossings: Array, candidates: npt.NDArray[np.intp], count: int) -> npt.NDArray[np.intp]:
-    """``count`` of the candidates, at equal steps of length along a space-filling curve."""
-    if len(candidates) <= count:
-        return candidates
-    x, y = crossings[candidates, 0], crossings[candidates, 1]
-    order = candidates[np.argsort(_morton(x, y), kind="stable")]
-    length = np.cumsum(crossings[order, LENGTH])
-    found = order[:0]
-    # A candidate longer than a step is hit twice, so more steps may be needed.
-    for steps in range(count, 4 * count, max(1, count // 20)):
-        places = (np.arange(steps) + 0.5) / steps * length[-1]
-        hit = np.unique(order[np.searchsorted(length, places)])
-        if len(hit) > count:
-            break
-        found = hit
-    return found
-
-
-def _morton(x: Array, y: Array) -> npt.NDArray[np.int64]:
-    """Place on the Z-order curve over square cells."""
-    code = np.zeros(len(x), dtype=np.int64)
-    a, b = (x / _CELL_PX).astype(np.int64), (y / _CELL_PX).astype(np.int64)
-    for bit in range(12):
-        code |= ((a >> bit) & 1) << (2 * bit)
-        code |= ((b >> bit) & 1) << (2 * bit + 1)
-    return code
+def _of_both(
+    inside: npt.NDArray[np.bool_], places: Int32s, length: Array, outline: int, inner: int
+) -> npt.NDArray[np.intp]:
+    chosen = []
+    for group, count in ((~inside, outline), (inside, inner)):
+        members = np.flatnonzero(group)
+        u, v = places[members, 0], places[members, 1]
+        chosen.append(members[evenly_spread(u, v, length[members], count)])
+    return np.concatenate(chosen)
 
 
 @njit(cache=True, nogil=True)

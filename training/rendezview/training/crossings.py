@@ -20,9 +20,7 @@ STEP_RADII = 0.02  # target radii; a surface that much deeper is another surface
 _CREASE_COSINE = np.cos(np.deg2rad(30.0))  # facets that meet at a greater angle form a crease
 _FAINT_COLOUR = 0.12  # albedo; facets that differ by more form a crease, too
 # Source: by construction
-_ROWS = 32768  # pixels; first size of the table, which grows when it is full
-# Source: by construction, the least repetitive sequence of places
-_GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
+_ROWS = 131072  # pixels; first size of the table, which grows when it is full
 _OUTLINE, _STEP, _CREASE = 0, 1, 2  # kinds of edges: against the sky, in depth, in normal or albedo
 # Columns of a crossing: u v, point (3), tangent (3), then
 KIND, LENGTH = 8, 9  # kind of the edge; length of the outline that it represents, px
@@ -219,70 +217,91 @@ def edge_pixels(
     marks = np.zeros(owner.shape, dtype=np.bool_)
     rows = np.empty((_ROWS, 4), dtype=np.int32)
     while True:
-        count = _edge_pixels(
-            vertices, faces, normals, look, focal, middle, nearness, owner, step, rows, marks
-        )
+        count = _borders(owner, rows)
         if count <= len(rows):
-            return rows[:count], marks
+            break
         rows = np.empty((count, 4), dtype=np.int32)
+    count = _kept_edges(
+        vertices, faces, normals, look, focal, middle, nearness, owner, step, rows[:count], marks
+    )
+    return rows[:count], marks
 
 
 @njit(cache=True, nogil=True)
-def _edge_pixels(
-    vertices: Array, faces: Int32s, normals: Array, look: Float32s, focal: float, middle: float,
-    nearness: Float32s, owner: Int32s, step: float, rows: Int32s, marks: npt.NDArray[np.bool_],
-) -> int:  # fmt: skip
-    """Fill ``rows`` and ``marks`` of ``edge_pixels``; how many rows there are, or would be.
+def _borders(owner: Int32s, rows: Int32s) -> int:
+    """List the pixels (x, y, 0) beside another face on the right, (x, y, 1) below.
 
-    ``look`` (F, 4) holds normals and albedo: most neighbours differ in neither.
+    Returns:
+        How many there are, even where ``rows`` cannot hold them.
     """
     height, width = owner.shape
+    changes = np.zeros((width + 7) // 8 * 8, np.uint8)
+    eights, inner = changes.view(np.uint64), changes[1 : width - 1]
     count = 0
     for y in range(1, height - 1):
-        for x in range(1, width - 1):
-            face = owner[y, x]
-            for down in range(2):
-                dx, dy = 1 - down, down
-                beyond = owner[y + dy, x + dx]
-                if beyond == face:
+        row, under = owner[y], owner[y + 1]
+        here, right, below = row[1 : width - 1], row[2:], under[1 : width - 1]
+        for x in range(len(inner)):
+            inner[x] = np.uint8(here[x] != right[x]) | np.uint8(here[x] != below[x])
+        for k in range(len(eights)):
+            if eights[k] == 0:
+                continue
+            for x in range(8 * k, 8 * k + 8):
+                if changes[x] == 0:
                     continue
-                next_one = False
-                if face < 0 or beyond < 0:
-                    kind, next_one = _OUTLINE, face < 0
-                else:
-                    near, other = nearness[y, x], nearness[y + dy, x + dx]
-                    if abs(near - other) <= step * near * other:
-                        cosine = look[face, 0] * look[beyond, 0]
-                        cosine += look[face, 1] * look[beyond, 1]
-                        cosine += look[face, 2] * look[beyond, 2]
-                        paint = abs(look[face, 3] - look[beyond, 3])
-                        if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
-                            continue
-                        kind = _CREASE
-                    else:
-                        kind, next_one = _STEP, other > near
-                        if next_one:
-                            is_step = _is_step(vertices, faces, normals, focal, middle, beyond,
-                                               other, near, step, x, y)  # fmt: skip
-                        else:
-                            is_step = _is_step(vertices, faces, normals, focal, middle, face,
-                                               near, other, step, x + dx, y + dy)  # fmt: skip
-                        if not is_step:
-                            continue
-                u, v = (x + dx, y + dy) if next_one else (x, y)
-                marks[v, u] = True
-                if count < rows.shape[0]:
-                    rows[count, 0], rows[count, 1] = u, v
-                    rows[count, 2], rows[count, 3] = down + 2 * next_one, kind
-                count += 1
+                for down in range(2):
+                    other = under[x] if down else row[x + 1]
+                    if other == row[x]:
+                        continue
+                    if count < rows.shape[0]:
+                        rows[count, 0], rows[count, 1], rows[count, 2] = x, y, down
+                    count += 1
     return count
 
 
-def some_of(count: int, most: int) -> npt.NDArray[np.bool_]:
-    """(count,) about ``most`` of them, spread evenly but in no period."""
-    if count <= most:
-        return np.ones(count, dtype=np.bool_)
-    return np.asarray(np.arange(count) * _GOLDEN % 1.0 < most / count)
+@njit(cache=True, nogil=True)
+def _kept_edges(
+    vertices: Array, faces: Int32s, normals: Array, look: Float32s, focal: float, middle: float,
+    nearness: Float32s, owner: Int32s, step: float, rows: Int32s, marks: npt.NDArray[np.bool_],
+) -> int:  # fmt: skip
+    """Keep the ``rows`` of `_borders` that are edges, and mark their pixels; how many.
+
+    ``look`` (F, 4) holds normals and albedo: most neighbours differ in neither.
+    """
+    count = 0
+    for k in range(rows.shape[0]):
+        x, y, down = rows[k, 0], rows[k, 1], rows[k, 2]
+        dx, dy = 1 - down, down
+        face, beyond = owner[y, x], owner[y + dy, x + dx]
+        next_one = False
+        if face < 0 or beyond < 0:
+            kind, next_one = _OUTLINE, face < 0
+        else:
+            near, other = nearness[y, x], nearness[y + dy, x + dx]
+            if abs(near - other) <= step * near * other:
+                cosine = look[face, 0] * look[beyond, 0]
+                cosine += look[face, 1] * look[beyond, 1]
+                cosine += look[face, 2] * look[beyond, 2]
+                paint = abs(look[face, 3] - look[beyond, 3])
+                if cosine > _CREASE_COSINE and paint < _FAINT_COLOUR:
+                    continue
+                kind = _CREASE
+            else:
+                kind, next_one = _STEP, other > near
+                if next_one:
+                    is_step = _is_step(vertices, faces, normals, focal, middle, beyond,
+                                       other, near, step, x, y)  # fmt: skip
+                else:
+                    is_step = _is_step(vertices, faces, normals, focal, middle, face,
+                                       near, other, step, x + dx, y + dy)  # fmt: skip
+                if not is_step:
+                    continue
+        u, v = (x + dx, y + dy) if next_one else (x, y)
+        marks[v, u] = True
+        rows[count, 0], rows[count, 1] = u, v
+        rows[count, 2], rows[count, 3] = down + 2 * next_one, kind
+        count += 1
+    return count
 
 
 @njit(cache=True, nogil=True)

@@ -20,7 +20,9 @@ from rendezview.training.zbuffer import Int32s
 
 # Lengths are shares of the target's radius in the picture. 1/196 is one pixel of a view 400 px
 # wide, in which the target's radius is 196 px.
-_ASIDE = 1.0 / 196.0  # distance of the five samples along the edge that are averaged
+# Distance of the three lines across an edge that are averaged. Source: three lines at 0 and ± √3 px
+# have the spread of five at 0, ± 1 and ± 2 px
+_ASIDE = np.sqrt(3.0) / 196.0
 _OUTSIDE = 2.0 / 196.0  # the profile of an outline starts that far outside
 # Samples along the normal: (up to this distance from the edge, spacing).
 _SAMPLING = ((3.0 / 196.0, 1.0 / 3136.0), (6.0 / 196.0, 1.0 / 1568.0), (REACH_RADII, 1.0 / 784.0))
@@ -97,7 +99,8 @@ def _joined(
             weight[parts - 1] += weights[i]
         else:
             first[parts], weight[parts] = i, weights[i]
-            mean[parts] = samples[i]
+            for k in range(4):
+                mean[parts, k] = samples[i, k]
             parts += 1
     brightest = 0.0
     for i in range(parts):
@@ -123,7 +126,8 @@ def _joined(
         weight[at] = total
         for i in range(at + 1, parts - 1):
             first[i], weight[i] = first[i + 1], weight[i + 1]
-            mean[i] = mean[i + 1]
+            for k in range(4):
+                mean[i, k] = mean[i + 1, k]
         parts -= 1
     return first[:parts]
 
@@ -134,10 +138,10 @@ def _sample(
     corners: Array, faces: Int32s, beside: Int32s, focal: float, middle: float, owner: Int32s,
     normals: Array, albedo: Array, scratch: Scratch, samples: Array, depth: Array,
 ) -> None:  # fmt: skip
-    """Light and depth at places along one normal, averaged over five lines along the edge."""
+    """Light and depth at places along one normal, averaged over three lines along the edge."""
     count = len(places_px)
     samples[:count], depth[:count] = 0.0, 0.0
-    for b in range(-2, 3):
+    for b in range(-1, 2):
         line = np.array([point[0] + aside * b * tx, point[1] + aside * b * ty, -ty, tx])
         faces_along(
             line, places_px, vertices, corners, faces, beside, focal, middle, owner, normals,
@@ -147,9 +151,10 @@ def _sample(
             face = scratch.visible[i]
             if face < 0:
                 continue
+            share = albedo[face] / 3.0
             for k in range(3):
-                samples[i, k] += 0.2 * albedo[face] * normals[face, k]
-            samples[i, 3] += 0.2 * albedo[face] * _AROUND
+                samples[i, k] += share * normals[face, k]
+            samples[i, 3] += share * _AROUND
             if b == 0:
                 depth[i] = 1.0 / scratch.nearness[i]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from sklearn.tree import DecisionTreeClassifier
 
-from rendezview.geometry.geodesic import Geodesic, angle_between
+from rendezview.geometry.geodesic import Geodesic, angle_between, within
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.outline.signature import Readings, rolled, twist
 from rendezview.sensors.appearance.outline.trees import Forest
+from rendezview.training.grown_tree import LEVELS, Rules, entropies, grow
 from rendezview.training.neighbourhood import neighbourhood
 from rendezview.training.options import TrainingOptions
 from rendezview.training.views import ViewSet
@@ -81,15 +81,16 @@ class Samples:
         if self.perturbed is not None:
             rng = np.random.default_rng([options.seed, _STREAM_OF_NODES, node])
             edge = Geodesic.of_order(self.order).mean_edge_rad
-            distance = angle_between(self.perturbed.direction, lattice.nodes[node]) / edge
+            widest = max(options.reach_edges, options.far_edges) * edge
+            chosen = within(self.perturbed.direction, lattice.nodes[node], widest)
+            distance = angle_between(self.perturbed.direction[chosen], lattice.nodes[node]) / edge
             taken = distance <= options.reach_edges
-            far = (distance > options.reach_edges) & (distance <= options.far_edges)
-            taken |= far & (rng.random(len(distance)) < options.far_fraction)
-            chosen = np.flatnonzero(taken)
+            taken |= rng.random(len(distance)) < options.far_fraction
+            chosen, distance = chosen[taken], distance[taken]
             rolls = twist(self.perturbed.centred_from_target[chosen], node_rotation)
             rolls = rolls + options.roll_error_rad * rng.normal(size=len(chosen))
             readings.append(_rolled_rows(self.perturbed.readings, chosen, rolls))
-            labels.append(distance[chosen] <= options.label_edges)
+            labels.append(distance <= options.label_edges)
         return np.concatenate(readings), np.concatenate(labels)
 
 
@@ -103,31 +104,30 @@ def learn_trees(samples: Samples, options: TrainingOptions, nodes: range) -> Tre
 
 def _learn(readings: Readings, labels: npt.NDArray[np.bool_], options: TrainingOptions) -> TreeSet:
     """Train one tree. Thresholds are integers, so that a listing reproduces the tree exactly."""
-    learner = DecisionTreeClassifier(
-        criterion="entropy",
-        min_samples_split=options.min_samples_split,
-        min_impurity_decrease=options.min_gain / np.log(2.0),  # scikit-learn counts in bits
-        random_state=0,
-    )
-    learner.fit(readings[:, :: options.component_step], labels)
-    tree = learner.tree_
-    inner = tree.children_left >= 0
-    component = np.where(inner, tree.feature * options.component_step, -1).astype(np.int16)
-    threshold = np.where(inner, np.floor(tree.threshold), 0.0).astype(np.float32)
-    share = tree.value[:, 0, :] / tree.value[:, 0, :].sum(axis=1, keepdims=True)
-    on = share[:, 1] if share.shape[1] == 2 else np.full(len(share), float(labels[0]))
-    count = tree.n_node_samples
-    leaf_on = np.where(inner, 0, np.rint(on * count)).astype(np.int32)
-    leaf_off = np.where(inner, 0, count - np.rint(on * count)).astype(np.int32)
+    components = readings[:, :: options.component_step]
+    low = components.min(axis=0)
+    width = np.ceil((components.max(axis=0) - low + 1.0) / LEVELS)  # readings per level
+    levels = np.ascontiguousarray(((components - low) // width).T.astype(np.uint8))
+    count = len(labels)
+    rules = Rules(options.min_samples_split, 1, options.min_gain * count)
+    no_keys = np.empty((2 * count, 0), dtype=np.int64)
+    tree = grow(levels, labels, np.arange(count), no_keys, rules, entropies(count))
+    inner, entries = tree.component >= 0, np.arange(len(tree.component))
+    chosen = tree.component[inner]
+    component, threshold = np.full(len(inner), -1, np.int16), np.zeros(len(inner), np.float32)
+    component[inner] = chosen * options.component_step
+    threshold[inner] = low[chosen] + width[chosen] * (tree.level[inner] + 1) - 1.0
+    leaf_on = np.where(inner, 0, tree.on).astype(np.int32)
+    leaf_off = np.where(inner, 0, tree.off).astype(np.int32)
     forest = Forest(
         np.zeros(1, dtype=np.int32),
         component,
         threshold,
-        np.where(inner, tree.children_left, 0).astype(np.int32),
-        np.where(inner, tree.children_right, 0).astype(np.int32),
+        np.where(inner, entries + 1, 0).astype(np.int32),
+        np.where(inner, entries + tree.right, 0).astype(np.int32),
         (leaf_on > leaf_off).astype(np.uint8),
     )
-    right = np.maximum(leaf_on, leaf_off).sum() / len(labels)
+    right = np.maximum(leaf_on, leaf_off).sum() / count
     return TreeSet(forest, leaf_on, leaf_off, np.array([right]))
 
 

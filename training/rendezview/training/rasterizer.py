@@ -82,7 +82,8 @@ def fill_silhouette(
         cx, cy = points_px[c, 0], points_px[c, 1]
         top = max(0, int(np.ceil(ay)))
         bottom = min(height - 1, int(np.floor(cy)))
-        if top > bottom or max(ax, bx, cx) < 0.0 or min(ax, bx, cx) > width - 1.0:
+        low, high = max(0.0, min(ax, bx, cx)), min(width - 1.0, max(ax, bx, cx))
+        if top > bottom or np.ceil(low) > high:  # no pixel centre between its borders
             continue
         if cy == ay:  # a sliver along a row of pixel centres
             left = max(0, int(np.ceil(min(ax, bx, cx))))

@@ -21,6 +21,7 @@ from rendezview.training.drawn_view import draw_view
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import ViewGeometry
 from rendezview.training.projection import SurfaceRenderer
+from rendezview.training.views import plane_rays
 from rendezview.training.zbuffer import Float32s, Int32s, draw_parallel, empty_buffers
 
 _SUN_ORDER = 1  # of the sphere of Sun directions: 42 of them, 32° apart
@@ -32,6 +33,7 @@ _PHASES_RAD = (np.deg2rad(20.0), np.deg2rad(85.0))  # below, nearly the whole si
 _LEAST_COSINE = 0.06  # of the Sun's incidence; a flatter face stays below the threshold
 _LEAST_SHARE = 0.08  # of the silhouette; a smaller sunlit part is left out
 _LEAST_OUTLINE = 10  # points; a shorter outline is a speck
+_LEAST_BORDER = 4  # px; a shorter border has fewer points. Source: three pixels have 8 sides
 _SMOOTH_BINS = 3  # bins of a signature
 
 
@@ -92,20 +94,19 @@ def shadowed_silhouettes(
     normals = face_normals(drawn.vertices, drawn.faces)
     phase = np.arccos(np.clip(maps.suns @ direction, -1.0, 1.0))
     chosen = np.flatnonzero((phase >= _PHASES_RAD[0]) & (phase <= _PHASES_RAD[1]))
-    towards = maps.suns[chosen] @ rotation.T  # (C, 3) camera frame
-    whole = int(np.count_nonzero(owner >= 0))
+    pixels, places, facing = _shown(nearness, owner, focal, middle, range_m, rotation, normals)
     rows: list[tuple[int, Array, npt.NDArray[np.float32], float, Array]] = []
     mask = np.empty((_PICTURE_PX, _PICTURE_PX), dtype=np.uint8)
-    for k, sun in enumerate(chosen):
-        _light(
-            nearness, owner, focal, middle, range_m, rotation, normals, towards[k],
-            maps.axes[sun], maps.corner[sun], maps.texel_m[sun], maps.nearness[sun], mask,
+    for sun in chosen:
+        lit = _light(
+            pixels, places, facing, maps.suns[sun], maps.axes[sun], maps.corner[sun],
+            maps.texel_m[sun], maps.nearness[sun], mask,
         )  # fmt: skip
-        if np.count_nonzero(mask) < _LEAST_SHARE * whole:
+        if lit < _LEAST_SHARE * len(places):
             continue
         outlines = [
-            _rays(points, focal, middle)
-            for points in outlines_of_mask(mask)
+            plane_rays(points, focal, middle, middle)
+            for points in outlines_of_mask(mask, _LEAST_BORDER)
             if len(points) >= _LEAST_OUTLINE
         ]
         signature = Signature.of_outlines(outlines, SHADOWED_BINS, _SMOOTH_BINS)
@@ -132,46 +133,67 @@ def shadowed_silhouettes(
     }
 
 
-def _rays(points_px: Array, focal: float, middle: float) -> Array:
-    rays = np.ones((len(points_px), 3))
-    rays[:, :2] = (points_px - middle) / focal
-    return rays
-
-
 @njit(cache=True, nogil=True)
-def _light(
+def _shown(
     nearness: Float32s, owner: Int32s, focal: float, middle: float, range_m: float,
-    rotation: Array, normals: Array, towards: Array, axes: Array, corner: Array, texel_m: float,
-    sunward: Float32s, mask: npt.NDArray[np.uint8],
-) -> None:  # fmt: skip
-    """Mask of the sunlit pixels: their faces look towards the Sun, and nothing shades them."""
-    side = sunward.shape[0]
-    slack = 3.0 * texel_m
+    rotation: Array, normals: Array,
+) -> tuple[Int32s, Array, Array]:  # fmt: skip
+    """Pixels (N, 2) row, column of the target; their places and normals (N, 3).
+
+    Places are seen from the view centre, and both are in the target's axes.
+    """
+    count = 0
     for i in range(owner.shape[0]):
         for j in range(owner.shape[1]):
-            mask[i, j] = 0
+            count += owner[i, j] >= 0
+    pixels = np.empty((count, 2), np.int32)
+    places, facing = np.empty((count, 3)), np.empty((count, 3))
+    n = 0
+    for i in range(owner.shape[0]):
+        for j in range(owner.shape[1]):
             face = owner[i, j]
             if face < 0:
-                continue
-            incidence = (
-                normals[face, 0] * towards[0]
-                + normals[face, 1] * towards[1]
-                + normals[face, 2] * towards[2]
-            )
-            if incidence <= _LEAST_COSINE:
                 continue
             z = 1.0 / nearness[i, j]
             x, y = z * (j - middle) / focal, z * (i - middle) / focal
             z -= range_m
-            p0 = rotation[0, 0] * x + rotation[1, 0] * y + rotation[2, 0] * z
-            p1 = rotation[0, 1] * x + rotation[1, 1] * y + rotation[2, 1] * z
-            p2 = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z
-            u = axes[0, 0] * p0 + axes[0, 1] * p1 + axes[0, 2] * p2 - corner[0]
-            v = axes[1, 0] * p0 + axes[1, 1] * p1 + axes[1, 2] * p2 - corner[1]
-            w = axes[2, 0] * p0 + axes[2, 1] * p1 + axes[2, 2] * p2 - corner[2]
-            column, row = int(np.rint(u / texel_m)), int(np.rint(v / texel_m))
-            # A sloping face rises above its own texel by the slope.
-            free = w + slack + texel_m / max(incidence, 0.1)
-            on_map = 0 <= column < side and 0 <= row < side
-            if not (on_map and sunward[row, column] > free):
-                mask[i, j] = 255
+            a, b, c = normals[face, 0], normals[face, 1], normals[face, 2]
+            pixels[n, 0], pixels[n, 1] = i, j
+            for k in range(3):
+                r0, r1, r2 = rotation[0, k], rotation[1, k], rotation[2, k]
+                places[n, k] = r0 * x + r1 * y + r2 * z
+                facing[n, k] = r0 * a + r1 * b + r2 * c
+            n += 1
+    return pixels, places, facing
+
+
+@njit(cache=True, nogil=True)
+def _light(
+    pixels: Int32s, places: Array, facing: Array, sun: Array, axes: Array, corner: Array,
+    texel_m: float, sunward: Float32s, mask: npt.NDArray[np.uint8],
+) -> int:  # fmt: skip
+    """Mask of the sunlit pixels: their faces look towards the Sun, and nothing shades them.
+
+    Returns:
+        How many there are.
+    """
+    side = sunward.shape[0]
+    slack = 3.0 * texel_m
+    mask[:] = 0
+    count = 0
+    for n in range(len(places)):
+        incidence = facing[n, 0] * sun[0] + facing[n, 1] * sun[1] + facing[n, 2] * sun[2]
+        if incidence <= _LEAST_COSINE:
+            continue
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        u = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner[0]
+        v = axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner[1]
+        w = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z - corner[2]
+        column, row = int(np.rint(u / texel_m)), int(np.rint(v / texel_m))
+        # A sloping face rises above its own texel by the slope.
+        free = w + slack + texel_m / max(incidence, 0.1)
+        on_map = 0 <= column < side and 0 <= row < side
+        if not (on_map and sunward[row, column] > free):
+            mask[pixels[n, 0], pixels[n, 1]] = 255
+            count += 1
+    return count

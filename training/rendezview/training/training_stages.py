@@ -24,11 +24,12 @@ from rendezview.training.contours import contour_points
 from rendezview.training.learn import Samples, TreeSet, learn_trees
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
+from rendezview.training.perturbed_views import perturbed_views
 from rendezview.training.projection import SilhouetteRenderer, SurfaceRenderer
 from rendezview.training.renderers import Renderer
 from rendezview.training.shadowed_silhouettes import SunMaps, shadowed_silhouettes, sun_maps
 from rendezview.training.shard_executor import ShardExecutor, Shared, Task
-from rendezview.training.shown_faces import ShownFaces, ShownRenderer, bits_of
+from rendezview.training.shown_faces import MANY_AROUND, ShownFaces, ShownRenderer, bits_of
 from rendezview.training.sketch_maps import sketched_view
 from rendezview.training.stages import Arrays, Progress, Shards, shares
 from rendezview.training.surface_palette import surface_palette
@@ -44,7 +45,6 @@ from rendezview.training.views import (
     clean_views,
     far_views,
     lattice_slopes,
-    perturbed_views,
 )
 from rendezview.training.voters import VoterSamples, joined, learn_voters
 
@@ -68,7 +68,8 @@ class TrainingStages:
     options: TrainingOptions
     executor: ShardExecutor
     progress: Progress | None
-    shown: SurfaceRenderer | None = None  # of the faces that show; contours need every face
+    shown: SurfaceRenderer | None = None  # of the faces that show
+    edges_shown: SurfaceRenderer | None = None  # of these and more, for contours
 
     def lattice(self) -> tuple[ViewSet, Array, Readings | None]:
         """Clean views at the sphere radius, slopes of their area with range, and far readings."""
@@ -101,7 +102,8 @@ class TrainingStages:
             return None
         directions = Geodesic.of_order(self.options.order + 1).nodes
         shells_m = np.array(radii) * self.geometry.sphere_radius_m
-        shared = (self.mesh, self.beside, self.geometry, self.options, self.surfaces)
+        renderer = self.edges_shown or self.surfaces
+        shared = (self.mesh, self.beside, self.geometry, self.options, renderer)
         parts = [
             (directions[p.start : p.stop], range_m)
             for range_m in shells_m
@@ -157,7 +159,8 @@ class TrainingStages:
             bits = np.concatenate([a["faces"] for a in shards])
             shown = ShownFaces(directions, bits, len(self.mesh.faces))
             renderer = ShownRenderer(self.mesh, shown, self.geometry.centre_m)
-            stages = dataclasses.replace(self, renderer=renderer, shown=renderer)
+            more = ShownRenderer(self.mesh, shown, self.geometry.centre_m, MANY_AROUND)
+            stages = dataclasses.replace(self, renderer=renderer, shown=renderer, edges_shown=more)
         if shading:
             visible = np.concatenate([a["visible"] for a in shards])
             surface = chosen_surface(self.mesh, self.geometry, points, faces, visible, options)

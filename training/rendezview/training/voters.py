@@ -1,8 +1,7 @@
 """Voters: small trees of a node on whole and sunlit silhouettes; see `outline.voters`.
 
 Each tree learns from its own draw of the node's samples and tries a few bins at a split
-(L. Breiman, Random forests, Machine Learning 45, 2001); the gain is eq. 5 of Cleghorn & Sternberg.
-Readings are bytes, so a split is found in a histogram.
+(L. Breiman, Random forests, Machine Learning 45, 2001).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.geometry.geodesic import Geodesic, angle_between
+from rendezview.geometry.geodesic import Geodesic, angle_between, within
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import (
     READING_UNIT,
@@ -28,18 +27,17 @@ from rendezview.sensors.appearance.outline.voters import (
     Voters,
     roll_readings,
 )
+from rendezview.training.grown_tree import BRANCHLESS, GrownTree, Rules, entropies, grow
 from rendezview.training.options import TrainingOptions
 from rendezview.training.stages import Arrays
 from rendezview.training.views import ViewSet
 
 _STREAM_OF_VOTERS = 7  # of random numbers, with the node
 _TRIED = 14  # bins at a split
-_LEAST = 8  # samples of a leaf
-_LEAST_GAIN = 4.0  # nats of all samples of a split
+_RULES = Rules(least_split=16, least_leaf=8, least_gain=4.0)  # samples, samples, nats
 _ENTRIES = 1023  # of a tree at most
 _FAR_FRACTION = 0.1  # of the samples beyond the reach; they keep distant nodes inactive
 _PRIOR = (0.5, 4.5)  # samples on and off in every leaf, before any is seen
-_LEVELS = 256  # of a byte
 _SHAPE_ERROR = 0.01  # one σ of a sample's readings, smooth over the outline: error of the mesh
 _WAVES = 6  # of that error around the outline
 
@@ -85,10 +83,12 @@ class VoterSamples:
     ) -> tuple[Bytes, npt.NDArray[np.bool_]]:
         """Readings (K, BINS) rolled to the node's own camera, and labels (K,)."""
         sphere = Geodesic.of_order(self.order)
-        distance = angle_between(self.direction, sphere.nodes[node]) / sphere.mean_edge_rad
-        far = (distance > options.reach_edges) & (distance <= options.far_edges)
-        taken = (distance <= options.reach_edges) | (far & (rng.random(len(far)) < _FAR_FRACTION))
-        chosen = np.flatnonzero(taken)
+        widest = max(options.reach_edges, options.far_edges) * sphere.mean_edge_rad
+        chosen = within(self.direction, sphere.nodes[node], widest)
+        distance = angle_between(self.direction[chosen], sphere.nodes[node]) / sphere.mean_edge_rad
+        near = distance <= options.reach_edges
+        taken = near | (rng.random(len(near)) < _FAR_FRACTION)
+        chosen, distance = chosen[taken], distance[taken]
         views = self.centred_from_target[chosen].astype(np.float64)
         rolls = twist(views, self.node_rotations[node])
         rolls = rolls + options.roll_error_rad * rng.normal(size=len(chosen))
@@ -99,30 +99,31 @@ class VoterSamples:
         strain = 1.0 + size * rng.normal(size=(len(chosen), len(waves))) @ waves
         out = np.empty((len(chosen), BINS), dtype=np.uint8)
         _rolled_bytes(self.readings, chosen, rolls, strain.astype(np.float32), out)
-        return out, distance[chosen] <= options.label_edges
+        return out, distance <= options.label_edges
 
 
 def learn_voters(samples: VoterSamples, options: TrainingOptions, nodes: range) -> Arrays:
     """The fields of `Voters` of some nodes; ``roots`` count from the first entry of them."""
-    grown: list[tuple[npt.NDArray[np.int64], ...]] = []
+    grown: list[GrownTree] = []
     roots = np.empty((len(nodes), options.voters), dtype=np.int32)
     entries = 0
     for k, node in enumerate(nodes):
         rng = np.random.default_rng([options.seed, _STREAM_OF_VOTERS, node])
         readings, labels = samples.of_node(node, options, rng)
+        levels, table = np.ascontiguousarray(readings.T), entropies(len(labels))
         for t in range(options.voters):
             drawn = rng.integers(0, len(labels), len(labels))
             keys = rng.integers(0, 2**31, (_ENTRIES, _TRIED))
-            tree = grow(readings, labels, drawn, keys, _LEAST)
+            tree = grow(levels, labels, drawn, keys, _RULES, table)
             roots[k, t] = entries
-            entries += len(tree[0])
+            entries += len(tree.component)
             grown.append(tree)
     component, threshold, right, on, off = (np.concatenate(c) for c in zip(*grown, strict=True))
     odds = np.log((on + _PRIOR[0]) / (off + _PRIOR[1])) / ODDS_UNIT
-    leaf = component == LEAF
+    leaf = component == BRANCHLESS
     return {
         "roots": roots,
-        "component": component.astype(np.uint8),
+        "component": np.where(leaf, LEAF, component).astype(np.uint8),
         "threshold": threshold.astype(np.uint8),
         "right": right.astype(np.uint16),
         "odds": np.where(leaf, np.clip(np.rint(odds), -127, 127), 0).astype(np.int8),
@@ -153,91 +154,3 @@ def _rolled_bytes(
         roll_readings(row, rolls_rad[k], turned)
         for b in range(len(row)):
             out[k, b] = np.uint8(min(max(np.rint(turned[b] * strain[k, b]), 0.0), 255.0))
-
-
-@njit(cache=True, nogil=True)
-def grow(
-    readings: Bytes, labels: npt.NDArray[np.bool_], drawn: npt.NDArray[np.int64],
-    keys: npt.NDArray[np.int64], least: int,
-) -> tuple[npt.NDArray[np.int64], ...]:  # fmt: skip
-    """One tree on drawn samples, depth first.
-
-    ``keys`` (M, B) are random: entry i tries B bins, chosen by row i.
-
-    Returns:
-        Component (M,), LEAF at a leaf; threshold; entries ahead of the right child; samples on
-        and off of every entry.
-    """
-    most = len(keys)
-    component, threshold = np.full(most, LEAF), np.zeros(most, np.int64)
-    right, on, off = np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros(most, np.int64)
-    samples, bins = drawn.copy(), np.arange(readings.shape[1])
-    # First and last sample of parts that wait, and the entry whose right child they are.
-    first, last, parent = np.zeros(most, np.int64), np.zeros(most, np.int64), np.full(most, -1)
-    last[0], waiting, count = len(drawn), 1, 0
-    while waiting > 0:
-        waiting -= 1
-        begin, end, above = first[waiting], last[waiting], parent[waiting]
-        if above >= 0:
-            right[above] = count - above
-        entry = count
-        count += 1
-        for i in range(begin, end):
-            on[entry] += labels[samples[i]]
-        off[entry] = end - begin - on[entry]
-        # A split makes two entries; room is kept for those that wait.
-        if on[entry] == 0 or off[entry] == 0 or count + waiting + 2 > most:
-            continue
-        best = split(readings, labels, samples[begin:end], bins, keys[entry], least)
-        if best[0] < 0:
-            continue
-        component[entry], threshold[entry] = best
-        middle = begin
-        for i in range(begin, end):
-            if readings[samples[i], best[0]] <= best[1]:
-                samples[i], samples[middle] = samples[middle], samples[i]
-                middle += 1
-        first[waiting], last[waiting], parent[waiting] = middle, end, entry
-        first[waiting + 1], last[waiting + 1], parent[waiting + 1] = begin, middle, -1
-        waiting += 2
-    return component[:count], threshold[:count], right[:count], on[:count], off[:count]
-
-
-@njit(cache=True, nogil=True)
-def split(
-    readings: Bytes, labels: npt.NDArray[np.bool_], samples: npt.NDArray[np.int64],
-    bins: npt.NDArray[np.int64], keys: npt.NDArray[np.int64], least: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Bin and threshold of the greatest gain (eq. 5) among some bins; bin −1 where none gains."""
-    counts = np.empty((2, _LEVELS), np.int64)
-    best, where, level = _LEAST_GAIN, -1, 0
-    for t in range(len(keys)):
-        swap = t + keys[t] % (len(bins) - t)
-        bins[t], bins[swap] = bins[swap], bins[t]
-        counts[:] = 0
-        for i in samples:
-            counts[int(labels[i]), readings[i, bins[t]]] += 1
-        total = counts.sum(axis=1)
-        whole = _n_log(total[0], total[1])
-        a, b = 0, 0
-        for v in range(_LEVELS - 1):
-            if counts[0, v] == 0 and counts[1, v] == 0:
-                continue
-            a, b = a + counts[0, v], b + counts[1, v]
-            if a + b < least or total[0] + total[1] - a - b < least:
-                continue
-            gain = _n_log(a, b) + _n_log(total[0] - a, total[1] - b) - whole
-            if gain > best:
-                best, where, level = gain, bins[t], v
-    return where, level
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _n_log(a: int, b: int) -> float:
-    """``a ln(a/n) + b ln(b/n)``, n = a + b."""
-    total = 0.0
-    if a > 0:
-        total += a * np.log(a / (a + b))
-    if b > 0:
-        total += b * np.log(b / (a + b))
-    return total

@@ -38,15 +38,18 @@ def fill_triangle(
     if y2 < y1:
         x1, y1, w1, x2, y2, w2 = x2, y2, w2, x1, y1, w1
     height, width = nearness.shape
+    first_row = math.ceil(max(0.0, y0))
+    last_row = math.ceil(min(float(height), y2)) - 1
+    # Most triangles of a fine mesh lie between the rows or columns of samples.
+    if first_row > last_row or math.ceil(min(x0, x1, x2)) > max(x0, x1, x2):
+        return
     area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
-    if y2 <= 0.0 or y0 > height - 1 or abs(area) < 1e-12:
+    if abs(area) < 1e-12:
         return
     w_per_x = ((w1 - w0) * (y2 - y0) - (w2 - w0) * (y1 - y0)) / area
     w_per_y = ((w2 - w0) * (x1 - x0) - (w1 - w0) * (x2 - x0)) / area
     # The gradient of a sliver is huge: its samples are clamped to the values at its corners.
     w_low, w_high = min(w0, w1, w2), max(w0, w1, w2)
-    first_row = math.ceil(max(0.0, y0))
-    last_row = math.ceil(min(float(height), y2)) - 1
     for row in range(first_row, last_row + 1):
         xa = x0 + (row - y0) * (x2 - x0) / (y2 - y0)
         if row < y1:

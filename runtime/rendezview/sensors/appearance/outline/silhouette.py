@@ -245,9 +245,13 @@ def outer_borders(mask: Picture) -> list[Border]:
     return [np.asarray(b, dtype=np.int32)[:, 0] for b in borders]
 
 
-def outlines_of_mask(mask: Picture) -> list[Array]:
-    """Outlines (M, 2) in pixels of all blobs of a drawn, noiseless mask."""
-    return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in outer_borders(mask)]
+def outlines_of_mask(mask: Picture, least_px: int = 1) -> list[Array]:
+    """Outlines (M, 2) in pixels of all blobs of a drawn, noiseless mask.
+
+    Blobs with a border shorter than ``least_px`` are left out.
+    """
+    borders = (border for border in outer_borders(mask) if len(border) >= least_px)
+    return [crack_outline(border, _NO_GREY, 0.0, 0.0, 0) for border in borders]
 
 
 def _choose(
