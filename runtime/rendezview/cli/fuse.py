@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -12,7 +12,6 @@ import typer
 from rendezview.cli.progress import ProgressBar, outcome_words, say
 from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions
-from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import (
     LogContext,
     merged,
@@ -21,8 +20,8 @@ from rendezview.fusion.logs import (
     read_options,
     read_surfaces,
     sensor_name,
+    state_record,
 )
-from rendezview.fusion.trust import Verdict
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
@@ -92,48 +91,15 @@ def fuse(
         tick_s = measurements[0].time_s
         for measurement in measurements:
             while every_s is not None and tick_s < measurement.time_s:
-                yield Line(_record(fusion.state_at(tick_s), None, fusion))
+                yield Line(state_record(fusion.state_at(tick_s), None, fusion))
                 tick_s += every_s
             verdict = fusion.add(measurement)
             estimate = fusion.state_at(measurement.time_s)
-            yield Line(_record(estimate, verdict, fusion), estimate.status)
+            yield Line(state_record(estimate, verdict, fusion), estimate.status)
 
     with ProgressBar() as bar:
         summary = run(lines(), log=output, progress=bar.stage("measurements", len(measurements)))
     _say_outcome(fusion, summary)
-
-
-def _record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) -> dict[str, Any]:
-    pose = estimate.pose
-    return {
-        "time_s": estimate.time_s,
-        "status": str(estimate.status),
-        "reason": estimate.reason,
-        "pose": pose,
-        "rates": estimate.rates,
-        "covariance": estimate.covariance,
-        "ring_radius": estimate.ring_radius,
-        "ring_depth_m": estimate.ring_depth_m,
-        "measurement": None
-        if verdict is None
-        else {
-            "sensor": verdict.sensor,
-            "accepted": verdict.accepted,
-            "reason": verdict.reason,
-            "nis": verdict.nis,
-            "degrees_of_freedom": verdict.size,
-        },
-        "sensors": {
-            name: {
-                "locked_out": trust.locked,
-                "mean_nis": trust.mean_nis,
-                "heard": trust.received,
-                "accepted": trust.accepted,
-                "lockouts": trust.lockouts,
-            }
-            for name, trust in fusion.trusts.items()
-        },
-    }
 
 
 def _mounts(texts: list[str], names: list[str]) -> dict[str, Pose]:

@@ -17,7 +17,9 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from rendezview.errors import RendezviewError
+from rendezview.fusion.fusion import Estimate, Fusion
 from rendezview.fusion.options import FusionOptions
+from rendezview.fusion.trust import Verdict
 from rendezview.geometry.pose import Pose
 from rendezview.io.files import StrPath, checked, read_json
 from rendezview.io.results import read_json_lines
@@ -232,3 +234,37 @@ def sensor_name(text: str) -> tuple[str, Path]:
     if equals and name and "/" not in name:
         return name, Path(path)
     return Path(text).stem, Path(text)
+
+
+def state_record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) -> dict[str, Any]:
+    """The state after a measurement, as its line of the log of ``fuse``."""
+    pose = estimate.pose
+    return {
+        "time_s": estimate.time_s,
+        "status": str(estimate.status),
+        "reason": estimate.reason,
+        "pose": pose,
+        "rates": estimate.rates,
+        "covariance": estimate.covariance,
+        "ring_radius": estimate.ring_radius,
+        "ring_depth_m": estimate.ring_depth_m,
+        "measurement": None
+        if verdict is None
+        else {
+            "sensor": verdict.sensor,
+            "accepted": verdict.accepted,
+            "reason": verdict.reason,
+            "nis": verdict.nis,
+            "degrees_of_freedom": verdict.size,
+        },
+        "sensors": {
+            name: {
+                "locked_out": trust.locked,
+                "mean_nis": trust.mean_nis,
+                "heard": trust.received,
+                "accepted": trust.accepted,
+                "lockouts": trust.lockouts,
+            }
+            for name, trust in fusion.trusts.items()
+        },
+    }

@@ -11,13 +11,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from experiments.frame import ROOT
 from rendezview.cli.compiling import recorded
+from rendezview.evaluation.contact import fuse_to_contact
 from rendezview.io.bundled import find_target
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, result_row
+from rendezview.sensors.observation import Status
+from rendezview.simulation.command import default_camera
+from rendezview.simulation.ranger import Ranger, write_echoes
+from rendezview.simulation.scene import SceneOptions, simulate
+from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training import job
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
@@ -49,7 +57,44 @@ def train(model: Path, scene: Path) -> list[dict[str, Any]]:
         return recorded(lambda: job.train(mesh, path, name="hubble", options=_SMALL, jobs=1))
 
 
-GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {"track": track, "train": train}
+def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of simulation, ring and fusion; the model and the scene are not used."""
+    target = find_target("client")
+    ring = target.docking_ring
+    assert ring is not None
+    mesh = load_mesh(target.mesh_path, target.unit)
+    path = trajectory(
+        "vbar",
+        TrajectoryOptions(
+            frames=8, start_range_m=8.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
+            approach_axis=tuple(ring.axis), hops=0,
+        ),
+    )  # fmt: skip
+
+    def work() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            simulate(mesh, default_camera(), path, SceneOptions(), Path(folder) / "scene", 0)
+            laser = Path(folder) / "laser.jsonl"
+            write_echoes(laser, mesh, path, Ranger((0.1, 0.0, 0.0), 0.01), 0)
+            frames = open_sequence(Path(folder) / "scene").frames
+            poses = [
+                AppearanceObservation(
+                    time_s=frame.time_s, status=Status.OK, pose=frame.camera_from_target,
+                    covariance=1e-4 * np.eye(6),
+                )
+                for frame in frames
+            ]  # fmt: skip
+            fuse_to_contact(
+                frames, poses, ring, laser, log=Path(folder) / "state.jsonl",
+                video=Path(folder) / "ring.mp4",
+            )  # fmt: skip
+
+    return recorded(work)
+
+
+GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
+    "track": track, "train": train, "demo": demo,
+}  # fmt: skip
 
 
 def run(model: Path, scene: Path, *, group: str = "") -> None:

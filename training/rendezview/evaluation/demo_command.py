@@ -1,4 +1,4 @@
-"""``rendezview demo``: train, simulate, track, report."""
+"""``rendezview demo``: train, simulate, track, fuse, report."""
 
 from __future__ import annotations
 
@@ -13,58 +13,78 @@ from rich.console import Console
 
 from rendezview.cli.compiling import compile_ahead
 from rendezview.cli.progress import ProgressBar
+from rendezview.evaluation.contact import contact_picture, fuse_to_contact
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
+from rendezview.evaluation.page import MP4, Card
+from rendezview.evaluation.palette import png
 from rendezview.evaluation.report import write_report
 from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
-from rendezview.io.sequences import open_sequence
-from rendezview.sensors.appearance import AppearanceObservation
+from rendezview.io.sequences import Sequence, open_sequence
+from rendezview.io.target import DockingRing
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
 from rendezview.sensors.appearance.video import video_of
 from rendezview.sensors.observation import Status
-from rendezview.sensors.run import Line, run
+from rendezview.sensors.run import Line, Summary, run
 from rendezview.simulation.command import default_camera
+from rendezview.simulation.ranger import Ranger, write_echoes
 from rendezview.simulation.scene import SceneOptions, simulate
-from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
+from rendezview.simulation.trajectories import (
+    TimedPose,
+    TrajectoryOptions,
+    Triple,
+    trajectory,
+)
 from rendezview.training.command import summary
 from rendezview.training.command_options import Jobs
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
+_TARGET = "client"  # it has a docking ring
 _VIEWS = 8_000  # perturbed views; fewer than the default, so that the demo is short
 _HELD_OUT_VIEWS = 1000
 _SHELLS = (1.0, 2.0)  # sphere radii; the ranges of the demo
 _SUN_PHASE_DEG = 0.0  # degrees; the Sun is behind the camera, so there are no shadows
+_AROUND = 2.0 / 3.0  # share of the frames that fly around the target; the others end at the ring
+_RANGES = (2.4, 1.1)  # sphere radii; first and last range of the fly-around
+_LAST_M = 2.0  # m; a ring of 1.2 m still fits the picture. Source: its half angle, 17° of 20°
+_JITTER_DEG = 0.4  # degrees, one σ of each axis of the camera
+_RANGER = Ranger(origin_m=(0.1, 0.0, 0.0), sigma_m=0.01)
 
 
 def demo(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the results.")] = Path(
         "rendezview-demo"
     ),
-    frames: Annotated[int, typer.Option(min=1, help="Frames of the approach.")] = 60,
+    frames: Annotated[int, typer.Option(min=6, help="Frames of the approach.")] = 60,
     jobs: Jobs = -1,
     seed: Annotated[int, typer.Option(min=0, help="Of everything random.")] = 0,
 ) -> None:
-    """Train, simulate, track and report, as a demonstration.
+    """Train, simulate, track, fuse and report, as a demonstration.
 
-    The demo trains a model of a space telescope, simulates an approach from 61 m to 28 m half
-    around it, finds the first pose among all attitudes, and tracks the others. A report has the
-    trees' votes, errors and a video of the approach.
+    The demo trains a model of a satellite, simulates a flight half around it and on to 2 m before
+    its docking ring, finds the first pose among all attitudes, and tracks the others. On the last
+    metres, camera, ring and laser ranger are fused. A report has videos, the trees' votes and the
+    errors of all sensors.
 
     Example: rendezview demo -o tour
     """
     console = Console(highlight=False, soft_wrap=True)
     start = time.perf_counter()
-    target, camera = find_target("hubble"), default_camera()
+    target, camera = find_target(_TARGET), default_camera()
+    ring = target.docking_ring
+    assert ring is not None
     mesh = load_mesh(target.mesh_path, target.unit)
     make_folder(output)
+    model_path = output / f"{target.name}.rvm"
     compile_ahead("train", "track")
     with ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
             mesh,
-            output / "hubble.rvm",
+            model_path,
             name=target.name,
             options=TrainingOptions(
                 perturbed_views=_VIEWS,
@@ -74,28 +94,14 @@ def demo(
                 seed=seed,
             ),
             camera=camera,
+            symmetries=target.symmetries,
             jobs=jobs,
             progress=progress,
         )
         console.print(summary(trained), style="dim")
         model = trained.model
-        console.print(f"2. Simulating an approach half around it: {frames} frames …")
-        path = trajectory(
-            "flyaround",
-            TrajectoryOptions(
-                frames=2 * frames - 1,
-                start_range_m=2.4 * model.sphere_radius_m,
-                end_range_m=1.1 * model.sphere_radius_m,
-                centre_m=(
-                    float(model.centre_m[0]),
-                    float(model.centre_m[1]),
-                    float(model.centre_m[2]),
-                ),
-                pointing_jitter_rad=float(np.deg2rad(0.4)),
-                roll_jitter_rad=float(np.deg2rad(0.4)),
-                seed=seed,
-            ),
-        )[:frames]  # the nearest frame is half-way around
+        console.print(f"2. Simulating an approach around it and to its ring: {frames} frames …")
+        path, last = _approach(model, ring, frames, seed)
         simulate(
             mesh,
             camera,
@@ -107,24 +113,21 @@ def demo(
             progress=lambda done, total: progress("frames", done, total),
             overwrite=True,
         )
+        write_echoes(output / "laser.jsonl", mesh, path[last:], _RANGER, seed)
         console.print("3. Finding the first pose without a prior, and tracking …")
         sequence = open_sequence(output / "scene")
         observations: list[AppearanceObservation] = []
-
-        def lines() -> Iterator[Line]:
-            with video_of(output / "approach.mp4", sequence, model) as video:
-                for frame, observation in follow(model, sequence, watch=video.watch):
-                    observations.append(observation)
-                    row = result_row(sequence.scene_id, frame, observation)
-                    yield Line(record(frame, observation), observation.status, row)
-
-        rows = run(
-            lines(),
-            log=output / "log.jsonl",
-            results=output / "poses.csv",
-            progress=progress.stage("tracking", len(sequence)),
-        ).rows
-    evaluation = evaluate_rows(sequence, rows, target.symmetries, model.centre_m)
+        tracked = _track(model, sequence, output, observations, progress)
+        console.print("4. Finding the ring, and fusing camera, ring and laser ranger …")
+        contact = fuse_to_contact(
+            sequence.frames[last:],
+            observations[last:],
+            ring,
+            output / "laser.jsonl",
+            log=output / "state.jsonl",
+            video=output / "ring.mp4",
+        )
+    evaluation = evaluate_rows(sequence, tracked.rows, target.symmetries, model.centre_m)
     report = write_report(
         output,
         target_name=target.name,
@@ -132,16 +135,99 @@ def demo(
         sequence=sequence,
         observations=observations,
         evaluation=evaluation,
-    )
+        more=[
+            _film(output / "approach.mp4", "The approach", "Edges of the model and the axes at "
+                  "each pose; the ellipse is the uncertainty of the centre, 3 σ."),
+            _film(output / "ring.mp4", "The docking ring", "Ellipses found; orange: the ring. "
+                  "Green: its axis."),
+            Card("contact", "To the docking ring", "Errors of the ring's centre on the last "
+                 "metres. The ring takes over where the picture no longer holds the target.",
+                 png(contact_picture(contact))),
+        ],
+    )  # fmt: skip
     console.print(evaluation.as_table())
     lost = sum(s.status is not Status.OK for s in observations)
     active = [len(s.active_nodes) for s in observations]
     console.print(
-        f"{len(rows)} poses in {len(observations)} frames, {lost} without; "
-        f"{np.mean(active):.1f} active nodes per frame; {time.perf_counter() - start:.0f} s in all"
+        f"{len(tracked.rows)} poses in {len(observations)} frames, {lost} without; "
+        f"{np.mean(active):.1f} active nodes per frame"
     )
-    console.print(f"Report: {report}, video: {output / 'approach.mp4'}")
+    console.print(
+        f"{contact.range_m[-1]:.1f} m from the ring, its centre is known to "
+        f"{1e3 * contact.last_error_m:.1f} mm; {time.perf_counter() - start:.0f} s in all"
+    )
+    console.print(f"Report with videos: {report}")
     console.print(
         "The same run on the service's page, at http://127.0.0.1:8360/:\n"
-        f"  rendezview serve {output / 'hubble.rvm'} --source {output / 'scene'}"
+        f"  rendezview serve {model_path} --source {output / 'scene'}"
     )
+
+
+def _approach(
+    model: ViewModel, ring: DockingRing, frames: int, seed: int
+) -> tuple[list[TimedPose], int]:
+    """Half around the target, then along the ring's axis; and the first frame of that."""
+    around = round(_AROUND * frames)
+    jitter = float(np.deg2rad(_JITTER_DEG))
+    first, last = (radii * model.sphere_radius_m for radii in _RANGES)
+    flown = trajectory(
+        "flyaround",
+        TrajectoryOptions(
+            frames=2 * around - 1,
+            start_range_m=first,
+            end_range_m=last,
+            centre_m=_triple(model.centre_m),
+            pointing_jitter_rad=jitter,
+            roll_jitter_rad=jitter,
+            seed=seed,
+        ),
+    )[:around]  # the nearest frame is half-way around, on the ring's side
+    place = flown[-1][1].inverse().translation_m
+    final = trajectory(
+        "vbar",
+        TrajectoryOptions(
+            frames=frames - around + 1,
+            start_range_m=float(np.linalg.norm(place - ring.centre_m)),
+            end_range_m=_LAST_M,
+            centre_m=_triple(ring.centre_m),
+            approach_axis=_triple(ring.axis),
+            hops=0,
+            pointing_jitter_rad=jitter,
+            roll_jitter_rad=jitter,
+            seed=seed + 1,
+        ),
+    )[1:]
+    return [*flown, *((flown[-1][0] + time_s, pose) for time_s, pose in final)], around
+
+
+def _triple(vector: np.ndarray) -> Triple:
+    x, y, z = (float(value) for value in vector)
+    return x, y, z
+
+
+def _track(
+    model: ViewModel,
+    sequence: Sequence,
+    output: Path,
+    observations: list[AppearanceObservation],
+    progress: ProgressBar,
+) -> Summary:
+    """Track the sequence into a log, results and a video; fills ``observations``."""
+
+    def lines() -> Iterator[Line]:
+        with video_of(output / "approach.mp4", sequence, model) as video:
+            for frame, observation in follow(model, sequence, watch=video.watch):
+                observations.append(observation)
+                row = result_row(sequence.scene_id, frame, observation)
+                yield Line(record(frame, observation), observation.status, row)
+
+    return run(
+        lines(),
+        log=output / "log.jsonl",
+        results=output / "poses.csv",
+        progress=progress.stage("tracking", len(sequence)),
+    )
+
+
+def _film(path: Path, title: str, words: str) -> Card:
+    return Card(path.stem, title, words, path.read_bytes(), MP4)

@@ -22,15 +22,21 @@ from rendezview.evaluation.palette import (
 from rendezview.io.sequences import Sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 
+PNG, MP4 = "image/png", "video/mp4"
+# Names of the pictures in a column of their own, and of those over the whole width.
+_PAIR = ("sphere", "signature", "cloud", "model")
+_WIDE = ("curves", "stages")
+
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """One picture of the page."""
+    """One picture or video of the page."""
 
-    name: str  # of its PNG file, without suffix
+    name: str  # of its file, without suffix
     title: str
     words: str
-    picture: bytes  # PNG
+    picture: bytes
+    kind: str = PNG  # or MP4
 
 
 _STYLE = f"""
@@ -63,7 +69,7 @@ figure {{ margin: 0; background: {BACKGROUND}; border: 1px solid {GRID}; border-
 .pair figure, .wide figure {{ margin-bottom: 0 }}
 .wide figure {{ margin-bottom: 14px; max-width: 1000px }}
 figcaption {{ padding: 12px 16px 2px }}
-img {{ display: block; width: 100%; height: auto }}
+img, video {{ display: block; width: 100%; height: auto }}
 .key i {{ font-style: normal; font-weight: 600 }}
 @media (max-width: 600px) {{ .pair figure, .wide figure {{ overflow-x: auto }}
   .pair img {{ width: 520px }} .wide img {{ width: 760px }} }}
@@ -89,15 +95,19 @@ def page(
         sequence: the frames.
         observations: of these frames.
         evaluation: if there is truth.
-        cards: pictures; those named ``frame_…`` are the row of frames.
+        cards: pictures; those named ``frame_…`` are the row of frames. Videos come first, and
+            pictures that a report does not always have come after the frames.
     """
     by_name = {card.name: card for card in cards}
     strip = "".join(_image(card, f"{card.title} {card.name[6:]}") for card in cards
                     if card.name.startswith("frame_"))  # fmt: skip
-    pair = "".join(
-        _figure(by_name[n]) for n in ("sphere", "signature", "cloud", "model") if n in by_name
-    )
-    wide = "".join(_figure(by_name[n]) for n in ("curves", "stages") if n in by_name)
+    pair = "".join(_figure(by_name[n]) for n in _PAIR if n in by_name)
+    wide = "".join(_figure(by_name[n]) for n in _WIDE if n in by_name)
+    videos = [card for card in cards if card.kind == MP4]
+    films = "".join(map(_figure, videos))
+    others = [c for c in cards if c.kind == PNG and c.name not in (*_PAIR, *_WIDE)
+              and not c.name.startswith("frame_")]  # fmt: skip
+    more = "".join(map(_figure, others))
     camera = sequence.frames[0].camera
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -105,7 +115,7 @@ def page(
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <meta http-equiv="Content-Security-Policy"
-  content="default-src 'none'; img-src data:; style-src 'unsafe-inline'">
+  content="default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'">
 <title>{escape(target_name)}: recognition report</title>
 <style>{_STYLE}</style>
 </head>
@@ -116,11 +126,13 @@ def page(
 frames of {escape(sequence.source.name)}</p>
 <div class="tiles">{_tiles(observations, evaluation)}</div>
 {_table(evaluation)}
+{_section("Videos", "pair", films)}
 <h2>Frames</h2>
 <p class="quiet key"><i style="color:{ACTIVE}">Outline</i>: silhouette. Axes: the target's X, Y, Z
 at its view centre. Cross: bearing. A <i style="color:{PROBLEM}">red edge</i> marks a frame without
 a pose or with a wrong pose.</p>
 <div class="strip">{strip}</div>
+{_section("All sensors", "wide", more)}
 <h2>Recognition</h2>
 <div class="pair">{pair}</div>
 <h2>All frames</h2>
@@ -130,6 +142,10 @@ a pose or with a wrong pose.</p>
 </body>
 </html>
 """
+
+
+def _section(title: str, style: str, figures: str) -> str:
+    return f'<h2>{title}</h2>\n<div class="{style}">{figures}</div>' if figures else ""
 
 
 def _tiles(observations: Ordered[AppearanceObservation], evaluation: Evaluation | None) -> str:
@@ -200,4 +216,9 @@ def _image(card: Card, words: str) -> str:
 
 def _tag(card: Card, words: str) -> str:
     data = base64.b64encode(card.picture).decode("ascii")
-    return f'<img alt="{escape(words)}" src="data:image/png;base64,{data}">'
+    if card.kind == MP4:
+        return (
+            f'<video aria-label="{escape(words)}" controls autoplay muted loop playsinline '
+            f'src="data:{MP4};base64,{data}"></video>'
+        )
+    return f'<img alt="{escape(words)}" src="data:{PNG};base64,{data}">'

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from rendezview.evaluation.evaluation import Evaluation
-from rendezview.evaluation.page import Card, page
+from rendezview.evaluation.page import PNG, Card, page
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.report_frames import details, frame_row
 from rendezview.evaluation.sphere_pictures import model_picture
@@ -34,6 +34,7 @@ def write_report(
     observations: Ordered[AppearanceObservation],
     evaluation: Evaluation | None = None,
     joined: bool = True,
+    more: Ordered[Card] = (),
 ) -> Path:
     """Write the PNG files and ``report.html``, which contains all pictures.
 
@@ -45,6 +46,7 @@ def write_report(
         observations: one for each frame, in the same order.
         evaluation: of the results; None without truth.
         joined: the frames are a sequence, so the track is a line.
+        more: pictures and videos of one's own. Pictures become PNG files, too.
 
     Returns:
         The path of ``report.html``.
@@ -63,10 +65,10 @@ def write_report(
         for k, picture in frame_row(model, sequence, observations, results, evaluation)
     ]
     cards += details(model, sequence, observations, results)
-    cards += _overview(model, sequence, observations, evaluation, joined)
+    cards += [*_overview(model, sequence, observations, evaluation, joined), *more]
     for old in place.glob("frame_*.png"):
         old.unlink(missing_ok=True)
-    for card in cards:
+    for card in (card for card in cards if card.kind == PNG):
         with atomic_write(place / f"{card.name}.png", durable=False) as file:
             file.write(card.picture)
     path = place / "report.html"

@@ -28,9 +28,10 @@ from rendezview.training.mesh_containers import (
 from rendezview.training.mesh_notes import counted
 from rendezview.training.mesh_obj import read_obj
 from rendezview.training.mesh_scenes import nodes_below, step_note, triangulate_step
+from rendezview.training.mesh_usd import USD_SUFFIXES, read_usd
 
 STEP_SUFFIXES = (".step", ".stp")
-FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".3mf", ".dae", *STEP_SUFFIXES)
+FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".3mf", ".dae", *STEP_SUFFIXES, *USD_SUFFIXES)
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
 _LOGGERS = ("trimesh", "collada")
@@ -66,6 +67,8 @@ def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
                 )
             vertices, faces, rgb, notes = read_obj(path)
             return MeshFile(vertices, faces, rgb, None, tuple(notes))
+        if path.suffix.lower() in USD_SUFFIXES:
+            return _join(*read_usd(path, node))
         return _read_with_trimesh(path, node)
     except RendezviewError:
         raise

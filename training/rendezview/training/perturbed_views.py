@@ -139,7 +139,7 @@ class _Picture:
         row, column, threshold = rng.integers(0, [_TILE, _TILE, len(_THRESHOLDS)])
         return cls(
             clean=bool(clean),
-            radii=options.range_radii[0] if clean else rng.uniform(*options.range_radii),
+            radii=rng.uniform(*options.range_radii),
             noise_grey=options.noise_sigma_grey * rng.uniform(0.5, 1.5),
             blur_px=rng.uniform(0.4, 1.2),
             level_grey=rng.uniform(80.0, 200.0),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import StrPath
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences.frame import Frame
@@ -62,7 +62,15 @@ def _prior(line: dict[str, Any], ring: DockingRing) -> RingPrior:
     covariance = np.array(line["covariance"], dtype=np.float64)
     if covariance.ndim != 2 or min(covariance.shape) < 6:
         raise ValueError("the covariance must be 6 × 6, or begin with that of the pose")
-    covariance = covariance[:6, :6]
+    return prior_of_pose(pose, covariance[:6, :6], ring)
+
+
+def prior_of_pose(pose: Pose, covariance: Array, ring: DockingRing) -> RingPrior:
+    """Where the ring is for a pose ``camera_from_target`` with its covariance (6, 6).
+
+    Raises:
+        ValueError: the variance along the line of sight is not positive.
+    """
     centre = pose.apply(ring.centre_m)
     sight = centre / np.linalg.norm(centre)
     # The centre R r + t moves by w × R r + v: along the line of sight by this (6,).
