@@ -79,7 +79,7 @@ def demo(
     mesh = load_mesh(target.mesh_path, target.unit)
     make_folder(output)
     model_path = output / f"{target.name}.rvm"
-    compile_ahead("train", "track")
+    compile_ahead("train", "track", "demo")
     with ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
