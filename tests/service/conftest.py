@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -14,10 +15,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.service.page_feed import browser_path
 
 from rendezview.client import Client
 from rendezview.geometry.camera import Camera
@@ -162,3 +165,57 @@ def tour(
         truth = Pose(rotation, centre - rotation @ refining_model.centre_m)
         frames.append((0.1 * k, truth, draw(bumpy_mesh, truth, camera, rng)))
     return frames
+
+
+# WebGL without a graphics card; everything else drawn as plainly as can be.
+_FLAGS = ("--disable-gpu", "--enable-unsafe-swiftshader")
+_DESK = {"width": 1280, "height": 800}
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="the page's tests want it")
+    with playwright.sync_playwright() as play:
+        path = browser_path(play)
+        if path is None:
+            pytest.skip("no Chromium: `playwright install chromium`, or RENDEZVIEW_TEST_BROWSER")
+        flags = [*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
+        try:
+            browser = play.chromium.launch(executable_path=path, args=flags)
+        except playwright.Error as error:
+            if "RENDEZVIEW_TEST_BROWSER" in os.environ:
+                raise
+            pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Opens pages, each with a memory of its own; at the end none has met an error."""
+    contexts, complaints = [], []
+
+    def open_it(
+        url: str, size: dict[str, int] = _DESK, script: str = "", tolerates: str = "", **more: Any
+    ) -> Any:
+        def note(message: Any) -> None:
+            # A refused token, and a picture that is not kept, are answers that Chromium lists as
+            # errors.
+            known = f"401|404{'|' if tolerates else ''}{tolerates}"
+            if message.type == "error" and not re.search(known, message.text):
+                complaints.append(message.text)
+
+        context = browser.new_context(viewport=size, accept_downloads=True, **more)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", note)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        if script:
+            page.add_init_script(script)
+        page.goto(url)
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+    assert complaints == []

@@ -14,7 +14,7 @@ import pytest
 
 from rendezview.client import SessionClient
 
-MOST_S = 15.0
+MOST_S = 60.0
 
 
 def browser_path(play: Any) -> str | None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +18,7 @@ from tests.io.bags import START_S, Shot, write_foxglove, write_ros1, write_ros2
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
+from rendezview.service.source_process import open_apart
 from rendezview.service.sources import SourceFrame, open_source
 
 CAMERA = Camera.from_fov(64, 48, 1.0)
@@ -73,7 +76,7 @@ def network_camera() -> Iterator[str]:
 
 
 def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, monkeypatch) -> None:
-    monkeypatch.setattr("rendezview.service.sources._RECONNECT_S", 0.05)
+    monkeypatch.setattr("rendezview.service.sources.RECONNECT_S", 0.05)
     with pytest.raises(RendezviewError, match="--camera"):
         open_source(network_camera, None)
     source = open_source(network_camera, CAMERA)
@@ -101,9 +104,71 @@ def test_a_network_stream_is_opened_again_when_it_breaks_off(network_camera, mon
 
 
 def test_a_network_stream_that_is_not_there_is_tried_again(monkeypatch) -> None:
-    monkeypatch.setattr("rendezview.service.sources._RECONNECT_S", 0.05)
+    monkeypatch.setattr("rendezview.service.sources.RECONNECT_S", 0.05)
     source = open_source("http://127.0.0.1:9/nothing", CAMERA)
     first, second = itertools.islice(source.frames(threading.Event()), 2)
     assert isinstance(first, RendezviewError)
     assert "cannot be opened" in str(first)
     assert isinstance(second, RendezviewError)
+
+
+def test_why_a_source_cannot_be_opened_is_said(monkeypatch) -> None:
+    monkeypatch.setattr("rendezview.service.sources.RECONNECT_S", 0.05)
+    for name, why in (
+        ("http://127.0.0.1:9/nothing", "Connection refused"),
+        ("http://no-such-host.invalid/x", "no such host"),
+        ("/dev/video97", "No such file"),
+    ):
+        first = next(open_source(name, CAMERA).frames(threading.Event()))
+        assert isinstance(first, RendezviewError)
+        assert why in str(first)
+
+
+def _scene(folder: Path, count: int) -> list[np.ndarray]:
+    images = [np.full((48, 64), (10 * k) % 250, np.uint8) for k in range(count)]
+    for k, image in enumerate(images):
+        cv2.imwrite(str(folder / f"{k:03}.png"), image)
+    return images
+
+
+def test_a_source_is_decoded_in_a_process_of_its_own(tmp_path: Path) -> None:
+    images = _scene(tmp_path, 5)
+    source = open_apart(str(tmp_path), CAMERA)
+    assert (source.camera, source.live) == (CAMERA, False)
+    frames = list(source.frames(threading.Event()))
+    assert [frame.content for frame in frames] == [image.tobytes() for image in images]
+    source.close()
+    with pytest.raises(RendezviewError, match="nowhere"):
+        open_apart(str(tmp_path / "nowhere"), CAMERA)
+
+
+def test_a_decoder_that_ends_is_said_and_a_live_one_is_started_again(
+    tmp_path: Path, network_camera, monkeypatch
+) -> None:
+    monkeypatch.setattr("rendezview.service.source_process.RECONNECT_S", 0.05)
+    _scene(tmp_path, 300)
+    file = open_apart(str(tmp_path), CAMERA)
+    frames = file.frames(threading.Event())
+    next(frames)
+    _kill_children()
+    with pytest.raises(RendezviewError, match=r"did not answer|ended"):
+        list(frames)
+    file.close()
+    live = open_apart(network_camera, CAMERA)
+    stop = threading.Event()
+    got = live.frames(stop)
+    assert isinstance(next(got), SourceFrame)
+    _kill_children()
+    faults = [str(each) for each in itertools.islice(got, 200) if isinstance(each, RendezviewError)]
+    stop.set()
+    live.close()
+    assert any("starting again" in fault for fault in faults)
+
+
+def _kill_children() -> None:
+    """The decoders' processes of this one, as a crash ends them."""
+    children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
+    for pid in map(int, children):
+        command = Path(f"/proc/{pid}/cmdline").read_bytes()
+        if b"source_process" in command:
+            os.kill(pid, signal.SIGSEGV)

@@ -22,6 +22,13 @@ def serve(
         Path | None,
         typer.Option(help="Target file with a docking ring: where other sensors see a ring."),
     ] = None,
+    approach: Annotated[
+        Path | None,
+        typer.Option(help="Docking port, corridor, keep-out zone and limits (TOML)."),
+    ] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="Planned path (TOML), as for `rendezview track`.")
+    ] = None,
     source: Annotated[
         list[str] | None,
         typer.Option(
@@ -43,6 +50,12 @@ def serve(
     ] = None,
     host: Annotated[str | None, typer.Option(help="Address to listen on. [127.0.0.1]")] = None,
     port: Annotated[int | None, typer.Option(help="Port; 0 for any that is free. [8360]")] = None,
+    foxglove: Annotated[
+        int | None, typer.Option(help="Port of a live stream for Foxglove; no tokens.")
+    ] = None,
+    rerun: Annotated[
+        int | None, typer.Option(help="Port of a live stream for Rerun; no tokens.")
+    ] = None,
     tokens: Annotated[
         Path | None, typer.Option(help="Tokens (TOML): who may read, track, admin.")
     ] = None,
@@ -79,11 +92,15 @@ def serve(
     flags: dict[str, Any] = {
         "camera": camera,
         "target": target,
+        "approach": approach,
+        "plan": plan,
         "record": record,
         "record_images": record_images,
         "sync": sync,
         "host": host,
         "port": port,
+        "foxglove_port": foxglove,
+        "rerun_port": rerun,
         "tokens_file": tokens,
         "open_to_all": open_to_all,
         "tls_certificate": tls_certificate,

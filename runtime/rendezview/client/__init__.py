@@ -6,13 +6,14 @@ from rendezview.client.connection import (
     fused_pose_of_state,
     pose_of_state,
 )
-from rendezview.client.messages import Frame, ServiceError, StateDict
+from rendezview.client.messages import Frame, ServiceError, ServiceTimeout, StateDict
 from rendezview.client.stream import StreamClient
 
 __all__ = [
     "Client",
     "Frame",
     "ServiceError",
+    "ServiceTimeout",
     "SessionClient",
     "StateDict",
     "StreamClient",

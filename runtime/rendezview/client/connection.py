@@ -11,6 +11,7 @@ convert its pose and covariance to the types of this package.
 from __future__ import annotations
 
 import json
+import re
 import secrets
 import socket
 import ssl
@@ -38,6 +39,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.files import read_bytes
 from rendezview.io.results import json_line
 
+_PAUSE_S = 0.2  # s, between attempts to connect. Source: chosen
+_FITS_HEADER = re.compile(r"[\x21-\x7e]+")
 _IDLE_S = 30.0  # s; the service may have closed an idle connection. Source: chosen
 
 
@@ -63,20 +66,30 @@ class Client:
         token: str | None = None,
         timeout_s: float = 30.0,
         certificate: Path | str | None = None,
+        reconnect_s: float = 10.0,
     ) -> None:
         """A client; it connects with the first request.
 
         Args:
             certificate: PEM file of the authority to trust, if the system does not trust the
                 service's certificate (``https``).
+            reconnect_s: for how long a service that was reached before is tried again.
 
         Raises:
             RendezviewError: the address is wrong, or the certificate cannot be read.
         """
-        parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
-            raise RendezviewError(f"{url}: give the service as http://host:port")
+        try:
+            parts = urlsplit(url)
+            known = parts.scheme in ("http", "https") and parts.hostname and (parts.port or True)
+        except ValueError:
+            known = False
+        if not known or (token is not None and not _FITS_HEADER.fullmatch(token)):
+            what = "give the service as http://host:port"
+            raise RendezviewError(f"{url}: {'a token has no spaces' if known else what}")
         self._url = parts
+        assert parts.hostname is not None
+        self._reconnect_s = reconnect_s
+        self._reached = False
         self._tls = _tls(certificate) if parts.scheme == "https" else None
         self._connection: HTTPConnection = (
             HTTPConnection(parts.hostname, parts.port, timeout=timeout_s)
@@ -99,6 +112,7 @@ class Client:
         name: str | None = None,
         record: bool | None = None,
         fusion: Mapping[str, Any] | None = None,
+        approach: Mapping[str, Any] | None = None,
         idle_s: float | None = None,
     ) -> SessionClient:
         """Open a session; the service has defaults for all arguments. Use it in a ``with``.
@@ -107,6 +121,7 @@ class Client:
             idle_s: without a frame for longer, the service ends the session (60 s).
             fusion: data on other sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
                 ``surfaces``, ``mounts`` (a `Pose` by sensor name), ``options``.
+            approach: docking port, corridor, limits and more, as in `ApproachRequest`.
 
         Raises:
             RendezviewError: the service cannot be reached, or refuses.
@@ -128,6 +143,8 @@ class Client:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
         if fusion is not None:
             request["fusion"] = json.loads(json_line(fusion))
+        if approach is not None:
+            request["approach"] = json.loads(json_line(approach))
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())
         return SessionClient(self, info["id"])
 
@@ -191,16 +208,8 @@ class Client:
         """Send one request; the bytes of its answer. Errors as in `request`."""
         headers = self._headers if body is None else self._headers | {"Content-Type": kind}
         try:
-            try:
-                response = self._send(method, path, body, headers)
-            except (ConnectionError, RemoteDisconnected):
-                # A connection that was idle may be closed meanwhile; a new one is tried once.
-                self._connection.close()
-                if not _may_repeat(method, path):
-                    raise
-                response = self._send(method, path, body, headers)
-            content = response.read()
-        except (OSError, HTTPException) as error:
+            response, content = self._send_again(method, path, body, headers)
+        except (OSError, HTTPException, ValueError) as error:
             self._connection.close()
             raise RendezviewError(
                 f"{self._url.geturl()}: the service cannot be reached ({error}): is it running?"
@@ -212,6 +221,31 @@ class Client:
                 message = f"the service answers {response.status} {response.reason}"
             raise ServiceError(message, response.status)
         return content
+
+    def _send_again(
+        self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
+    ) -> tuple[HTTPResponse, bytes]:
+        """An answer, from a new connection if the old one was closed."""
+        until_s = time.monotonic() + (self._reconnect_s if self._reached else 0.0)
+        while True:
+            sent = self._connection.sock is not None
+            try:
+                response = self._send(method, path, body, headers)
+                content = response.read()
+            except (ConnectionError, RemoteDisconnected):
+                # An idle connection may be closed meanwhile, or the service may start again. What
+                # was perhaps received is sent twice only where that does no harm.
+                refused = self._connection.sock is None
+                self._connection.close()
+                if not (refused or _may_repeat(method, path)):
+                    raise
+                if not sent or refused:
+                    if time.monotonic() > until_s:
+                        raise
+                    time.sleep(_PAUSE_S)
+            else:
+                self._reached = True
+                return response, content
 
     def _send(
         self, method: str, path: str, body: bytes | memoryview | None, headers: dict[str, str]
@@ -236,6 +270,11 @@ class Client:
     def headers(self) -> dict[str, str]:
         """The headers of every request."""
         return dict(self._headers)
+
+    @property
+    def reconnect_s(self) -> float:
+        """For how long a connection that broke off is opened again."""
+        return self._reconnect_s
 
     @property
     def tls(self) -> ssl.SSLContext | None:
@@ -288,7 +327,8 @@ class SessionClient:
     def stream(self) -> StreamClient:
         """A WebSocket for frames and states, for high frame rates."""
         url = self.client.stream_url(self.name, "stream")
-        return StreamClient(url, self.client.headers, self.client.tls)
+        client = self.client
+        return StreamClient(url, client.headers, client.tls, client.reconnect_s)
 
     def state(self) -> StateDict:
         """The last state."""

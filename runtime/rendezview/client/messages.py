@@ -21,6 +21,10 @@ class ServiceError(RendezviewError):
         self.status = status
 
 
+class ServiceTimeout(RendezviewError, TimeoutError):
+    """No answer in time."""
+
+
 def frame_content(frame: Frame) -> tuple[bytes | memoryview, str]:
     """The bytes to send, and their media type."""
     if isinstance(frame, bytes):

@@ -13,7 +13,7 @@ from starlette.responses import Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Scope
 
-from rendezview.service import model_routes, session_routes, streams
+from rendezview.service import model_routes, recording_routes, session_routes, streams
 from rendezview.service.answers import JSON, answer_errors, needs, service_of
 from rendezview.service.messages import Health
 from rendezview.service.security import Guard, Right, Token
@@ -61,6 +61,7 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
     secured = [Depends(HTTPBearer(auto_error=False, description="a token of the tokens file"))]
     app.include_router(session_routes.router, dependencies=secured)
     app.include_router(model_routes.router, dependencies=secured)
+    app.include_router(recording_routes.router, dependencies=secured)
     app.include_router(streams.router)
 
     @app.get("/healthz", tags=["operations"])

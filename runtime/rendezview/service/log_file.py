@@ -98,6 +98,17 @@ def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord
         raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
 
 
+def record_at(path: StrPath, place: int) -> McapRecord | None:
+    """The record at an offset; None for damage.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        found = _record_at(file, place, os.fstat(file.fileno()).st_size)
+    return None if found is None else found[0]
+
+
 def _record_at(file: BinaryIO, place: int, size: int) -> tuple[McapRecord, int] | None:
     """The record at an offset and its length; None for damage."""
     file.seek(place)

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from rendezview.geometry.camera import LensModel
+from rendezview.service.approach_messages import Approach, ApproachRequest, Level, Motion
 from rendezview.service.fusion_messages import Fused, FusionRequest, Marks
 from rendezview.service.message_parts import Matrix6, Message, Name, PoseMessage, Three
 
@@ -63,6 +64,9 @@ class SessionRequest(Message):
     )
     fusion: FusionRequest | None = Field(
         default=None, description="data on other sensors; required only for rings and ranges"
+    )
+    approach: ApproachRequest | None = Field(
+        default=None, description="docking port, corridor, keep-out zone, limits"
     )
 
 
@@ -145,6 +149,8 @@ class SessionInfo(Message):
     last_frame: int | None
     last_time_s: float | None
     since_pose_s: float | None = Field(description="frame time since the last pose")
+    age_s: float | None = Field(description="of the last state, by the service's own clock")
+    alarms: list[str] = Field(description="that stand now")
     sensors: list[SensorHealth]
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
@@ -161,7 +167,7 @@ class SessionList(Message):
 
 
 class Rates(Message):
-    """Motion of the target in the camera frame, from the last two poses."""
+    """Motion of the target in the camera frame, from the last two poses; `Motion` is filtered."""
 
     angular_rad_s: Three
     linear_m_s: Three = Field(description="of the view centre")
@@ -219,6 +225,13 @@ class State(ObservationMessage):
     drops: int = Field(description="frames of the session that newer ones replaced, so far")
     recorded: bool = Field(description="this state is in the log")
     model_sha256: str | None = Field(default=None, description="of the model's file, hexadecimal")
+    motion: Motion | None = Field(
+        default=None,
+        description="by the filter of the camera, or of all sensors if there are more",
+    )
+    approach: Approach | None = Field(
+        default=None, description="the operator's numbers; null while the filter has no pose"
+    )
     fused: Fused | None = Field(
         default=None, description="by all sensors; absent while the camera is the only one"
     )
@@ -229,6 +242,7 @@ class Contour(Message):
 
     points_px: list[Annotated[list[float], Field(min_length=2, max_length=2)]]
     kinds: list[int] = Field(description="0 outline, 1 step, 2 crease; one for each point")
+    predicted: bool = Field(default=False, description="at the filter's pose: the frame gave none")
 
 
 class WatchState(Message):
@@ -261,6 +275,22 @@ class History(Message):
     newest_frame: int | None
     states: list[State]
     images: list[int] = Field(description="frames whose JPEG is kept, in ascending order")
+
+
+class Event(Message):
+    """Something that an operator should know, when it happened."""
+
+    number: int = Field(description="in the session, from 0")
+    unix_s: float
+    level: Level
+    kind: str = Field(description="phase, alarm, recording, worker, source, session")
+    text: str
+
+
+class EventList(Message):
+    """The events of a session, oldest first; the oldest are forgotten first."""
+
+    events: list[Event]
 
 
 # Operations

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.edges.contours import (
     DIRECTION_UNIT,
@@ -11,10 +13,12 @@ from rendezview.sensors.appearance.edges.contours import (
     OUTLINE,
     POINT_UNIT,
 )
+from rendezview.sensors.appearance.edges.shading import SurfaceTables
 from rendezview.service.model_messages import Geometry
 
 _CELLS = 48  # per target radius; each cell keeps at most one point. Source: chosen
 _MOST_POINTS = 6000  # cells grow until no more are left. Source: a chosen limit
+_DISC = 2.6  # radius over the median distance of the nearest point. Source: chosen by eye
 
 
 def geometry(name: str, model: ViewModel) -> Geometry:
@@ -39,6 +43,7 @@ def geometry(name: str, model: ViewModel) -> Geometry:
             cell *= 1.25
     length = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-9)
     sphere = model.geodesic
+    surface, normals, albedo, disc_m = _surface(model)
     return Geometry(
         model=name,
         target_radius_m=model.target_radius_m,
@@ -50,4 +55,22 @@ def geometry(name: str, model: ViewModel) -> Geometry:
         tangents=np.round(tangents / length, 4).tolist(),
         kinds=kinds.tolist(),
         spacing_m=cell * model.target_radius_m,
+        surface_m=np.round(surface + model.centre_m, 4).tolist(),
+        normals=np.round(normals, 2).tolist(),
+        albedo=np.round(albedo, 2).tolist(),
+        disc_m=disc_m,
     )
+
+
+def _surface(model: ViewModel) -> tuple[Array, Array, Array, float]:
+    """Points about the view centre, outward normals, albedo, and the radius of a disc."""
+    if model.surface is None or len(model.surface.albedo) < 2:
+        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), 0.0
+    tables = SurfaceTables.of(model.surface, model.target_radius_m)
+    count = len(tables.albedo)
+    seen = np.unpackbits(tables.seen, axis=1, bitorder="little")[:, :count].astype(np.float64)
+    towards = seen.T @ tables.nodes  # a stored normal points either way; it is seen from outside
+    facing = np.sign(np.sum(tables.normal * towards, axis=1, keepdims=True))
+    normals = np.where(facing < 0.0, -tables.normal, tables.normal)
+    apart, _ = cKDTree(tables.point).query(tables.point, k=2)
+    return tables.point, normals, tables.albedo, _DISC * float(np.median(apart[:, 1]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -25,6 +25,10 @@ class Geometry(Message):
     tangents: list[Three] = Field(description="unit, along the edge at each point")
     kinds: list[int] = Field(description="0 outline, 1 step, 2 crease; one for each point")
     spacing_m: float = Field(description="between the points; a dash of this length draws the edge")
+    surface_m: list[Three] = Field(description="points of the surface; none in older models")
+    normals: list[Three] = Field(description="unit, outwards, beside them")
+    albedo: list[float] = Field(description="0 … 1, beside them")
+    disc_m: float = Field(description="radius of discs at these points that cover the surface")
 
 
 class ModelInfo(Message):
@@ -46,6 +50,31 @@ class ModelList(Message):
     """All models."""
 
     models: list[ModelInfo]
+
+
+# Recordings
+
+
+class Recorded(Message):
+    """A log in the service's folder, with all its parts."""
+
+    name: str
+    session: str
+    model: str = Field(description="its target")
+    model_sha256: str
+    camera: dict[str, Any] = Field(description="as `CameraMessage`")
+    began_unix_s: float | None
+    length_s: float | None
+    frames: int | None = Field(description="chunks: frames, and messages of other sensors")
+    size_bytes: int
+    parts: int
+    recovered: bool
+
+
+class RecordedList(Message):
+    """All logs, the newest first."""
+
+    recordings: list[Recorded]
 
 
 # Training

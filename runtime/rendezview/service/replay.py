@@ -32,8 +32,9 @@ from rendezview.service.tracking import SessionTracker, StateDict, camera_of
 # Keys of a state that a repetition must reproduce; computing and clock times differ.
 REPEATED = (
     "frame", "time_s", "phase", "status", "reason", "pose", "covariance", "confidence", "score",
-    "range_m", "rates", "candidates", "fit", "on_nodes", "fused",
+    "range_m", "rates", "candidates", "fit", "on_nodes", "fused", "motion", "approach",
 )  # fmt: skip
+_LATER = ("motion", "approach")  # keys that older logs do not have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +121,7 @@ def _entries(path: Path) -> Iterator[LogEntry]:
         elif isinstance(record, Chunk):
             parts = messages(record) or []
             yield from _lines(path, parts, kinds)
-            yield from _frames(path, parts, kinds)
+            yield from frames_of(path, parts, kinds)
 
 
 def read_log(path: Path) -> Log:
@@ -155,7 +156,7 @@ def _lines(
                 ) from None
 
 
-def _frames(path: Path, parts: list[McapMessage], kinds: dict[int, str]) -> Iterator[LoggedFrame]:
+def frames_of(path: Path, parts: list[McapMessage], kinds: dict[int, str]) -> Iterator[LoggedFrame]:
     """The frames in the messages of one chunk; messages of one time belong to one frame."""
     waiting: dict[tuple[int, int], dict[str, Any]] = {}
     for part in parts:
@@ -264,7 +265,8 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
         again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1
         so_far.poses += state["pose"] is not None
-        _compare(again, entry.state, REPEATED, f"frame {state['frame']}", so_far)
+        names = tuple(name for name in REPEATED if name in entry.state or name not in _LATER)
+        _compare(again, entry.state, names, f"frame {state['frame']}", so_far)
         yield state, so_far
 
 

@@ -237,7 +237,7 @@ def _is_open(scope: Scope) -> bool:
     path = scope["path"]
     if path in ("/healthz", "/readyz"):
         return True
-    closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/docs", "/v1")
+    closed = path.startswith("/v1/") or path in ("/metrics", "/openapi.json", "/v1")
     return not closed and scope["type"] == "http"
 
 

@@ -16,20 +16,22 @@ from pathlib import Path
 from typing import Any
 
 from rendezview.errors import RendezviewError
-from rendezview.io.camera_files import load_camera
 from rendezview.io.files import make_folder
-from rendezview.io.target import Target
-from rendezview.service.fusion_messages import FusionRequest, RingMessage
+from rendezview.service.feeder import Feeder
 from rendezview.service.inputs import Full
 from rendezview.service.jobs import Jobs
 from rendezview.service.log_folder import keep_logs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import ModelStore, StoredModel
+from rendezview.service.recordings import Recordings
+from rendezview.service.session_defaults import SessionDefaults
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
-from rendezview.service.sources import Feeder, Source, open_source
+from rendezview.service.source_process import open_apart
+from rendezview.service.sources import Source
 from rendezview.service.tracking import camera_message
+from rendezview.service.viewers import Viewers
 from rendezview.service.worker_handle import WorkerGone
 from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
 
@@ -39,20 +41,6 @@ _CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
 _MOST_ENDED_PROCESSES = 3  # by frames of one session; then it ends. Source: a chosen limit
 _START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
-
-
-def _ring_of(path: Path) -> RingMessage:
-    ring = Target.load(path).docking_ring
-    if ring is None:
-        raise RendezviewError(
-            f"{path}: this target has no docking_ring: add one, or do not give --target"
-        )
-    return RingMessage(
-        centre_m=ring.centre_m.tolist(),
-        axis=ring.axis.tolist(),
-        radius_m=ring.radius_m,
-        circles=list(ring.circles),
-    )
 
 
 class Service:
@@ -82,6 +70,7 @@ class Service:
         self.started_s = time.monotonic()
         self.stopping = False
         self.version = metadata.version("rendezview")
+        self._sources: list[Source] = []
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         folder = settings.models_folder
         if folder is None:
@@ -90,15 +79,22 @@ class Service:
         try:
             self.models = ModelStore(folder)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
-            self.camera = None if settings.camera is None else load_camera(settings.camera)
-            self.ring = None if settings.target is None else _ring_of(settings.target)
-            self._sources: list[Source] = [open_source(s, self.camera) for s in sources or []]
+            self.defaults = SessionDefaults(settings)
+            camera = self.defaults.camera
+            for name in sources or []:
+                self._sources.append(open_apart(name, camera))
             if self._sources and self.given is None:
                 raise RendezviewError("a source needs a model to track with: name one")
         except RendezviewError:
+            for source in self._sources:
+                source.close()
             if self._temporary is not None:
                 self._temporary.cleanup()
             raise
+        place = settings.record
+        folder = place.parent if place is not None and place.suffix == ".mcap" else place
+        self.recordings = Recordings(folder)
+        self._viewers = Viewers(settings)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
         self._workers = WorkerPool(settings, self.metrics, self._reopen)
@@ -167,8 +163,11 @@ class Service:
             task.cancel()
         for session in list(self.sessions.values()):
             await self.close(session, "the service ends")
+        for source in self._sources:
+            await asyncio.to_thread(source.close)
         await self.jobs.stop()
         await self._workers.stop()
+        self._viewers.close()
         self.models.close()
         if self._temporary is not None:
             self._temporary.cleanup()
@@ -222,32 +221,11 @@ class Service:
         if name in self.sessions or name in self._opening:
             raise RendezviewError(f"session {name}: there is one already: choose another id")
         stored = self._model(request.model)
-        if request.camera is None:
-            if self.camera is None:
-                raise RendezviewError("the session has no camera: give one")
-            request = request.model_copy(update={"camera": camera_message(self.camera)})
-        assert request.camera is not None
-        if request.camera.width * request.camera.height > self.settings.frame_bytes:
-            raise RendezviewError(
-                f"camera: frames of {request.camera.width} × {request.camera.height} are larger "
-                f"than the setting frame_bytes ({self.settings.frame_bytes} bytes)"
-            )
-        if self.ring is not None and (request.fusion is None or request.fusion.ring is None):
-            fusion = (request.fusion or FusionRequest()).model_copy(update={"ring": self.ring})
-            request = request.model_copy(update={"fusion": fusion})
-        records = self.settings.record is not None and self.settings.record_all
-        request = request.model_copy(
-            update={
-                "id": name,
-                "model": stored.name,
-                "record": records if request.record is None else request.record,
-            }
-        )
-        if request.record and self.settings.record is None:
-            raise RendezviewError("record: the service writes no logs: start it with --record")
+        request = self.defaults.filled(request, name, stored.name)
         self._opening.add(name)
         try:
             await self._workers.warmed(stored)
+            request = self.defaults.planned(request, stored.model)
             session = Session(
                 name,
                 stored,
@@ -266,6 +244,8 @@ class Service:
         self.sessions[name] = session
         self.metrics.sessions.set(len(self.sessions))
         self._spawn(self._workers.prepare(stored))
+        if self._viewers.any:
+            self._spawn(self._viewers.follow(session))
         log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
         return session
 

@@ -27,17 +27,20 @@ from rendezview.service.answers import (
     session_of,
     track,
 )
+from rendezview.service.approach_messages import ApproachRequest
 from rendezview.service.fusion_messages import Marks, Measured
 from rendezview.service.log_repair import join
-from rendezview.service.message_parts import NAME_PATTERN, PoseMessage
+from rendezview.service.message_parts import NAME_PATTERN
 from rendezview.service.messages import (
     Contour,
+    EventList,
     History,
     SessionInfo,
     SessionList,
     SessionRequest,
     State,
 )
+from rendezview.service.model_messages import Geometry
 from rendezview.service.ros import (
     PoseWithCovarianceStamped,
     TransformStamped,
@@ -45,7 +48,8 @@ from rendezview.service.ros import (
     transform_stamped,
 )
 from rendezview.service.security import Right
-from rendezview.service.tracking import camera_of, contour_at, pose_of
+from rendezview.service.session_defaults import approach_of
+from rendezview.service.tracking import camera_of, contour_at, pose_of, shown_pose
 
 router = APIRouter(prefix="/v1/sessions", tags=["sessions"], responses=FAULTS)
 
@@ -233,13 +237,36 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
     kept = session.past.state(frame)
     if kept is None:
         raise HTTPException(404, f"no state of frame {frame} or earlier is kept")
-    pose = json.loads(kept)["pose"]
+    pose, predicted = shown_pose(json.loads(kept))
     stored = session.stored
     if pose is None or session.request.camera is None:
         return None
     camera = camera_of(session.request.camera)
     model = await run_in_threadpool(lambda: stored.model)
-    return contour_at(model, camera, pose_of(PoseMessage.model_validate(pose)))
+    return contour_at(model, camera, pose_of(pose), predicted)
+
+
+@router.get("/{name}/events")
+async def get_events(request: Request, name: str, since: Frame = 0) -> EventList:
+    """What happened, from an event's number on."""
+    needs(request, Right.READ)
+    return EventList(events=session_of(request, name).events.since(since))
+
+
+@router.get("/{name}/approach")
+async def get_approach(request: Request, name: str) -> ApproachRequest:
+    """Port, corridor, keep-out zone, limits and plan of a session, as its frames are compared."""
+    needs(request, Right.READ)
+    return approach_of(session_of(request, name).request)
+
+
+@router.get("/{name}/geometry", responses={200: {"model": Geometry}})
+async def get_geometry(request: Request, name: str) -> Response:
+    """Data for a 3-D view of the session's model."""
+    needs(request, Right.READ)
+    stored = session_of(request, name).stored
+    text = await run_in_threadpool(lambda: stored.geometry_json)
+    return Response(text, 200, {"Cache-Control": "private, max-age=600"}, JSON)
 
 
 @router.get("/{name}/log", responses=_MCAP, response_class=Response)

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic_core import to_json
 
+from rendezview.service.approach_messages import Level
 from rendezview.service.clock import SessionClock
 from rendezview.service.frames import Bytes
 from rendezview.service.history import Past
@@ -28,6 +29,7 @@ from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
 from rendezview.service.rate_limit import TokenBucket
 from rendezview.service.sensor_health import Arrivals, OtherSensors
+from rendezview.service.session_events import SessionEvents
 from rendezview.service.session_log import SessionLog
 from rendezview.service.settings import Settings
 from rendezview.service.watching import Watchers
@@ -90,6 +92,8 @@ class Session:
         self._drops = 0
         self._last_pose_s: float | None = None
         self._phase = Phase.WAITING
+        self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
+        self._last_at_s: float | None = None  # monotonic, of the last state
         self._arrivals = Arrivals()
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
@@ -232,15 +236,14 @@ class Session:
             self._found += 1
             self._last_found, self._found_at_s = state, time.monotonic()
             self._last_pose_s = header["time_s"]
-        if phase is not self._phase:
-            log.info(
-                "phase", extra={"session": self.id, "phase": str(phase), "frame": header["frame"]}
-            )
-            self._phase = phase
+        self._phase = phase
+        now_s = self._last_at_s = time.monotonic()
+        self.events.phase(phase, header["frame"], header["status"])
+        self.events.limits(header.get("alarms", []), now_s)
+        self.events.fault(None)
         if "recording" in header:
             self._recorded(header)
         self._others.update(header)
-        now_s = time.monotonic()
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
@@ -273,6 +276,7 @@ class Session:
             self._last_fault = error
             self._metrics.refused.inc()
             self._refused_since_s = self._refused_since_s or time.monotonic()
+            self.events.fault(error)
         else:
             self._lines.spend(1)
         waiting.answer(Answer(500 if internal else 422, b"", error))
@@ -281,6 +285,7 @@ class Session:
         """The worker ended over a frame or sensor lines."""
         error = "the tracker's process ended over it: another one continues with the next frame"
         self.ended_processes += 1
+        self.events.add("worker", Level.ALARM, error)
         if waiting.sensor is None:
             self._last_fault = error
         waiting.answer(Answer(503, b"", error))
@@ -305,12 +310,13 @@ class Session:
     def note_fault(self, error: str) -> None:
         """A frame of the source could not be read."""
         self._last_fault = error
+        self.events.fault(error)
         self._metrics.refused.inc()
 
     def source_ended(self, reason: str | None) -> None:
         """The source has ended, or failed for a reason."""
         self.finished, self.reason = True, reason
-        log.info("source", extra={"session": self.id, "state": "ended", "reason": reason})
+        self.events.add("source", Level.WARNING if reason else Level.INFO, f"ended: {reason or ''}")
 
     def end(self, reason: str) -> None:
         """Answer everything that waits; nothing follows."""
@@ -322,6 +328,7 @@ class Session:
 
     def _recorded(self, header: Header) -> None:
         self.log.update(header["log_path"], Recording.model_validate(header["recording"]))
+        self.events.recording(self.log.recording)
         self._metrics.recording(self.log.recording)
 
     # Information
@@ -340,16 +347,14 @@ class Session:
     def sensors(self) -> list[SensorHealth]:
         """Health of the camera and of the other sensors."""
         now_s = time.monotonic()
-        reason = None
-        last_unix_s = self._arrivals.last_unix_s
-        if last_unix_s is None:
-            reason = "no frame yet"
-        elif self.finished:
+        reason = self._last_fault
+        if self.finished:
             reason = self.reason or "the source has ended"
+        elif not self._arrivals.times_s:
+            reason = self._last_fault or "no frame yet"
         elif now_s - self._arrivals.times_s[-1] > _STALE_S:
             reason = f"no frame for {now_s - self._arrivals.times_s[-1]:.0f} s"
-        elif self._last_fault is not None:
-            reason = self._last_fault
+            reason += f": {self._last_fault}" if self._last_fault else ""
         camera = SensorHealth(
             name=CAMERA,
             kind="camera",
@@ -358,7 +363,7 @@ class Session:
             frames=self._frames,
             drops=self._drops,
             rate_hz=self._arrivals.rate_hz(now_s),
-            last_unix_s=last_unix_s,
+            last_unix_s=self._arrivals.last_unix_s,
             trust=self._others.trust_of(CAMERA),
         )
         return [camera, *self._others.health(now_s)]
@@ -385,6 +390,8 @@ class Session:
             since_pose_s=None
             if self._last_pose_s is None or time_s is None
             else time_s - self._last_pose_s,
+            age_s=None if self._last_at_s is None else time.monotonic() - self._last_at_s,
+            alarms=self.events.alarms,
             sensors=self.sensors(),
             recording=self.log.recording,
             finished=self.finished,

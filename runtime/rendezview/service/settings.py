@@ -31,6 +31,8 @@ class Settings(BaseSettings):
     models_folder: Path | None = None  # uploaded and trained models; default: a temporary folder
     camera: Path | None = None  # for sessions that give none
     target: Path | None = None  # its docking ring, for sessions that give none
+    approach: Path | None = None  # docking port, corridor, limits, for sessions that give none
+    plan: Path | None = None  # the planned path, as `rendezview track --plan`
     record: Path | None = None  # *.mcap for the first session, or a folder
     record_all: bool = True  # record sessions that do not choose, if `record` is given
     record_images: bool = True
@@ -43,6 +45,10 @@ class Settings(BaseSettings):
     log_part_s: float = Field(default=3600.0, ge=1.0)  # the same
     logs_bytes: int = Field(default=0, ge=0)  # of all logs; the oldest are removed; 0: keep all
     logs_s: float = Field(default=0.0, ge=0.0)  # logs that are older are removed; 0: keep all
+
+    foxglove_port: int | None = Field(default=None, ge=0, le=65535)  # live stream; none by default
+    rerun_port: int | None = Field(default=None, ge=1, le=65535)  # the same; reachable by others
+    viewer_host: str = "127.0.0.1"  # where Foxglove's stream listens; it has no tokens
 
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
     spare_worker: bool = True  # one more process, ready to take over

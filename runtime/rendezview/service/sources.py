@@ -1,17 +1,22 @@
-"""Sources that the service reads itself: image sequences, logs, cameras, network streams."""
+"""Sources that the service reads itself: image sequences, logs, cameras, network streams.
+
+Their decoders run in a process of their own: `source_process`.
+"""
 
 from __future__ import annotations
 
-import asyncio
+import errno
 import itertools
 import math
+import os
 import re
+import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
 import cv2
 
@@ -19,16 +24,12 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.decoding import quiet_opencv
-from rendezview.service.inputs import Answer
-from rendezview.service.lease import SOURCE
-from rendezview.service.replay import LoggedFrame, read_log
-from rendezview.service.sessions import Session
 
 _LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
 _DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")
-# s, between frames of a file; longer gaps are shortened. Source: a chosen limit.
-_LONGEST_PAUSE_S = 10.0
-_RECONNECT_S = 2.0  # s, before a live source is opened again. Source: chosen
+RECONNECT_S = 2.0  # s, before a live source is opened again. Source: chosen
+_REACH_S = 3.0  # s, to reach a network source, for the reason of a failure. Source: chosen
+_PORTS = {"rtsp": 554, "rtsps": 322, "rtmp": 1935, "http": 80, "https": 443}
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Source:
     camera: Camera | None
     live: bool  # True: only the newest frame counts; False: every frame
     frames: Callable[[threading.Event], Iterator[SourceFrame | RendezviewError]]
+    close: Callable[[], None] = lambda: None  # another thread may then wait for a frame no longer
 
 
 def open_source(text: str, camera: Camera | None) -> Source:
@@ -60,6 +62,8 @@ def open_source(text: str, camera: Camera | None) -> Source:
             raise RendezviewError(f"{text}: its calibration is not known: give --camera")
         return Source(_without_password(text), camera, True, lambda stop: _captured(text, stop))
     if text.endswith(".mcap"):
+        from rendezview.service.replay import read_log  # imports the trackers
+
         log = read_log(Path(text))
         if log.notes:  # a log of the service: its frames as they were sent
             return Source(text, camera or log.camera, False, lambda _: _logged(log.frames()))
@@ -78,69 +82,6 @@ def open_source(text: str, camera: Camera | None) -> Source:
     return Source(text, first, False, frames)
 
 
-class Feeder:
-    """A thread that gives the frames of a source to a session."""
-
-    def __init__(
-        self, source: Source, session: Session, loop: asyncio.AbstractEventLoop, speed: float
-    ) -> None:
-        """Files play at ``speed`` times their own rate; 0: without pauses."""
-        self._source, self._session, self._loop, self._speed = source, session, loop, speed
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="source", daemon=True)
-
-    def start(self) -> None:
-        """Start the thread."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop the thread."""
-        self._stop.set()
-
-    def _run(self) -> None:
-        reason: str | None = None
-        try:
-            last_s: float | None = None
-            due_s = time.monotonic()
-            for frame in self._source.frames(self._stop):
-                if self._stop.is_set():
-                    break
-                if isinstance(frame, RendezviewError):
-                    self._loop.call_soon_threadsafe(self._session.note_fault, str(frame))
-                    continue
-                if not self._source.live and self._speed > 0.0:
-                    if last_s is not None and frame.time_s is not None:
-                        pause_s = (frame.time_s - last_s) / self._speed
-                        due_s = max(due_s + min(max(pause_s, 0.0), _LONGEST_PAUSE_S), 0.0)
-                    last_s = frame.time_s
-                    if self._stop.wait(max(0.0, due_s - time.monotonic())):
-                        break
-                self._give(frame)
-        except RendezviewError as error:
-            reason = str(error)
-        except RuntimeError:
-            return  # the loop is closed: the service has ended
-        if not self._stop.is_set():
-            self._loop.call_soon_threadsafe(self._session.source_ended, reason)
-
-    def _give(self, frame: SourceFrame) -> None:
-        done: Future[Answer] = Future()
-
-        def answer(result: Answer) -> None:
-            if not done.done():
-                done.set_result(result)
-
-        waiting = self._session.input((frame.content,), frame.time_s, answer, sender=SOURCE)
-        self._loop.call_soon_threadsafe(self._session.replace, waiting)
-        if not self._source.live:
-            while not self._stop.is_set():
-                try:
-                    done.result(timeout=0.5)
-                    return
-                except TimeoutError:
-                    continue
-
-
 def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | RendezviewError]:
     """Frames of a camera or a network stream; opens it again after a failure."""
     device = _DEVICE.fullmatch(text)
@@ -152,8 +93,9 @@ def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | Rendez
             else:
                 capture = cv2.VideoCapture(text, cv2.CAP_FFMPEG)
         if not capture.isOpened():
-            yield RendezviewError(f"{_without_password(text)}: cannot be opened; trying again")
-            stop.wait(_RECONNECT_S)
+            name, why = _without_password(text), _why_not(text)
+            yield RendezviewError(f"{name}: cannot be opened: {why}; trying again")
+            stop.wait(RECONNECT_S)
             continue
         capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         while not stop.is_set():
@@ -164,10 +106,37 @@ def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | Rendez
             grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
             yield SourceFrame(None, grey.tobytes())
         capture.release()
-        stop.wait(_RECONNECT_S)
+        stop.wait(RECONNECT_S)
 
 
-def _logged(frames: Iterator[LoggedFrame]) -> Iterator[SourceFrame | RendezviewError]:
+def _why_not(text: str) -> str:
+    """Why a live source cannot be opened: OpenCV does not say."""
+    device = _DEVICE.fullmatch(text)
+    try:
+        if device is not None:
+            path = f"/dev/video{device[1]}" if device[1] else text
+            os.close(os.open(path, os.O_RDWR | os.O_NONBLOCK))
+            return "it is busy, or not a camera"
+        parts = urlsplit(text)
+        if parts.scheme.lower() == "udp" or not parts.hostname:
+            return "no picture comes"
+        port = parts.port or _PORTS.get(parts.scheme.lower())
+        if port is None:
+            return "the address has no port"
+        with socket.create_connection((parts.hostname, port), _REACH_S):
+            return "it answers, but not with a stream that can be read: check path and password"
+    except socket.gaierror:
+        return "there is no such host"
+    except TimeoutError:
+        return f"no answer within {_REACH_S:g} s"
+    except OSError as error:
+        said = errno.errorcode.get(error.errno or 0, "") if error.strerror is None else ""
+        return error.strerror or said or str(error)
+    except ValueError as error:
+        return str(error)
+
+
+def _logged(frames: Iterator[Any]) -> Iterator[SourceFrame | RendezviewError]:
     last_s = -math.inf
     for frame in itertools.chain(frames):
         if frame.image is not None and frame.time_s > last_s:

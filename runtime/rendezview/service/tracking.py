@@ -20,6 +20,8 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tra
 from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.sensor import AidedSensor
+from rendezview.service.approach import ApproachMonitor
+from rendezview.service.camera_filter import CameraFilter
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
 from rendezview.service.messages import CameraMessage, Contour, Fit, Phase, SessionRequest
 from rendezview.service.session_filter import SessionFilter
@@ -108,6 +110,8 @@ class SessionTracker:
         self.tracker = Tracker(recognizer, prior)
         self._nodes = model.geodesic.nodes.tolist()
         self.filter = SessionFilter(request.fusion, most_sensors, forgotten)
+        self._alone: CameraFilter | None = CameraFilter(request.fusion)
+        self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
         self._frames = 0
         self._last_s = -math.inf
         self._last_pose_s: float | None = None
@@ -135,7 +139,13 @@ class SessionTracker:
             self._last_pose_s = time_s
         state = self._state(observation, time_s, received_unix_s, track_ms)
         if self.filter.running:
-            state["fused"] = self.filter.track(observation)
+            fused = state["fused"] = self.filter.track(observation)
+            self._alone = None
+        else:
+            assert self._alone is not None
+            fused = self._alone.track(observation)
+        state["motion"], covariance = _motion(fused)
+        state["approach"] = self._approach.state(time_s, state["motion"], covariance)
         self._frames += 1
         return state, observation
 
@@ -194,6 +204,18 @@ class SessionTracker:
         return Phase.SEARCHING
 
 
+def _motion(fused: StateDict) -> tuple[StateDict, npt.NDArray[np.float64] | None]:
+    """The `Motion` of a `Fused` state, and the covariance (12, 12)."""
+    covariance = None if fused["covariance"] is None else np.array(fused["covariance"])
+    motion = {name: fused[name] for name in ("status", "reason", "pose", "rates")}
+    motion["covariance"] = motion["angular_sigma_rad_s"] = motion["linear_sigma_m_s"] = None
+    if covariance is not None:
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        motion["covariance"] = covariance[:6, :6].tolist()
+        motion["angular_sigma_rad_s"], motion["linear_sigma_m_s"] = sigma[6:9], sigma[9:]
+    return motion, covariance
+
+
 class _Counted(Listener):
     """Counts the loops that are compiled."""
 
@@ -244,11 +266,22 @@ def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) 
     return counted.count
 
 
+def shown_pose(state: StateDict) -> tuple[PoseMessage | None, bool]:
+    """The pose that is drawn over a frame, and whether it is only predicted."""
+    pose, motion = state["pose"], state.get("motion") or {}
+    predicted = pose is None and state["phase"] == Phase.COASTING and motion.get("pose") is not None
+    if predicted:
+        pose = motion["pose"]
+    return None if pose is None else PoseMessage.model_validate(pose), predicted
+
+
 def contour_at(
     model: ViewModel,
     camera: Camera,
     pose: Pose,
     angles_rad: npt.NDArray[np.float64] | None = None,
+    *,
+    predicted: bool = False,
 ) -> Contour | None:
     """Contour points of the view nearest to a pose, projected; None if the model has none.
 
@@ -258,7 +291,9 @@ def contour_at(
     if found is None:
         return None
     return Contour.model_construct(
-        points_px=np.round(found.points_px, 1).tolist(), kinds=found.kinds.tolist()
+        points_px=np.round(found.points_px, 1).tolist(),
+        kinds=found.kinds.tolist(),
+        predicted=predicted,
     )
 
 

@@ -40,6 +40,8 @@ from rendezview.service.tracking import (
     SessionTracker,
     StateDict,
     contour_at,
+    pose_of,
+    shown_pose,
     silhouette_px,
     warm_up,
 )
@@ -170,6 +172,7 @@ class WorkerProcess:
             "kind": "state",
             **{name: state[name] for name in _HEADER_KEYS},
             "done": not more,
+            "alarms": [] if state["approach"] is None else state["approach"]["alarms"],
         }
         if tracker.filter.running:
             answer["sensors"] = tracker.filter.health()
@@ -178,7 +181,7 @@ class WorkerProcess:
             answer["log_path"] = str(session.log.path)
         self._send(answer, text)
         if more:
-            self._extras(more, tracker, image, state["frame"], observation)
+            self._extras(more, tracker, image, state, observation)
 
     def _measure(self, request: Header) -> None:
         """Lines of another sensor: all are checked, then each is taken; then they are logged."""
@@ -234,25 +237,23 @@ class WorkerProcess:
         more: Header,
         tracker: SessionTracker,
         image: GreyImage,
-        frame: int,
+        state: StateDict,
         observation: AppearanceObservation,
     ) -> None:
         """What watchers asked for. The sender of the frame already has its answer."""
         contour: Contour | None = None
-        if more["contour"] and observation.pose is not None:
+        pose, predicted = shown_pose(state)
+        if more["contour"] and pose is not None:
             joints = observation.joints
-            contour = contour_at(
-                tracker.model,
-                tracker.camera,
-                observation.pose,
-                None if joints is None else joints.angles_rad,
-            )
+            angles_rad = None if joints is None else joints.angles_rad
+            camera, at = tracker.camera, pose_of(pose)
+            contour = contour_at(tracker.model, camera, at, angles_rad, predicted=predicted)
         outlines = silhouette_px(observation) if more["silhouette"] else None
         picture = jpeg(image, more["width"]) if more["width"] else b""
         header: Header = {
             "kind": "extras",
             "session": tracker.session,
-            "frame": frame,
+            "frame": state["frame"],
             "contour": None if contour is None else contour.model_dump(),
             "silhouette_px": outlines,
             "done": True,

@@ -1,4 +1,4 @@
-"""Malformed frames and messages, by the ten thousand: none may crash, hang or leak."""
+"""Malformed frames, requests and messages: none may crash, hang, leak or take much."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,12 +20,16 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from experiments.service.serving import Served
+from experiments.service.fuzz_routes import Routes, raw_bytes, send_raw
+from experiments.service.serving import Processes, Served
 from rendezview.client import Client, ServiceError
 from rendezview.geometry.camera import Camera
 
 CAMERA = Camera.from_fov(160, 120, np.deg2rad(40.0))
 SLOW_S = 10.0
+MOST_PROCESSOR_S = 1.0  # of the service and its workers, for one case
+MOST_MB = 200.0  # that their memory may grow
+MOST_HELD = 500  # half-open connections
 
 
 RING = {"centre_m": [0.0, 0.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
@@ -44,12 +49,15 @@ LINES: dict[str, dict[str, Any]] = {
 class Fuzz:
     """Cases drawn from one generator, so that a seed repeats them."""
 
-    def __init__(self, served: Served, seed: int) -> None:
+    def __init__(self, served: Processes, seed: int) -> None:
         self.served = served
         self.rng = np.random.default_rng(seed)
         self.outcomes: Counter[str] = Counter()
         self.failures: list[str] = []
         self.place = urlsplit(served.url)
+        self.held: list[socket.socket] = []
+        self.worst_s = 0.0
+        self.start_mb = self.most_mb = 0.0
         noise = self.rng.integers(0, 255, (120, 160), dtype=np.uint8)
         blob = noise // 16
         blob[30:90, 40:110] |= 128
@@ -151,18 +159,25 @@ class Fuzz:
             sensor = str(rng.choice(["ring", "laser", "camera", "x", "a b"]))
         return sensor, bytes(text)
 
-    def ask(self, http: HTTPConnection, method: str, path: str, body: bytes | None) -> bytes:
+    def ask(
+        self,
+        http: HTTPConnection,
+        method: str,
+        path: str,
+        body: bytes | None,
+        headers: dict[str, str] | None = None,
+    ) -> bytes:
         """One request; what must not be is noted."""
         start = time.monotonic()
         content = b""
         try:
-            http.request(method, path, body)
+            http.request(method, path, body, headers or {})
             answer = http.getresponse()
             content = answer.read()
             self.outcomes[str(answer.status)] += 1
             if answer.status >= 500 and answer.status != 503:
                 self.failures.append(f"{method} {path}: {answer.status} {content[:200]!r}")
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, ValueError) as error:  # ValueError: http.client refuses
             http.close()
             self.outcomes[type(error).__name__] += 1
             if isinstance(error, TimeoutError):
@@ -206,25 +221,59 @@ class Fuzz:
                     continue
                 self.ask(http, method, path, self.frame() if method in ("PUT", "POST") else None)
             else:
-                self.raw(rng.bytes(rng.integers(1, 400)))
+                self.raw(raw_bytes(rng))
             if k % 1000 == 999:
                 self.still_tracks()
         http.close()
 
     def raw(self, content: bytes) -> None:
-        """Bytes that are no HTTP, or a request that breaks off."""
-        heads = (
-            b"",
-            b"POST /v1/sessions HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 100\r\n\r\n",
-            b"POST /v1/sessions HTTP/1.1\r\nHost: 127.0.0.1\r\nTransfer-Encoding: chunked\r\n\r\n",
-            b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: -5\r\n\r\n",
-            b"GET / HTTP/1.1\r\nHost: [::\r\nOrigin: http://[\r\n\r\n",
-            b"GET /v1/sessions/x/watch HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n\r\n",
-        )
+        """Bytes to the socket; connections that wait for more stay open for a while."""
         address = (self.place.hostname or "", self.place.port or 0)
-        with socket.create_connection(address, timeout=5.0) as connection:
-            connection.sendall(heads[self.rng.integers(len(heads))] + content)
-        self.outcomes["raw"] += 1
+        self.outcomes[send_raw(address, content, self.held)] += 1
+        if len(self.held) > MOST_HELD:
+            self.let_go()
+
+    def let_go(self) -> None:
+        """Close the connections that wait."""
+        for connection in self.held:
+            connection.close()
+        self.held.clear()
+
+    def measured(self, what: str, case: Callable[[], None]) -> None:
+        """One case, with the processor time and memory that it took."""
+        before_s = self.served.processor_s()
+        case()
+        spent_s = self.served.processor_s() - before_s
+        self.worst_s = max(self.worst_s, spent_s)
+        if spent_s > MOST_PROCESSOR_S:
+            self.failures.append(f"{what}: {spent_s:.1f} s of processor time")
+        now_mb = self.served.resident_mb()
+        if now_mb > self.most_mb:
+            self.most_mb = now_mb
+            if now_mb - self.start_mb > MOST_MB:
+                self.failures.append(f"{what}: memory grew by {now_mb - self.start_mb:.0f} MB")
+
+    def by_routes(self, count: int, session: str) -> None:
+        """Every route with every method, and bytes that are no request."""
+        http = HTTPConnection(self.place.hostname or "", self.place.port, timeout=30.0)
+        http.request("GET", "/openapi.json")
+        routes = Routes(json.loads(http.getresponse().read()), self.rng, self.value)
+        self.still_tracks()
+        self.start_mb = self.most_mb = self.served.resident_mb()
+        for k in range(count):
+            if self.rng.random() < 0.2:
+                content = raw_bytes(self.rng)
+                self.measured(repr(content[:80]), lambda: self.raw(content))  # noqa: B023
+            else:
+                asked = routes.request(session, self.frame)
+                self.measured(
+                    f"{asked[0]} {asked[1][:200]}",
+                    lambda: void(self.ask(http, *asked)),  # noqa: B023
+                )
+            if k % 1000 == 999:
+                self.still_tracks()
+        self.let_go()
+        http.close()
 
     def by_stream(self, count: int, session: str) -> None:
         """Messages into a stream; each has an answer, or was dropped for the next one."""
@@ -274,6 +323,10 @@ class Fuzz:
             session.close()
 
 
+def void(_: object) -> None:
+    """For a result that does not matter."""
+
+
 def run(
     model: Path, *, count: int = 50000, seed: int = 0,
     schemathesis: Annotated[str | None, "its command, such as .st/bin/schemathesis"] = None,
@@ -281,21 +334,23 @@ def run(
 ) -> None:  # fmt: skip
     """Malformed frames and messages, by the ten thousand: none may crash, hang or leak.
 
-    Damaged frames of all kinds and lines of other sensors, by HTTP and WebSocket; JSON that is
-    almost right; raw bytes that are not HTTP; broken connections. Failures: a server error (5xx
-    other than 503), an answer that takes more than 10 s, a worker that ends, a session that
-    remains, or a service that no longer tracks a good frame. --schemathesis (installed apart)
-    adds cases made from the OpenAPI description.
+    Half of the cases go to every route with every method, and to the socket itself; a quarter are
+    damaged frames of all kinds, lines of other sensors and JSON that is almost right, by HTTP; a
+    quarter the same by WebSocket. Failures: a server error (5xx other than 503), an answer that
+    takes more than 10 s, more than 1 s of processor time or 200 MB for a case, a worker that ends,
+    a session that remains, or a service that no longer tracks a good frame. --schemathesis
+    (installed apart) adds cases made from the OpenAPI description.
     """
-    served = Served(model)
+    served = Served(model, spare_worker="false")
     fuzz = Fuzz(served, seed)
     with Client(served.url) as client:
-        session = client.open(CAMERA, name="fuzzed", fusion={"ring": RING})
+        session = client.open(CAMERA, name="fuzzed", fusion={"ring": RING}, idle_s=3600.0)
         before = served.resident_mb()
         start = time.monotonic()
         if count:
-            fuzz.by_http(count // 2, "fuzzed")
-            fuzz.by_stream(count - count // 2, "fuzzed")
+            fuzz.by_routes(count // 2, "fuzzed")
+            fuzz.by_http(count // 4, "fuzzed")
+            fuzz.by_stream(count - count // 2 - count // 4, "fuzzed")
         fuzz.still_tracks()
         spent = time.monotonic() - start
         sessions = [s["id"] for s in client.sessions()]
@@ -326,6 +381,7 @@ def run(
     print(f"{cases}, {len(fuzz.failures)} failures")
     print(", ".join(f"{name}: {count}" for name, count in fuzz.outcomes.most_common()))
     print(f"memory {before:.0f} MB before, {after:.0f} MB after; {restarts:.0f} workers ended")
+    print(f"most for one case of the routes: {fuzz.worst_s:.2f} s of processor time")
     for failure in fuzz.failures[:20]:
         print(failure)
     sys.exit(bool(fuzz.failures or code))

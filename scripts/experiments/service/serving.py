@@ -29,32 +29,16 @@ class Loop:
         return k / 30.0, self.images[k % len(self.images)]
 
 
-class Served:
-    """`rendezview serve` as a process, or as a process group; ``settings``: RENDEZVIEW_SERVE_…"""
+class Processes:
+    """A service's processes: what they cost."""
 
-    def __init__(self, model: Path, *flags: str, group: bool = False, **settings: object) -> None:
-        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
-        names = {f"RENDEZVIEW_SERVE_{n.upper()}": str(value) for n, value in settings.items()}
-        self.process = subprocess.Popen(
-            [*command, "serve", str(model), "--port", "0", *flags],
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=group,
-            env=os.environ | names,
-        )
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            if "serves at" in line:
-                self.url = line.split("serves at")[1].strip()
-                break
-        else:
-            raise SystemExit("the service does not start")
-        threading.Thread(target=self.process.stderr.read, daemon=True).start()
+    def __init__(self, url: str, pid: int) -> None:
+        self.url, self.pid = url, pid
 
     def pids(self) -> list[int]:
         """Of the service and its workers."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        return [self.process.pid, *map(int, children.read_text().split())]
+        children = Path(f"/proc/{self.pid}/task/{self.pid}/children")
+        return [self.pid, *map(int, children.read_text().split())]
 
     def processor_s(self) -> float:
         """Processor time of the service and its workers."""
@@ -72,6 +56,29 @@ class Served:
     def resident_mb(self) -> float:
         """Of the service and its workers."""
         return sum(self.each_mb())
+
+
+class Served(Processes):
+    """`rendezview serve` as a process, or as a process group; ``settings``: RENDEZVIEW_SERVE_…"""
+
+    def __init__(self, model: Path, *flags: str, group: bool = False, **settings: object) -> None:
+        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
+        names = {f"RENDEZVIEW_SERVE_{n.upper()}": str(value) for n, value in settings.items()}
+        self.process = subprocess.Popen(
+            [*command, "serve", str(model), "--port", "0", *flags],
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=group,
+            env=os.environ | names,
+        )
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            if "serves at" in line:
+                super().__init__(line.split("serves at")[1].strip(), self.process.pid)
+                break
+        else:
+            raise SystemExit("the service does not start")
+        threading.Thread(target=self.process.stderr.read, daemon=True).start()
 
     def kill(self) -> None:
         """`kill -9` of the whole group at once."""

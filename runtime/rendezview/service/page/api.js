@@ -68,11 +68,11 @@ export function watch(name, { silhouette, received, opened, closed }) {
   };
 }
 
-/** Saves a session's log. Without a token the browser itself streams it to the disk. */
-export async function downloadLog(name, fileName) {
+/** Saves the log at a path of a session or a recording. Without a token the browser itself streams it to the disk. */
+export async function downloadLog(path, fileName) {
   const link = document.createElement("a");
-  link.download = fileName ?? `${name}.mcap`;
-  link.href = `${sessionPath(name)}/log`;
+  link.download = fileName ?? "log.mcap";
+  link.href = `${path}/log`;
   if (token()) {
     const response = await request(link.href);
     link.href = URL.createObjectURL(await response.blob());

@@ -6,6 +6,8 @@ import { apply, rotation } from "./pose.js";
 const KINDS = ["#58e0ff", "#ffb454", "#d2a8ff"];
 const NODE = "#f2c14e";
 const MARK = "#ff7bd5"; // what other sensors saw
+const PREDICTED = "#f2c14e";
+const MOST_ZOOM = 40;
 
 export class LiveView {
   constructor(canvas) {
@@ -14,6 +16,52 @@ export class LiveView {
     this.layers = { contour: true, nodes: true, silhouette: false, ellipses: true, spots: true };
     this.geometry = null;
     this.camera = null; // of the session: places are in its full pixels
+    this.zoom = { scale: 1, x: 0, y: 0 }; // of the canvas, about its corner, px
+    this.changed = () => {};
+    this._listen();
+  }
+
+  /** The whole picture again. */
+  unzoom() {
+    this.zoom = { scale: 1, x: 0, y: 0 };
+    this.changed();
+  }
+
+  _listen() {
+    const { canvas } = this;
+    const place = (event) => {
+      // The canvas is fitted into its box (object-fit: contain).
+      const box = canvas.getBoundingClientRect();
+      const fit = Math.min(box.width / canvas.width, box.height / canvas.height);
+      return [(event.clientX - box.left - (box.width - fit * canvas.width) / 2) / fit, (event.clientY - box.top - (box.height - fit * canvas.height) / 2) / fit];
+    };
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      const [x, y] = place(event), old = this.zoom.scale;
+      const scale = Math.min(MOST_ZOOM, Math.max(1, old * Math.exp(-0.002 * event.deltaY)));
+      this._move(scale, x - (scale / old) * (x - this.zoom.x), y - (scale / old) * (y - this.zoom.y));
+    }, { passive: false });
+    let from = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (this.zoom.scale === 1) return;
+      from = place(event);
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (from === null) return;
+      const to = place(event);
+      this._move(this.zoom.scale, this.zoom.x + to[0] - from[0], this.zoom.y + to[1] - from[1]);
+      from = to;
+    });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, () => (from = null));
+    canvas.addEventListener("dblclick", () => this.unzoom());
+  }
+
+  _move(scale, x, y) {
+    const { width, height } = this.canvas;
+    const within = (value, size) => Math.min(0, Math.max(size * (1 - scale), value));
+    this.zoom = { scale, x: within(x, width), y: within(y, height) };
+    this.changed();
   }
 
   /** Draws a picture (dark if there is none), and the contour, outlines and nodes of a state. */
@@ -21,6 +69,7 @@ export class LiveView {
     const { canvas, pen } = this;
     const width = bitmap?.width ?? canvas.width, height = bitmap?.height ?? canvas.height;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+    pen.setTransform(this.zoom.scale, 0, 0, this.zoom.scale, this.zoom.x, this.zoom.y);
     if (bitmap) pen.drawImage(bitmap, 0, 0);
     else {
       pen.fillStyle = "#000";
@@ -35,6 +84,7 @@ export class LiveView {
       if (this.layers.ellipses) this._ellipses(sensor, place, scale);
       if (this.layers.spots) this._spots(sensor, place);
     }
+    pen.setTransform(1, 0, 0, 1, 0, 0);
     if (this.layers.nodes && state) this._nodes(state);
   }
 
@@ -78,13 +128,15 @@ export class LiveView {
     }
   }
 
-  _contour({ points_px: points, kinds }, place) {
+  /** A predicted contour has one colour, and every third point only. */
+  _contour({ points_px: points, kinds, predicted }, place) {
+    const size = 1.8 / Math.sqrt(this.zoom.scale);
     KINDS.forEach((colour, kind) => {
-      this.pen.fillStyle = colour;
-      for (let k = 0; k < points.length; k++) {
-        if (kinds[k] !== kind) continue;
+      this.pen.fillStyle = predicted ? PREDICTED : colour;
+      for (let k = 0; k < points.length; k += predicted ? 3 : 1) {
+        if (!predicted && kinds[k] !== kind) continue;
         const [x, y] = place(points[k]);
-        this.pen.fillRect(x - 0.9, y - 0.9, 1.8, 1.8);
+        this.pen.fillRect(x - size / 2, y - size / 2, size, size);
       }
     });
   }

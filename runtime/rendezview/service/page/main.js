@@ -1,21 +1,22 @@
 // The page: receives states, decides when to draw them, and handles the operator's input.
 
 import { askToken, onToken, wasDeclined } from "./access.js";
-import { downloadLog, json, token, watch } from "./api.js";
-import { listen } from "./keys.js";
+import { downloadLog, json, sessionPath, token, watch } from "./api.js";
+import { showAlerts, showApproach, times, utc } from "./approach.js";
+import { wire } from "./controls.js";
+import { Events, showStrip } from "./events.js";
 import { LiveView } from "./live.js";
-import { Past } from "./past.js";
-import { say, showFused, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
+import { showRecordings } from "./library.js";
+import { Past, placeAway } from "./past.js";
+import { say, showAge, showFused, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
+import { Views } from "./views.js";
 
 const find = (id) => document.getElementById(id);
-const SLOW_MS = 100; // between drawings of words, numbers and the view in space
-const PLOT_MS = 250;
-const SHARE = 12; // the view in space and the plots take 1/12 of the time each, or wait a second: the picture has priority
-const MOST_MS = 1000;
+const SLOW_MS = 100; // between drawings of words and numbers
 const POLL_MS = 2000;
 
 const live = new LiveView(find("frame"));
-let space = null, plots = null; // loaded after the first picture
+const events = new Events(find("events").querySelector("ol"));
 let session = null; // name
 let info = null; // as the service lists it
 let sessions = [];
@@ -25,17 +26,20 @@ let last = null; // the newest message, its jpeg, and its arrival (ms)
 let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the index of the shown one
 let ended = null; // reason
+let recorded = null, approach = null; // name of the recording that is looked at; of the session
+let unreachable = null; // since when the service is (ms)
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
-let fresh = false, slowAt = 0, plotAt = 0, plotCost = 0, moved = false;
-
+let fresh = false, slowAt = 0;
 /** For tests and experiment service-page: what was drawn, and how often. */
 const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, webgl: null });
+const views = new Views(drawn, schedule, again);
 
 // Messages
 
 function received(message, jpeg) {
   drawn.received += 1;
+  unreachable = null;
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
   ended = null;
@@ -63,9 +67,9 @@ async function decode() {
 }
 
 function present(next) {
-  if (shown?.bitmap && shown.bitmap !== next.bitmap) shown.bitmap.close();
+  if (shown?.bitmap && shown.bitmap !== next?.bitmap) shown.bitmap.close();
   shown = next;
-  fresh = true;
+  fresh = next !== null;
   schedule();
 }
 
@@ -94,46 +98,39 @@ function draw(now) {
       performance.mark("useful");
       setTimeout(more, 0);
     }
-    if (now - plotAt >= Math.max(PLOT_MS, Math.min(MOST_MS, SHARE * plotCost)) || paused !== null) {
-      plotAt = now;
-      plot();
-      plotCost = performance.now() - now;
-    }
+    views.plot(now, shown, paused?.states ?? past.states, paused !== null);
   }
-  drawSpace(now);
-}
-
-function drawSpace(now) {
-  if (space === null) return;
-  // Turning the view by hand has a shorter wait than new states.
-  const wait = space.turned ? 1.5 * space.cost : Math.max(SLOW_MS, Math.min(MOST_MS, SHARE * space.cost));
-  if (now - space.drawnAt < wait && paused === null) {
-    if (space.turned) schedule();
-    return;
-  }
-  if (moved && shown !== null && past !== null) {
-    moved = false;
-    const states = paused === null ? past.states : paused.states.slice(0, paused.place + 1);
-    const from = shown.state.received_unix_s - span();
-    space.update(shown.state, states.filter((state) => state.received_unix_s >= from));
-    const green = shown.state.fused?.pose ? " · green: fused" : "";
-    say(find("space-scale"), (shown.state.covariance ? `target frame · camera position, 3σ × ${space.magnified}` : "target frame") + green);
-  }
-  if (space.draw(now)) drawn.spaces += 1;
+  if (past !== null) views.drawSpace(now, shown, paused === null ? past.states : paused.states.slice(0, paused.place + 1), paused !== null);
 }
 
 /** The verdict on the shown state while paused; else, or with `now`, on the present. */
 function words(now = paused === null) {
-  if (!now) return verdict(shown?.state ?? null, 0);
+  if (!now || recorded !== null) return verdict(shown?.state ?? null, 0);
+  if (unreachable !== null) {
+    const away = (performance.now() - unreachable) / 1000;
+    return ["offline", "NO CONNECTION", `the service cannot be reached for ${away.toFixed(0)} s; trying again`];
+  }
   if (ended !== null) return ["ended", "ENDED", ended];
   if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
   if (info?.finished) return ["ended", "ENDED", info.reason ?? "the source has ended"];
-  return verdict(last?.message.state ?? null, last === null ? 0 : (performance.now() - last.at) / 1000);
+  return verdict(last?.message.state ?? null, ageS() ?? 0, info);
+}
+
+/** Age of the newest state, s; null: there is none, or a past one is looked at. */
+const ageS = () => (last === null || paused !== null ? null : (performance.now() - last.at) / 1000);
+
+/** What changes without a message too. */
+function tick() {
+  showAge(ageS());
+  if (shown !== null) sayWhen();
+  if (session === null && recorded === null) return;
+  if (paused === null) showVerdict(words());
 }
 
 function slow() {
   showVerdict(words());
   say(find("frame-note"), shown.note);
+  showApproach(shown.state);
   showNumbers(shown.state);
   showFused(shown.state.fused ?? null);
   sayWhen();
@@ -141,53 +138,39 @@ function slow() {
     showSensors(last.message.sensors);
     showRecording(last.message.recording);
   }
+  showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null);
+  showAge(ageS());
   for (const label of document.querySelectorAll(".others")) label.hidden = !shown.state.fused && !shown.marks?.length;
-  moved = true;
+  views.moved = true;
 }
 
 /** The time of the shown state; while paused, also the present verdict. */
 function sayWhen() {
-  const when = find("when"), at = new Date(1000 * shown.state.received_unix_s).toLocaleTimeString();
+  const when = find("when"), at = times(shown.state, approach?.start_unix_s ?? info?.created_unix_s ?? shown.state.received_unix_s);
   const [key, word] = words(true);
-  say(when, paused === null ? at : `paused · now ${word}`);
-  when.className = paused !== null && key !== "found" ? "bad" : "";
+  say(when, recorded !== null ? `recording · ${at}` : paused === null ? at : `paused · now ${word}`);
+  when.className = paused !== null && recorded === null && key !== "found" ? "bad" : "";
 }
 
-function plot() {
-  if (plots === null || past === null || shown === null) return;
-  const states = paused?.states ?? past.states;
-  if (states.length === 0) return;
-  const at = shown.state.received_unix_s, newest = states.at(-1).received_unix_s;
-  plots.mark = paused === null ? null : at;
-  // While paused, the shown state is in the middle if later states exist.
-  const end = paused === null ? newest : Math.min(newest, Math.max(at + span() / 2, states[0].received_unix_s + span()));
-  plots.show(states, end, span());
-}
-
-const span = () => Number(find("span").value);
-
-/** Loaded after the first picture: plots, the view in space, the past minutes. */
+/** After the first picture: plots, the view in space, the past minutes. */
 async function more() {
-  if (plots === null && space === null) {
-    const [curves, view] = await Promise.allSettled([import("./plots.js"), import("./space.js")]);
-    if (curves.status === "fulfilled") plots ??= new curves.value.Plots(find("plots"));
-    try {
-      space ??= new view.value.SpaceView(find("scene"), schedule);
-      drawn.webgl = true;
-      find("space-note").hidden = true;
-    } catch {
-      drawn.webgl = false;
-      say(find("space-note"), "This browser has no WebGL: the view in space is left out.");
-    }
-  }
+  await views.load();
   const of = past;
-  await of.load().catch(() => {});
-  const geometry = await json(`/v1/models/${encodeURIComponent(info.model)}/geometry`).catch(() => null);
-  if (of !== past || geometry === null) return;
+  if (recorded === null) await of.load().catch(() => {});
+  const [geometry, asked] = await Promise.all(["geometry", "approach"].map((what) => json(`${of.path}/${what}`).catch(() => null)));
+  if (of !== past) return;
+  approach = asked;
+  if (geometry === null) return;
   live.geometry = geometry;
-  space?.show(geometry, info.camera);
-  fresh = true;
-  slowAt = plotAt = 0;
+  views.show(geometry, info.camera, asked);
+  again();
+}
+
+/** Draws all of it anew. */
+function again() {
+  slowAt = 0;
+  views.renew();
+  fresh = shown !== null;
   schedule();
 }
 
@@ -201,13 +184,19 @@ async function poll() {
       showVerdict(["offline", "NO ACCESS", "the service requires a token: press Token"]);
       if (!wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
     } else {
+      unreachable ??= performance.now();
       showLink("no connection", "bad");
-      if (paused === null) showVerdict(["offline", "NO CONNECTION", error.message]);
+      if (paused === null) showVerdict(words(true));
     }
     return;
   }
+  unreachable = null;
   list();
-  info = sessions.find((one) => one.id === session) ?? info;
+  if (recorded !== null) return;
+  const present = sessions.find((one) => one.id === session);
+  if (session !== null && present === undefined && leave === null && ended === null) ended = "this session is not there any more: it ended, or the service was restarted";
+  info = present ?? info;
+  if (session !== null && present !== undefined) events.load().catch(() => {});
   if (session === null || leave === null) {
     const wanted = session ?? decodeURIComponent(location.hash.slice(1));
     const next = sessions.find((one) => one.id === wanted) ?? (session === null ? sessions.at(-1) : null);
@@ -220,15 +209,18 @@ async function poll() {
 function overview() {
   if (info === null) return;
   const known = info.found_fraction === null ? "" : ` · ${(100 * info.found_fraction).toFixed(1)} % found`;
-  say(find("totals"), `${info.model} · ${info.camera.width} × ${info.camera.height} px · ${info.frames} frames${known}`);
+  say(find("totals"), `${info.model} · sha256 ${info.model_sha256.slice(0, 12)} · ${info.camera.width} × ${info.camera.height} px · ${info.frames} frames${known}`);
+  find("totals").title = `model sha256 ${info.model_sha256}`;
   find("download").disabled = info.recording.state === "off";
   if (performance.now() - (last?.at ?? -Infinity) > POLL_MS) {
     showSensors(info.sensors);
     showRecording(info.recording);
+    showAlerts(shown?.state ?? null, info.recording);
   }
 }
 
 function list() {
+  showStrip(find("strip"), sessions, session, choose);
   const select = find("sessions");
   const names = sessions.map((one) => one.id);
   if (session !== null && !names.includes(session)) names.push(session);
@@ -239,21 +231,71 @@ function list() {
 }
 
 function choose(name) {
-  leave?.();
-  goLive();
+  begin(sessions.find((one) => one.id === name) ?? null, sessionPath(name));
   session = name;
-  info = sessions.find((one) => one.id === name) ?? null;
-  past = new Past(name);
-  last = null;
-  ended = null;
+  events.clear(name);
   history.replaceState(null, "", `#${encodeURIComponent(name)}`);
   list();
-  live.camera = info?.camera ?? null;
-  live.geometry = null;
   connect();
   overview();
+  showVerdict(words());
+  restore().catch(() => {});
+}
+
+/** Nothing is shown yet of what comes now. */
+function begin(of, path) {
+  leave?.();
+  leave = null;
+  recorded = null;
+  goLive();
+  info = of;
+  past = new Past(path);
+  last = ended = approach = null;
+  present(null);
+  views.zoomed(null);
+  live.camera = info?.camera ?? null;
+  live.geometry = null;
+  live.unzoom();
+  live.draw({ bitmap: null, contour: null, silhouette: null, marks: null, state: null });
+  [showApproach, showNumbers, showFused].forEach((show) => show(null));
+  showAlerts(null, null);
+}
+
+/** The last state and its picture, where no frame comes now. */
+async function restore() {
+  const of = past, ageAtFirst = info?.age_s ?? null, at = performance.now();
+  await of.load();
+  if (of === past && last === null && of.newest !== null && ageAtFirst !== null) {
+    const state = of.newest;
+    last = { message: { state, contour: null, silhouette_px: null, marks: null, sensors: info.sensors, recording: info.recording }, jpeg: null, at: at - 1000 * ageAtFirst };
+    const got = await of.picture(state.frame).catch(() => null);
+    if (of !== past || last.message.state !== state || paused !== null) return;
+    const note = got === null ? "no picture is kept" : got.frame === state.frame ? `frame ${state.frame}` : `frame ${state.frame} · picture: ${got.frame}`;
+    present({ state, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
+  }
   if (drawn.updates > 0) more();
-  else showVerdict(words());
+}
+
+/** A log of the service, from its start. */
+async function look(recording) {
+  begin({ ...recording, sensors: [], frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
+  recorded = recording.name;
+  session = null;
+  events.clear(null);
+  list();
+  showLink(`recording ${recording.name}`, "");
+  showVerdict(["waiting", "READING", recording.name]);
+  try {
+    await past.load(2000, 1e6);
+  } catch (error) {
+    showVerdict(["offline", "NO RECORDING", error.message]);
+    return;
+  }
+  if (past.states.length === 0) return showVerdict(["waiting", "EMPTY", "this recording has no frames"]);
+  overview();
+  shown = { state: past.states[0], contour: null, silhouette: null, marks: null, bitmap: null, note: "" };
+  pause();
+  more();
 }
 
 function connect() {
@@ -266,19 +308,20 @@ function connect() {
       leave = null;
       if (isEnd) ended = reason || "the session is closed";
       showLink(isEnd ? "session ended" : "no connection", "bad");
-      if (paused === null) showVerdict(isEnd ? words() : ["offline", "NO CONNECTION", reason || "trying again"]);
+      if (paused === null) showVerdict(words());
+      if (!isEnd) poll();
     },
   });
 }
 
 // Looking back
 
+/** The drawn state may be a frame older than the newest. */
 function pause() {
   if (paused !== null || shown === null || past.states.length === 0) return;
-  // The drawn state may be a frame older than the newest.
   const place = Math.max(0, past.states.findLastIndex((state) => state.frame <= shown.state.frame));
   paused = { states: past.states.slice(), place };
-  find("pause").textContent = "Live";
+  find("pause").textContent = recorded === null ? "Live" : "Close";
   find("pause").setAttribute("aria-pressed", "true");
   const scrub = find("scrub");
   scrub.disabled = false;
@@ -288,6 +331,10 @@ function pause() {
 
 function goLive() {
   paused = null;
+  if (recorded !== null) {
+    recorded = null;
+    poll();
+  }
   find("pause").textContent = "Pause";
   find("pause").setAttribute("aria-pressed", "false");
   find("scrub").disabled = true;
@@ -300,7 +347,7 @@ function seek(place) {
   find("scrub").value = paused.place;
   const state = paused.states[paused.place];
   const ago = paused.states.at(-1).received_unix_s - state.received_unix_s;
-  const text = `${new Date(1000 * state.received_unix_s).toLocaleTimeString()} (−${ago.toFixed(1)} s)`;
+  const text = `${utc(state.received_unix_s, 2)} UTC (−${ago.toFixed(1)} s)`;
   say(find("at"), text);
   find("scrub").setAttribute("aria-valuetext", text);
   present({ ...shown, state, marks: null, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame} · picture: …` });
@@ -326,69 +373,28 @@ async function fetchPicture() {
   fetching = false;
 }
 
-/** Index of a state some seconds away. */
-function placeAway(seconds) {
-  const wanted = paused.states[paused.place].received_unix_s + seconds;
-  const later = paused.states.findIndex((state) => state.received_unix_s >= wanted);
-  return later < 0 ? paused.states.length - 1 : later;
-}
-
 // Input of the operator
 
 function download() {
-  if (find("download").disabled) return;
-  downloadLog(session, info.recording.name).catch((error) => say(find("totals"), `The log: ${error.message}`));
+  if (find("download").disabled || session === null) return;
+  downloadLog(sessionPath(session), info.recording.name).catch((error) => say(find("totals"), `The log: ${error.message}`));
 }
 
-function toggle(layer) {
-  const box = find(`layer-${layer}`);
-  live.layers[layer] = box.checked;
-  if (layer === "silhouette" && session !== null && leave !== null) connect();
-  fresh = shown !== null;
-  schedule();
-}
-
-const press = (layer) => find(`layer-${layer}`).click();
-const KEYS = {
-  " ": () => (paused === null ? pause() : goLive()),
-  ArrowLeft: (event) => (pause(), paused && seek(event.shiftKey ? placeAway(-10) : paused.place - 1)),
-  ArrowRight: (event) => paused && seek(event.shiftKey ? placeAway(10) : paused.place + 1),
-  Home: () => (pause(), paused && seek(0)),
-  End: goLive,
-  c: () => press("contour"),
-  n: () => press("nodes"),
-  o: () => press("silhouette"),
-  e: () => press("ellipses"),
-  p: () => press("spots"),
-  d: download,
-  s: () => find("sessions").focus(),
-  "?": () => find("help-dialog").showModal(),
-};
-
-listen(KEYS);
+wire({
+  pauseOrLive: () => (paused === null ? pause() : goLive()),
+  step: (by, far) => {
+    if (by < 0) pause();
+    if (paused !== null) seek(far ? placeAway(paused, 10 * by) : paused.place + by);
+  },
+  oldest: () => (pause(), paused && seek(0)),
+  seek: (place) => paused && seek(place),
+  layer: (layer) => (layer === "silhouette" && session !== null && leave !== null ? connect() : again()),
+  recordings: () => showRecordings(look, (one) => downloadLog(`/v1/recordings/${encodeURIComponent(one.name)}`, one.name)),
+  goLive, download, choose, again,
+}, live, views);
+live.changed = again;
 onToken(poll);
-find("pause").onclick = KEYS[" "];
-find("scrub").oninput = (event) => paused && seek(Number(event.target.value));
-find("span").onchange = () => {
-  if (shown === null) return;
-  fresh = true;
-  slowAt = plotAt = 0;
-  schedule();
-};
-find("sessions").onchange = (event) => choose(event.target.value);
-find("download").onclick = download;
-find("help").onclick = KEYS["?"];
-find("help-close").onclick = () => find("help-dialog").close();
-for (const layer of ["contour", "nodes", "silhouette", "ellipses", "spots"]) {
-  live.layers[layer] = find(`layer-${layer}`).checked;
-  find(`layer-${layer}`).onchange = () => toggle(layer);
-}
 
 poll();
 setInterval(() => document.querySelector("dialog[open]") || poll(), POLL_MS);
-setInterval(() => {
-  // No message arrives when frames stop.
-  if (session === null) return;
-  if (paused === null) showVerdict(words());
-  else sayWhen();
-}, 500);
+setInterval(tick, 250); // no message arrives when frames stop

@@ -1,12 +1,20 @@
 // The last minutes: states as they arrived, and pictures and contours of past frames.
 
-import { json, request, sessionPath } from "./api.js";
+import { json, request } from "./api.js";
 
 const KEEP_S = 300;
 
+/** Index of a state some seconds away. */
+export function placeAway({ states, place }, seconds) {
+  const wanted = states[place].received_unix_s + seconds;
+  const later = states.findIndex((state) => state.received_unix_s >= wanted);
+  return later < 0 ? states.length - 1 : later;
+}
+
 export class Past {
-  constructor(session) {
-    this.session = session;
+  /** `path`: of a session, or of a recording. */
+  constructor(path) {
+    this.path = path;
     this.states = []; // oldest first
   }
 
@@ -26,8 +34,8 @@ export class Past {
   }
 
   /** Load the states that the service has kept. */
-  async load(limit = 2000) {
-    const kept = await json(`${sessionPath(this.session)}/history?seconds=${KEEP_S}&limit=${limit}`);
+  async load(limit = 2000, seconds = KEEP_S) {
+    const kept = await json(`${this.path}/history?seconds=${seconds}&limit=${limit}`);
     const byFrame = new Map(this.states.map((state) => [state.frame, state]));
     for (const state of kept.states) byFrame.set(state.frame, state);
     this.states = [...byFrame.values()].sort((a, b) => a.frame - b.frame);
@@ -35,9 +43,9 @@ export class Past {
 
   /** The picture of a frame, or of the last kept frame before it, with its contour and marks. */
   async picture(frame) {
-    const response = await request(`${sessionPath(this.session)}/images/${frame}`);
+    const response = await request(`${this.path}/images/${frame}`);
     const shown = Number(response.headers.get("X-Frame"));
-    const of = (what) => json(`${sessionPath(this.session)}/${what}/${shown}`).catch(() => null);
+    const of = (what) => json(`${this.path}/${what}/${shown}`).catch(() => null);
     const [blob, contour, marks] = await Promise.all([response.blob(), of("contour"), of("marks")]);
     return { frame: shown, bitmap: await createImageBitmap(blob), contour, marks };
   }

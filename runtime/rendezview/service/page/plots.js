@@ -4,33 +4,52 @@ import uPlot from "./vendor/uplot.js";
 
 const DEGREES = 180 / Math.PI;
 const MOST = 900; // points of a curve: more than its pixels help no one
+const LEAST_ZOOM_PX = 5;
 const HOLE_S = 1; // without frames: no curve is drawn across
 const [RED, GREEN, BLUE, YELLOW] = ["#ff8f87", "#6bdb7b", "#79b8ff", "#f2c14e"];
 
+const deviation = (s, from) => s.covariance && 3 * Math.sqrt(s.covariance[from][from] + s.covariance[from + 1][from + 1] + s.covariance[from + 2][from + 2]);
+const shown = (s) => ({ covariance: s.covariance ?? s.motion?.covariance ?? null });
+const turned = (name) => (s) => (s.approach?.[name] == null ? null : DEGREES * s.approach[name]);
+
 // Title; curves: name, colour, value of a state, and "right" for the right axis.
-const PLOTS = [
+const PORT = ["misalignment, °", [["roll", RED, turned("roll_rad")], ["pitch", GREEN, turned("pitch_rad")], ["yaw", BLUE, turned("yaw_rad")]]];
+const QUATERNION = ["attitude, quaternion", ["w", "x", "y", "z"].map((name, k) => [name, [YELLOW, RED, GREEN, BLUE][k], (s) => s.quaternion?.[k]])];
+const plotsOf = (hasPort) => [
+  ["m, m/s", [["range", BLUE, (s) => s.approach?.range_m], ["rate", YELLOW, (s) => s.approach?.range_rate_m_s, "right"]]],
   ["position, m", [["x", RED, (s) => s.pose?.translation_m[0]], ["y", GREEN, (s) => s.pose?.translation_m[1]], ["z", BLUE, (s) => s.pose?.translation_m[2], "right"]]],
-  ["attitude, quaternion", ["w", "x", "y", "z"].map((name, k) => [name, [YELLOW, RED, GREEN, BLUE][k], (s) => s.quaternion?.[k]])],
-  ["residual, px; confidence", [["residual", YELLOW, (s) => s.fit?.residual_px], ["confidence", GREEN, (s) => s.confidence, "right"]]],
-  ["turning, °/s", ["x", "y", "z"].map((name, k) => [name, [RED, GREEN, BLUE][k], (s) => s.rates && DEGREES * s.rates.angular_rad_s[k]])],
-  ["moving, m/s", ["x", "y", "z"].map((name, k) => [name, [RED, GREEN, BLUE][k], (s) => s.rates?.linear_m_s[k]])],
-  ["latency, ms; drops", [["tracker", BLUE, (s) => s.track_ms], ["latency", YELLOW, (s) => s.latency_ms], ["drops", RED, (s) => s.drops, "right"]]],
+  hasPort ? PORT : QUATERNION,
+  ["3σ, m and °", [["position", BLUE, (s) => deviation(shown(s), 3)], ["attitude", YELLOW, (s) => DEGREES * deviation(shown(s), 0) || null, "right"]]],
+  ["turning, °/s", ["x", "y", "z"].map((name, k) => [name, [RED, GREEN, BLUE][k], (s) => s.motion?.rates && DEGREES * s.motion.rates.angular_rad_s[k]])],
+  ["moving, m/s", ["x", "y", "z"].map((name, k) => [name, [RED, GREEN, BLUE][k], (s) => s.motion?.rates?.linear_m_s[k]])],
+  ["fit", [["residual", YELLOW, (s) => s.fit?.residual_px], ["confidence", GREEN, (s) => s.confidence, "right"]]],
+  ["ms; drops", [["tracker", BLUE, (s) => s.track_ms], ["latency", YELLOW, (s) => s.latency_ms], ["drops", RED, (s) => s.drops, "right"]]],
 ];
 
 export class Plots {
-  constructor(parent) {
+  /** `zoomed(from, to)` in s, or `zoomed(null)`, when the operator zooms. */
+  constructor(parent, hasPort, zoomed) {
     this.mark = null; // s, where the pause stands
+    this.hasPort = hasPort;
+    this.zoomed = zoomed;
     this._states = [];
     const style = document.createElement("link");
     style.rel = "stylesheet";
     style.href = "vendor/uplot.css";
     document.head.append(style);
-    this._plots = PLOTS.map(([title, curves]) => this._make(parent, title, curves));
-    new ResizeObserver(() => {
+    parent.replaceChildren();
+    this._plots = plotsOf(hasPort).map(([title, curves]) => this._make(parent, title, curves));
+    this._resizes = new ResizeObserver(() => {
       for (const { box, plot } of this._plots) {
         plot.setSize({ width: box.clientWidth, height: box.clientHeight });
       }
-    }).observe(parent);
+    });
+    this._resizes.observe(parent);
+  }
+
+  close() {
+    this._resizes.disconnect();
+    for (const { plot } of this._plots) plot.destroy();
   }
 
   _make(parent, title, curves) {
@@ -38,12 +57,24 @@ export class Plots {
     box.className = "plot";
     const head = document.createElement("h2");
     head.textContent = `${title} `;
-    for (const [name, colour] of curves) {
+    const keys = curves.map(([name, colour]) => {
       const key = document.createElement("b");
       key.textContent = ` ${name}`;
       key.style.color = colour;
       head.append(key);
-    }
+      return key;
+    });
+    const say = (u) => keys.forEach((key, k) => {
+      const value = u.cursor.idx == null ? null : u.data[k + 1][u.cursor.idx];
+      const text = ` ${curves[k][0]}${value == null ? "" : ` ${value.toPrecision(4)}`}`;
+      if (key.textContent !== text) key.textContent = text;
+    });
+    const select = (u) => {
+      if (u.select.width < LEAST_ZOOM_PX) return;
+      const ends = [u.select.left, u.select.left + u.select.width].map((x) => u.posToVal(x, "x"));
+      u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+      this.zoomed(...ends);
+    };
     box.append(head);
     parent.append(box);
     const right = curves.some((curve) => curve[3] === "right");
@@ -52,7 +83,8 @@ export class Plots {
       width: box.clientWidth,
       height: box.clientHeight,
       legend: { show: false },
-      cursor: { sync: { key: "time" }, drag: { setScale: false } },
+      tzDate: (at) => uPlot.tzDate(new Date(1000 * at), "Etc/UTC"),
+      cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false } },
       padding: [16, right ? 0 : 12, 0, 0],
       scales: { x: { time: true }, y: {}, ...(right ? { right: {} } : {}) },
       axes: [
@@ -61,8 +93,9 @@ export class Plots {
         ...(right ? [{ ...axis, scale: "right", side: 1, size: 40, space: 22, grid: { show: false } }] : []),
       ],
       series: [{}, ...curves.map(([name, stroke, , side]) => ({ label: name, stroke, width: 1.4, points: { show: false }, scale: side ?? "y" }))],
-      hooks: { drawClear: [(u) => this._gaps(u)], draw: [(u) => this._mark(u)] },
+      hooks: { drawClear: [(u) => this._gaps(u)], draw: [(u) => this._mark(u)], setCursor: [say], setSelect: [select] },
     }, [[], ...curves.map(() => [])], box);
+    plot.over.addEventListener("dblclick", () => this.zoomed(null));
     return { box, plot, curves };
   }
 

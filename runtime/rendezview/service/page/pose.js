@@ -21,6 +21,21 @@ export const applyInverse = (r, [x, y, z]) => [
 export const cameraPosition = (pose) =>
   applyInverse(rotation(pose.quat_wxyz), pose.translation_m).map((value) => -value);
 
+const product = ([a, b, c, d], [w, x, y, z]) => [
+  a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w,
+];
+
+/** The pose of a `Motion` some seconds ahead, at its present rates. */
+export function predicted({ pose, rates }, aheadS) {
+  const rate = Math.hypot(...rates.angular_rad_s), half = (rate * aheadS) / 2;
+  const axis = rates.angular_rad_s.map((value) => (rate > 0 ? value / rate : 0));
+  const turn = [Math.cos(half), ...axis.map((value) => Math.sin(half) * value)];
+  return {
+    quat_wxyz: product(turn, pose.quat_wxyz),
+    translation_m: pose.translation_m.map((value, k) => value + aheadS * rates.linear_m_s[k]),
+  };
+}
+
 /** Eigenvalues and eigenvectors (columns) of a symmetric 3 × 3 matrix, by Jacobi's rotations. */
 export function eigen(matrix) {
   const a = matrix.map((row) => [...row]);

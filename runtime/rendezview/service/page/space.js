@@ -1,10 +1,12 @@
 // The target frame in space: contour points, view sphere, camera, trajectory, uncertainty.
 
 import * as three from "./vendor/three.js";
-import { applyInverse, cameraPosition, eigen, rotation } from "./pose.js";
+import { applyInverse, cameraPosition, eigen, predicted, rotation } from "./pose.js";
+import { axes, buffer, dashes, fill, frustum, grid, gridStep, lines, surface, zones } from "./space_parts.js";
+import { poseShown } from "./status.js";
 
 const SIGMAS = 3;
-const KINDS = [[0.35, 0.72, 0.85], [1.0, 0.7, 0.33], [0.72, 0.6, 0.95]];
+const AHEAD_S = 60; // of the predicted path
 const TRAIL = 4000; // points at most
 const FUSED = 0x56d364;
 const BARS = 60; // of the trajectory's uncertainty
@@ -34,12 +36,22 @@ export class SpaceView {
     this._resize();
   }
 
-  /** Shows a target and its view sphere. */
-  show(geometry, camera) {
+  /** Shows a target, its view sphere, and what an approach is compared with. */
+  show(geometry, camera, approach) {
     this.scene.clear();
     this.geometry = geometry;
     const radius = geometry.target_radius_m;
-    this.scene.add(dashes(geometry), this._sphere(geometry), axes(0.6 * radius));
+    this.following = false;
+    this.grid = gridStep(geometry.sphere_radius_m);
+    if (geometry.surface_m.length) this.scene.add(surface(geometry));
+    this.scene.add(this._sphere(geometry));
+    this.scene.add(dashes(geometry), axes(0.6 * radius), grid(geometry.centre_m, geometry.sphere_radius_m));
+    if (approach !== null) {
+      for (const part of zones(approach, geometry.centre_m)) this.scene.add(part);
+      const path = approach.plan.map((point) => point.position_m);
+      if (path.length > 1) this.scene.add(lines(path.slice(1).flatMap((to, k) => [path[k], to]), 0xb392f0));
+    }
+    this.ahead = new three.Line(buffer(40 * 3), new three.LineBasicMaterial({ color: 0xf2c14e }));
     this.nodes = new three.Points(buffer(64 * 3), new three.PointsMaterial({ color: 0xf2c14e, size: 6, sizeAttenuation: false }));
     this.trail = new three.Line(buffer(TRAIL * 3), new three.LineBasicMaterial({ color: 0x58c4dd }));
     this.bars = new three.LineSegments(buffer(BARS * 6), new three.LineBasicMaterial({ color: 0xb8871f }));
@@ -52,7 +64,7 @@ export class SpaceView {
       new three.MeshBasicMaterial({ color: 0xf2c14e, transparent: true, opacity: 0.35, depthWrite: false }),
     );
     this.ellipsoid.matrixAutoUpdate = this.body.matrixAutoUpdate = this.fusedBody.matrixAutoUpdate = false;
-    for (const part of [this.nodes, this.trail, this.bars, this.fusedTrail, this.body, this.fusedBody, this.line, this.ellipsoid]) {
+    for (const part of [this.nodes, this.trail, this.bars, this.ahead, this.fusedTrail, this.body, this.fusedBody, this.line, this.ellipsoid]) {
       part.frustumCulled = false;
       part.visible = false;
       this.scene.add(part);
@@ -70,7 +82,10 @@ export class SpaceView {
     const centre = this.geometry.centre_m, reach = this.geometry.sphere_radius_m;
     const on = state?.on_nodes.slice(0, 64) ?? [];
     fill(this.nodes, on.map(({ direction }) => direction.map((d, k) => centre[k] + reach * d)));
-    const pose = state?.pose ?? null;
+    const drawn = poseShown(state), pose = drawn.pose;
+    this.body.material.color.set(drawn.predicted ? 0xf2c14e : 0xffffff);
+    const motion = state?.motion ?? null;
+    fill(this.ahead, motion?.pose && motion.rates ? [...Array(40).keys()].map((k) => cameraPosition(predicted(motion, (k * AHEAD_S) / 39))) : []);
     this.body.visible = this.ellipsoid.visible = this.line.visible = pose !== null;
     if (pose !== null) {
       const at = cameraPosition(pose);
@@ -84,9 +99,11 @@ export class SpaceView {
         this._aim(out.map((value, k) => 0.45 * value / far + 0.8 * side[k] / flat + (k === 2 ? 0.4 : 0)), Math.max(far, reach));
         this.aimed = true;
       }
-      this.ellipsoid.visible = state.covariance !== null;
-      if (state.covariance !== null) {
-        const { half, directions } = spread(state);
+      this.place = at;
+      if (this.following) this._follow();
+      this.ellipsoid.visible = drawn.covariance !== null;
+      if (drawn.covariance !== null) {
+        const { half, directions } = spread(drawn);
         this.magnified = magnification(Math.max(...half), 0.25 * this.geometry.target_radius_m);
         // An axis that is too thin to see gets a minimum width.
         const least = 0.01 * this.geometry.target_radius_m;
@@ -135,7 +152,31 @@ export class SpaceView {
     const places = new Float32Array(ends.length).map((_, k) => centre[k % 3] + reach * ends[k]);
     const geometry = new three.BufferGeometry();
     geometry.setAttribute("position", new three.BufferAttribute(places, 3));
-    return new three.LineSegments(geometry, new three.LineBasicMaterial({ color: 0x3c4a59, transparent: true, opacity: 0.55 }));
+    return new three.LineSegments(geometry, new three.LineBasicMaterial({ color: 0x3c4a59, transparent: true, opacity: this.geometry.surface_m.length ? 0.18 : 0.55 }));
+  }
+
+  /** The whole scene: target and camera. */
+  fit() {
+    if (!this.geometry) return;
+    const centre = this.geometry.centre_m;
+    const far = this.place ? Math.hypot(...this.place.map((value, k) => value - centre[k])) : 0;
+    this.following = false;
+    this._aim(this.eye.position.clone().sub(this.controls.target).toArray(), Math.max(0.6 * far, this.geometry.sphere_radius_m / 2));
+    this.changed();
+  }
+
+  /** Looks past the camera at the target, and stays there; or no longer. */
+  follow(on) {
+    this.following = on && this.geometry !== undefined;
+    if (this.following && this.place) this._follow();
+    this.changed();
+  }
+
+  _follow() {
+    const centre = this.geometry.centre_m, out = this.place.map((value, k) => value - centre[k]);
+    const far = Math.hypot(...out), lift = 0.25 * far;
+    this.eye.position.set(...this.place.map((value, k) => value + 0.35 * out[k] + (k === 2 ? lift : 0)));
+    this.controls.update();
   }
 
   _aim(direction, reach) {
@@ -219,55 +260,3 @@ function placed(r, at, asItIs = false) {
 
 const transposed = (m) => [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];
 
-function buffer(length) {
-  const geometry = new three.BufferGeometry();
-  geometry.setAttribute("position", new three.BufferAttribute(new Float32Array(length), 3));
-  return geometry;
-}
-
-function fill(part, places) {
-  const attribute = part.geometry.attributes.position;
-  places.forEach((place, k) => attribute.setXYZ(k, ...place));
-  attribute.needsUpdate = true;
-  part.geometry.setDrawRange(0, places.length);
-  part.visible = places.length > 0;
-}
-
-/** A dash along the edge at each contour point. */
-function dashes({ points_m: points, tangents, kinds, spacing_m: spacing }) {
-  const places = new Float32Array(points.length * 6), colours = new Float32Array(points.length * 6);
-  points.forEach((point, n) => {
-    for (let end = 0; end < 2; end++) {
-      for (let k = 0; k < 3; k++) {
-        places[6 * n + 3 * end + k] = point[k] + (end - 0.5) * spacing * tangents[n][k];
-        colours[6 * n + 3 * end + k] = KINDS[kinds[n]][k];
-      }
-    }
-  });
-  const geometry = new three.BufferGeometry();
-  geometry.setAttribute("position", new three.BufferAttribute(places, 3));
-  geometry.setAttribute("color", new three.BufferAttribute(colours, 3));
-  return new three.LineSegments(geometry, new three.LineBasicMaterial({ vertexColors: true }));
-}
-
-/** x red, y green, z blue, at the target frame's origin. */
-function axes(length) {
-  const geometry = new three.BufferGeometry();
-  const places = [[length, 0, 0], [0, length, 0], [0, 0, length]].flatMap((end) => [0, 0, 0, ...end]);
-  const colours = [[1, 0.35, 0.3], [0.35, 0.9, 0.4], [0.4, 0.6, 1]].flatMap((colour) => [...colour, ...colour]);
-  geometry.setAttribute("position", new three.BufferAttribute(new Float32Array(places), 3));
-  geometry.setAttribute("color", new three.BufferAttribute(new Float32Array(colours), 3));
-  return new three.LineSegments(geometry, new three.LineBasicMaterial({ vertexColors: true }));
-}
-
-/** The camera's field of view, in its own frame, with its up direction. */
-function frustum({ width, height, fx, fy, cx, cy }, depth, color = 0xffffff) {
-  const corner = (u, v) => [((u - 0.5 - cx) / fx) * depth * 1.6, ((v - 0.5 - cy) / fy) * depth * 1.6, depth * 1.6];
-  const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
-  const roof = [corner(0.3 * width, 0), corner(0.5 * width, -0.3 * height), corner(0.7 * width, 0)];
-  const ends = corners.flatMap((place, k) => [[0, 0, 0], place, place, corners[(k + 1) % 4]]);
-  ends.push(roof[0], roof[1], roof[1], roof[2]);
-  const geometry = new three.BufferGeometry();
-  geometry.setAttribute("position", new three.BufferAttribute(new Float32Array(ends.flat()), 3));
-  return new three.LineSegments(geometry, new three.LineBasicMaterial({ color }));
-}

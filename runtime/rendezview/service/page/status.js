@@ -1,7 +1,8 @@
 // The state as text: verdict, pose, sensors, recording.
 
-const DEGREES = 180 / Math.PI;
+export const DEGREES = 180 / Math.PI;
 const SILENT_S = 3;
+const STALE_S = 1; // older numbers are grey
 const find = (id) => document.getElementById(id);
 
 /** Sets a text only if it has changed, so that the layout is not computed again. */
@@ -9,33 +10,49 @@ export function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** The banner's verdict: key, word, reason. */
-export function verdict(state, silentS) {
+/** The banner's verdict: key, word, reason. `info`: the session as the service lists it. */
+export function verdict(state, silentS, info = null) {
+  const camera = info?.sensors?.[0] ?? null;
+  const fault = camera !== null && !camera.healthy && !/^no frame yet|^no frame for \d+ s$/.test(camera.reason ?? "") ? camera.reason : null;
+  if (state === null && fault !== null) return ["offline", info.source ? "NO SOURCE" : "NO FRAMES", fault];
   if (state === null) return ["waiting", "WAITING", "no frame has been tracked yet"];
-  if (silentS > SILENT_S) return ["silent", "NO FRAMES", `the last frame came ${silentS.toFixed(0)} s ago`];
+  if (silentS > SILENT_S) return ["silent", "NO FRAMES", fault ?? `the last frame came ${silentS.toFixed(0)} s ago`];
   const reason = state.reason ?? state.status;
   if (state.pose !== null) {
     const sure = state.confidence === null ? "" : `confidence ${state.confidence.toFixed(3)}`;
     return ["found", "FOUND", sure];
   }
-  const several = state.candidates.length > 0 ? ` (${state.candidates.length} poses fit)` : "";
-  if (["ambiguous", "rivals"].includes(state.status) || several) {
+  if (["ambiguous", "rivals"].includes(state.status)) {
+    const several = state.candidates.length > 0 ? ` (${state.candidates.length} poses fit)` : "";
     return ["ambiguous", "AMBIGUOUS", `${state.status}: ${reason}${several}`];
   }
   if (state.phase === "coasting") return ["coasting", "COASTING", `${state.status}: ${reason}`];
   return ["lost", "LOST", `${state.status}: ${reason}`];
 }
 
+/** Greys what is not of now, and says how old it is; null: it is of now. */
+export function showAge(ageS) {
+  const old = ageS !== null && ageS > STALE_S;
+  if (document.body.classList.contains("stale") !== old) document.body.classList.toggle("stale", old);
+  const text = old ? `${ageS < 10 ? ageS.toFixed(1) : ageS.toFixed(0)} s old` : "";
+  for (const label of document.querySelectorAll(".age")) {
+    if (label.hidden === old) label.hidden = !old;
+    say(label, text);
+  }
+}
+
 export function showVerdict([key, word, reason]) {
   const banner = find("banner");
-  if (banner.dataset.word !== key) banner.dataset.word = key;
+  if (banner.dataset.word !== key) banner.dataset.word = document.body.dataset.word = key;
   say(find("word"), word);
   say(find("reason"), reason);
 }
 
+export const signed = (value, digits) => (value >= 0 ? "+" : "−") + Math.abs(value).toFixed(digits);
+
 const fixed = (value, digits) => (value >= 0 ? "\u2007" : "−") + Math.abs(value).toFixed(digits);
 
-function rows(body, entries) {
+export function rows(body, entries) {
   while (body.rows.length > entries.length) body.deleteRow(-1);
   entries.forEach(([name, text, kind = ""], place) => {
     let row = body.rows[place];
@@ -50,26 +67,36 @@ function rows(body, entries) {
   });
 }
 
+/** The pose of a frame, or else the filter's prediction while it coasts. */
+export function poseShown(state) {
+  if (state === null || state.pose !== null || state.phase !== "coasting" || !state.motion?.pose) {
+    return { pose: state?.pose ?? null, covariance: state?.covariance ?? null, predicted: false };
+  }
+  return { pose: state.motion.pose, covariance: state.motion.covariance, predicted: true };
+}
+
 export function showNumbers(state) {
-  const entries = [];
-  const pose = state?.pose ?? null;
+  const entries = [], table = find("numbers");
+  const { pose, covariance, predicted } = poseShown(state);
+  say(table.caption, predicted ? "Predicted pose, no measurement (± 3σ)" : "Pose, camera from target (± 3σ)");
+  table.className = predicted ? "predicted" : "";
   for (const [axis, name] of ["x", "y", "z"].entries()) {
-    const sigma = state?.covariance ? ` ± ${(3 * Math.sqrt(state.covariance[axis + 3][axis + 3])).toFixed(3)}` : "";
+    const sigma = covariance ? ` ± ${(3 * Math.sqrt(covariance[axis + 3][axis + 3])).toFixed(3)}` : "";
     entries.push([name, pose ? `${fixed(pose.translation_m[axis], 3)}${sigma} m` : "–"]);
   }
   entries.push(["q wxyz", pose ? pose.quat_wxyz.map((value) => fixed(value, 3)).join(" ") : "–"]);
-  const turn = state?.covariance
-    ? [0, 1, 2].map((k) => (3 * DEGREES * Math.sqrt(state.covariance[k][k])).toFixed(2)).join(" ") + " °"
+  const turn = covariance
+    ? [0, 1, 2].map((k) => (3 * DEGREES * Math.sqrt(covariance[k][k])).toFixed(2)).join(" ") + " °"
     : "–";
   entries.push(["attitude ±", turn]);
-  entries.push(["range", state?.range_m != null ? `${state.range_m.toFixed(3)} m` : "–"]);
-  const rates = state?.rates ?? null;
-  entries.push(["turning", rates ? `${(DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(2)} °/s` : "–"]);
-  entries.push(["moving", rates ? `${Math.hypot(...rates.linear_m_s).toFixed(3)} m/s` : "–"]);
+  const motion = state?.motion ?? null, rates = motion?.rates ?? null;
+  const sigma = (each) => 3 * Math.hypot(...each);
+  entries.push(["turning", rates ? `${(DEGREES * Math.hypot(...rates.angular_rad_s)).toFixed(3)} ± ${(DEGREES * sigma(motion.angular_sigma_rad_s)).toFixed(3)} °/s` : "–"]);
+  entries.push(["moving", rates ? `${Math.hypot(...rates.linear_m_s).toFixed(4)} ± ${sigma(motion.linear_sigma_m_s).toFixed(4)} m/s` : "–"]);
   entries.push(["residual", state?.fit ? `${state.fit.residual_px.toFixed(2)} px` : "–"]);
   entries.push(["latency", state ? `${state.latency_ms.toFixed(1)} ms` : "–"]);
   entries.push(["frame", state ? `${state.frame} · t = ${state.time_s.toFixed(2)} s` : "–"]);
-  rows(find("numbers").tBodies[0], entries);
+  rows(table.tBodies[0], entries);
 }
 
 /** The fused state; hidden while the camera is the only sensor. */
@@ -112,7 +139,7 @@ export function showRecording(recording) {
   const words = {
     off: "not recorded",
     on: `● recording ${(recording.size_bytes / 1e6).toFixed(0)} MB`,
-    failed: `▲ recording failed: ${recording.reason ?? "unknown"} (${recording.lost} lost)`,
+    failed: `▲ recording failed, ${recording.lost} lost`,
   };
   say(chip, words[recording.state]);
   chip.className = `chip ${{ off: "", on: "good", failed: "bad" }[recording.state]}`;

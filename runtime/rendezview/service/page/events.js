@@ -1,0 +1,67 @@
+// The log of events, and all sessions at a glance.
+
+import { json, sessionPath } from "./api.js";
+import { utc } from "./approach.js";
+import { say } from "./status.js";
+
+const MOST = 200; // shown
+const MARKS = { tracking: ["●", "good"], coasting: ["◐", "warn"], searching: ["▲", "bad"], waiting: ["○", ""] };
+
+export class Events {
+  constructor(list) {
+    this.list = list;
+    this.clear(null);
+  }
+
+  clear(session) {
+    this.session = session;
+    this.next = 0;
+    this.list.replaceChildren();
+  }
+
+  /** Adds what is new, the newest first. */
+  async load() {
+    const of = this.session;
+    if (of === null) return;
+    const { events } = await json(`${sessionPath(of)}/events?since=${this.next}`);
+    if (of !== this.session) return;
+    for (const event of events) this.add(event);
+  }
+
+  add({ number, unix_s: at, level, kind, text }) {
+    if (number < this.next) return;
+    this.next = number + 1;
+    const item = document.createElement("li");
+    item.className = level;
+    const time = document.createElement("time");
+    time.textContent = utc(at);
+    item.append(time, ` ${kind}: ${text}`);
+    this.list.prepend(item);
+    while (this.list.children.length > MOST) this.list.lastChild.remove();
+  }
+}
+
+/** One button for each session: its phase, rate, alarms and recording. */
+export function showStrip(strip, sessions, chosen, choose) {
+  strip.hidden = sessions.every((one) => one.id === chosen);
+  while (strip.children.length > sessions.length) strip.lastChild.remove();
+  sessions.forEach((one, place) => {
+    let button = strip.children[place];
+    if (!button) {
+      button = document.createElement("button");
+      strip.append(button);
+    }
+    button.onclick = () => choose(one.id);
+    const camera = one.sensors[0];
+    const stale = one.age_s === null || one.age_s > 3;
+    const [mark, kind] = one.finished ? ["■", ""] : stale ? ["○", "bad"] : MARKS[one.phase];
+    const words = [`${mark} ${one.id}`, one.finished ? "ended" : stale ? "no frames" : one.phase];
+    if (!stale && camera.rate_hz !== null) words.push(`${camera.rate_hz.toFixed(0)} Hz`);
+    if (one.alarms.length) words.push(`${one.alarms.length} alarm${one.alarms.length > 1 ? "s" : ""}`);
+    if (one.recording.state === "failed") words.push("not recorded");
+    say(button, words.join(" · "));
+    const bad = one.alarms.length || one.recording.state === "failed" ? "bad" : kind;
+    button.className = bad;
+    button.setAttribute("aria-pressed", String(one.id === chosen));
+  });
+}

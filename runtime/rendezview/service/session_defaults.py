@@ -1,0 +1,145 @@
+"""What sessions get that do not say it themselves: camera, docking ring, approach, recording."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from rendezview.errors import RendezviewError
+from rendezview.io.camera_files import load_camera
+from rendezview.io.files import checked, read_text
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import ViewModel
+from rendezview.service.approach_messages import ApproachRequest, PortMessage, WayPoint
+from rendezview.service.fusion_messages import FusionRequest, RingMessage
+from rendezview.service.messages import CameraMessage, SessionRequest
+from rendezview.service.settings import Settings
+from rendezview.service.tracking import camera_message
+from rendezview.trajectory.plan import Plan, load_plan
+
+_APPROACH = TypeAdapter(ApproachRequest)
+_PLAN_POINTS = 500  # of a plan that is drawn and compared. Source: chosen
+_PLAN_S = 86_400.0  # s, of a plan without an end. Source: chosen
+
+
+class SessionDefaults:
+    """The service's camera, ring and approach."""
+
+    def __init__(self, settings: Settings) -> None:
+        """Reads the files that the settings name.
+
+        Raises:
+            RendezviewError: one is missing or wrong.
+        """
+        self._settings = settings
+        self.camera = None if settings.camera is None else load_camera(settings.camera)
+        self._ring = None if settings.target is None else _ring_of(settings.target)
+        self._approach = None
+        if settings.approach is not None:
+            self._approach = load_approach(settings.approach)
+        self._plan = None if settings.plan is None else load_plan(settings.plan)
+
+    def camera_of(self, request: SessionRequest) -> CameraMessage:
+        """The camera of a request, or the service's.
+
+        Raises:
+            RendezviewError: there is none, or its frames are too large.
+        """
+        camera = request.camera
+        if camera is None and self.camera is not None:
+            camera = camera_message(self.camera)
+        if camera is None:
+            raise RendezviewError("the session has no camera: give one")
+        most = self._settings.frame_bytes
+        if camera.width * camera.height > most:
+            raise RendezviewError(
+                f"camera: frames of {camera.width} × {camera.height} are larger than the setting "
+                f"frame_bytes ({most} bytes)"
+            )
+        return camera
+
+    def filled(self, request: SessionRequest, name: str, model: str) -> SessionRequest:
+        """A request with all that it leaves to the service, but the plan.
+
+        Raises:
+            RendezviewError: something is missing or impossible.
+        """
+        settings = self._settings
+        records = settings.record is not None and settings.record_all
+        more: dict[str, object] = {
+            "id": name,
+            "model": model,
+            "camera": self.camera_of(request),
+            "record": records if request.record is None else request.record,
+        }
+        if more["record"] and settings.record is None:
+            raise RendezviewError("record: the service writes no logs: start it with --record")
+        if self._ring is not None and (request.fusion is None or request.fusion.ring is None):
+            fusion = request.fusion or FusionRequest()
+            more["fusion"] = fusion.model_copy(update={"ring": self._ring})
+        if request.approach is None and self._approach is not None:
+            more["approach"] = self._approach
+        return request.model_copy(update=more)
+
+    def planned(self, request: SessionRequest, model: ViewModel) -> SessionRequest:
+        """A request with the service's plan, if it has none of its own."""
+        approach = request.approach or ApproachRequest()
+        if self._plan is None or approach.plan:
+            return request
+        points = way_points(self._plan, model)
+        return request.model_copy(update={"approach": approach.model_copy(update={"plan": points})})
+
+
+def approach_of(request: SessionRequest) -> ApproachRequest:
+    """What the frames of a session are compared with; its docking ring is the port by default."""
+    approach = request.approach or ApproachRequest()
+    ring = None if request.fusion is None else request.fusion.ring
+    if approach.port is None and ring is not None:
+        port = PortMessage(centre_m=ring.centre_m, axis=ring.axis)
+        return approach.model_copy(update={"port": port})
+    return approach
+
+
+def load_approach(path: Path) -> ApproachRequest:
+    """An approach from a TOML file: the keys of `ApproachRequest`.
+
+    Raises:
+        RendezviewError: the file is missing or wrong.
+    """
+    try:
+        content = tomllib.loads(read_text(path, "an approach (TOML)"))
+    except tomllib.TOMLDecodeError as error:
+        raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from None
+    return checked(_APPROACH, content, str(path))
+
+
+def way_points(plan: Plan, model: ViewModel) -> list[WayPoint]:
+    """Places of a plan, target frame."""
+    end_s = plan.end_s if math.isfinite(plan.end_s) else plan.start_s + _PLAN_S
+    times_s = np.linspace(plan.start_s, end_s, _PLAN_POINTS)
+    centre_m = model.centre_m if plan.centre_m is None else plan.centre_m
+    return [
+        WayPoint(
+            time_s=float(time_s),
+            position_m=(centre_m + plan.path_from_target(float(time_s)).T @ place).tolist(),
+        )
+        for time_s, place in zip(times_s, plan.places(times_s), strict=True)
+    ]
+
+
+def _ring_of(path: Path) -> RingMessage:
+    ring = Target.load(path).docking_ring
+    if ring is None:
+        raise RendezviewError(
+            f"{path}: this target has no docking_ring: add one, or do not give --target"
+        )
+    return RingMessage(
+        centre_m=ring.centre_m.tolist(),
+        axis=ring.axis.tolist(),
+        radius_m=ring.radius_m,
+        circles=list(ring.circles),
+    )

@@ -1,0 +1,343 @@
+"""The page in every state, good and bad, at two widths: pictures to look at, and its layout.
+
+RENDEZVIEW_TEST_PICTURES names a folder for the pictures.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.service.page_feed import MOST_S, until, word_is
+
+from rendezview.client import Client
+from rendezview.errors import RendezviewError
+from rendezview.io.camera_files import save_camera
+
+pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
+
+_SIZES = {"desk": (1400, 900), "phone": (390, 844)}
+_STEP_S = 5.0  # between frames of the tour: a slow turn
+APPROACH = {
+    "port": {"centre_m": [-1.0, 0.0, 0.0], "axis": [-1.0, 0.0, 0.0]},
+    "corridor": {"half_angle_deg": 15.0, "radius_m": 0.3, "length_m": 12.0},
+    "keep_out_m": 6.0,
+    "limits": [{"quantity": "range_m", "least": 9.5}],
+    "plan": [
+        {"time_s": 0.0, "position_m": [-12.0, 0.0, 0.0]},
+        {"time_s": 200.0, "position_m": [-2.0, 0.0, 0.0]},
+    ],
+}
+# What must be in the window at both widths: nothing hangs over the side, and words are not cut.
+_LAYOUT = """(wide) => {
+  const faults = [], window_ = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > window_) faults.push('the page is wider than the window');
+  for (const part of document.querySelectorAll('header *, #banner, #word, #alerts li, #strip *, main > *, footer, footer *')) {
+    const box = part.getBoundingClientRect();
+    if (!box.width || part.matches('option')) continue;
+    if (box.right > window_ + 1 || box.left < -1) faults.push(`${part.id || part.tagName}: ${box.left} … ${box.right}`);
+  }
+  if (wide) for (const id of ['word', 'approach', 'frame', 'plots', 'pause']) {
+    const box = document.getElementById(id).getBoundingClientRect();
+    if (box.top < 0 || (id !== 'approach' && box.bottom > innerHeight + 1)) faults.push(`${id} is outside the window`);
+  }
+  return faults;
+}"""  # noqa: E501
+
+
+@pytest.fixture
+def shoot(tmp_path: Path) -> Callable[[Any, str], None]:
+    """Pictures of a page at both widths; its layout must hold."""
+    folder = Path(os.environ.get("RENDEZVIEW_TEST_PICTURES", tmp_path))
+
+    def take(page: Any, name: str) -> None:
+        for size, (width, height) in _SIZES.items():
+            page.set_viewport_size({"width": width, "height": height})
+            time.sleep(0.5)  # plots are drawn anew
+            page.screenshot(path=folder / f"{name}-{size}.png", full_page=size == "phone")
+            assert page.evaluate(_LAYOUT, size == "desk") == [], name
+
+    return take
+
+
+class Sender(threading.Thread):
+    """Frames of the tour to a session, a few a second, until it is held."""
+
+    def __init__(self, url: str, images: list[np.ndarray], camera: Any, **request: Any) -> None:
+        super().__init__(daemon=True)
+        self.images, self.image, self.step_s = images, None, _STEP_S
+        self.count, self.state, self.time_s = 0, {}, 0.0
+        self._url, self._camera, self._request = url, camera, request
+        self._going, self._done, self._opened = (threading.Event() for _ in range(3))
+        self._between = threading.Lock()
+
+    def run(self) -> None:
+        with Client(self._url, reconnect_s=0.0) as client:
+            session = client.open(self._camera, **self._request)
+            self._opened.set()
+            while not self._done.is_set():
+                if not self._going.wait(0.05):
+                    continue
+                with self._between:
+                    image = self.images[self.count % len(self.images)]
+                    try:
+                        shown = image if self.image is None else self.image
+                        self.state = session.track(shown, self.time_s)
+                    except RendezviewError:
+                        return  # the service is gone
+                    self.count += 1
+                    self.time_s += self.step_s
+                time.sleep(0.25)
+            with contextlib.suppress(RendezviewError):
+                session.close()
+
+    def send(self, count: int = 1) -> dict[str, Any]:
+        """The state after some more frames; they go on."""
+        assert self._opened.wait(MOST_S)
+        wanted, until_s = self.count + count, time.monotonic() + MOST_S
+        self._going.set()
+        while self.count < wanted:
+            assert time.monotonic() < until_s
+            time.sleep(0.01)
+        return self.state
+
+    def hold(self) -> dict[str, Any]:
+        """No more frames for now; the last state."""
+        self._going.clear()
+        with self._between:
+            return self.state
+
+    def stop(self) -> None:
+        """The session ends."""
+        self._done.set()
+        self.join(MOST_S)
+
+
+@pytest.fixture
+def sender(service, camera, tour) -> Iterator[Callable[..., Sender]]:
+    opened: list[Sender] = []
+
+    def start(name: str, url: str = service.url, **more: Any) -> Sender:
+        images = [image for _, _, image in tour]
+        images += images[-2:0:-1]
+        request = {"prior": tour[0][1], "name": name, "idle_s": 600.0} | more
+        opened.append(Sender(url, images, camera, **request))
+        opened[-1].start()
+        return opened[-1]
+
+    yield start
+    for one in opened:
+        one.stop()
+
+
+def text_has(page: Any, place: str, part: str) -> None:
+    until(page, f"document.querySelector('{place}').innerText.includes({part!r})")
+
+
+def test_found_with_the_numbers_of_an_approach(service, sender, open_page, shoot) -> None:
+    one = sender("approach", approach=APPROACH)
+    page = open_page(f"{service.url}#approach")
+    one.send(8)
+    word_is(page, "FOUND")
+    until(page, "rendezview.spaces > 0 && document.querySelectorAll('#plots canvas').length === 8")
+    text_has(page, "#approach", "roll pitch yaw")
+    assert "± 3σ" in page.inner_text("#numbers caption")
+    text_has(page, "#when", "UTC · T+")
+    text_has(page, "#totals", one.state["model_sha256"][:12])
+    text_has(page, "#alerts", "less than 9.5 m")
+    text_has(page, "#events", "range")
+    shoot(page, "found")
+    state = one.hold()
+    text_has(page, "#approach", f"{state['approach']['range_m']:.3f}")
+
+
+def test_old_numbers_are_grey_with_their_age_and_come_back_after_a_reload(
+    service, sender, open_page, shoot
+) -> None:
+    one = sender("stale")
+    page = open_page(f"{service.url}#stale")
+    one.send(4)
+    word_is(page, "FOUND")
+    one.hold()
+    word_is(page, "NO FRAMES")
+    assert page.evaluate("document.body.classList.contains('stale')")
+    age = page.inner_text("#live .age")
+    assert age.endswith("s old")
+    shoot(page, "no-frames")
+    page.reload()
+    word_is(page, "NO FRAMES")
+    text_has(page, "#frame-note", "frame")
+    text_has(page, "#numbers", "px")
+    assert float(page.inner_text("#live .age").split()[0]) >= float(age.split()[0])
+    # The picture is there too, not a dark canvas.
+    brightest = """(() => {
+      const canvas = document.getElementById('frame');
+      const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+      return data.reduce((most, value, k) => (k % 4 === 0 ? Math.max(most, value) : most), 0);
+    })()"""
+    until(page, f"{brightest} > 60")
+    shoot(page, "reloaded")
+
+
+def test_coasting_shows_a_prediction_that_widens_and_lost_shows_none(
+    service, sender, open_page, shoot
+) -> None:
+    one = sender("coasting")
+    page = open_page(f"{service.url}#coasting")
+    one.send(6)
+    word_is(page, "FOUND")
+    one.hold()
+    one.time_s += 0.01 - one.step_s
+    one.image, one.step_s = np.zeros_like(one.images[0]), 0.01
+    first = one.send(1)
+    assert first["phase"] == "coasting"
+    later = one.send(4)
+    sigma = [np.sqrt(np.diag(s["motion"]["covariance"])) for s in (first, later)]
+    assert np.all(sigma[1] > sigma[0])
+    word_is(page, "COASTING")
+    text_has(page, "#numbers caption", "Predicted")
+    shoot(page, "coasting")
+    last = one.hold()
+    assert last["phase"] == "coasting"
+    for value in last["motion"]["pose"]["translation_m"]:
+        text_has(page, "#numbers", f"{abs(value):.3f}")
+    one.step_s = 60.0
+    one.send(3)
+    word_is(page, "LOST")
+    text_has(page, "#numbers", "–")
+    shoot(page, "lost")
+
+
+def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, shoot) -> None:
+    one, other = sender("ending"), sender("other")
+    page = open_page(f"{service.url}#ending")
+    one.send(2)
+    other.send(2)
+    word_is(page, "FOUND")
+    text_has(page, "#strip", "other · tracking")
+    one.stop()
+    word_is(page, "ENDED")
+    shoot(page, "ended")
+    page.click("#strip button:has-text('other')")
+    until(page, "location.hash === '#other'")
+    word_is(page, "FOUND")
+
+
+def test_a_full_disk_is_said_without_bursting_the_layout(service, sender, open_page, shoot) -> None:
+    one = sender("fulldisk")
+    page = open_page(f"{service.url}#fulldisk")
+    one.send(2)
+    with service.full_disk():
+        text_has(page, "#alerts", "NOT RECORDED")
+        text_has(page, "#recording", "failed")
+        shoot(page, "full-disk")
+
+
+def test_a_dead_service_and_one_that_came_back_without_the_session(
+    start_service, sender, open_page, shoot, tmp_path
+) -> None:
+    served = start_service("--record", str(tmp_path))
+    port = served.url.rstrip("/").rpartition(":")[2]
+    one = sender("killed", served.url)
+    page = open_page(f"{served.url}#killed", tolerates="net::ERR_|WebSocket connection")
+    one.send(3)
+    word_is(page, "FOUND")
+    served.kill()
+    word_is(page, "NO CONNECTION")
+    text_has(page, "#reason", "cannot be reached for")
+    until(page, "document.body.classList.contains('stale')")
+    shoot(page, "dead-service")
+    start_service("--port", port, "--record", str(tmp_path))
+    word_is(page, "ENDED")
+    text_has(page, "#reason", "not there any more")
+    shoot(page, "restarted-service")
+
+
+def test_a_source_that_cannot_be_opened_says_why(
+    start_service, open_page, shoot, tmp_path, camera
+) -> None:
+    file = tmp_path / "camera.yaml"
+    save_camera(camera, file)
+    served = start_service("--source", "rtsp://127.0.0.1:9/none", "--camera", str(file))
+    page = open_page(f"{served.url}#main")
+    word_is(page, "NO SOURCE")
+    text_has(page, "#reason", "Connection refused")
+    shoot(page, "no-source")
+    served.stop()
+
+
+def test_a_recording_is_looked_back_at(service, sender, open_page, shoot) -> None:
+    one = sender("taped", approach=APPROACH)
+    one.send(6)
+    page = open_page(f"{service.url}#taped")
+    word_is(page, "FOUND")
+    one.hold()
+    third = service.client().session("taped").history()[2]
+    one.stop()
+    page.keyboard.press("r")
+    text_has(page, "#recordings-list", "taped-")
+    shoot(page, "recordings")
+    page.click("#recordings-list tr:has-text('taped-') button:has-text('Look')")
+    until(page, "document.getElementById('frame-note').textContent === 'frame 0'")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    until(page, f"document.getElementById('frame-note').textContent === 'frame {third['frame']}'")
+    text_has(page, "#approach", f"{third['approach']['range_m']:.3f}")
+    until(page, "document.querySelectorAll('#plots canvas').length === 8")
+    shoot(page, "recording")
+    with page.expect_download() as waiting:
+        page.keyboard.press("r")
+        page.click("#recordings-list tr:has-text('taped-') button:has-text('Download')")
+    assert Path(waiting.value.path()).read_bytes().startswith(b"\x89MCAP0\r\n")
+
+
+def test_models_are_sent_from_the_page(service, open_page, shoot, model_path) -> None:
+    page = open_page(service.url)
+    page.keyboard.press("m")
+    text_has(page, "#models-list", "bumpy")
+    page.set_input_files("#model-file", model_path)
+    page.fill("#model-name", "sent")
+    page.click("#model-send")
+    text_has(page, "#models-note", "sent is here")
+    text_has(page, "#models-list", "sent")
+    shoot(page, "models")
+    page.set_input_files(
+        "#model-file", {"name": "a.stl", "mimeType": "model/stl", "buffer": b"not a mesh"}
+    )
+    page.fill("#model-name", "wrong")
+    page.click("#model-send")
+    text_has(page, "#jobs", "failed")
+
+
+def test_a_picture_is_zoomed_and_so_are_the_plots(service, sender, open_page, shoot) -> None:
+    one = sender("zoomed")
+    page = open_page(f"{service.url}#zoomed")
+    one.send(6)
+    until(page, "document.querySelectorAll('#plots canvas').length === 8")
+    one.hold()
+    page.hover("#frame")
+    before = page.evaluate("document.getElementById('frame').toDataURL()")
+    page.mouse.wheel(0, -600)
+    until(page, f"document.getElementById('frame').toDataURL() !== {before!r}")
+    box = page.locator("#plots .u-over").nth(1).bounding_box()
+    page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 20)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.9 * box["width"], box["y"] + 25, steps=4)
+    page.mouse.up()
+    until(page, "!document.getElementById('unzoom').hidden")
+    shoot(page, "zoomed")
+    page.keyboard.press("z")
+    until(page, "document.getElementById('unzoom').hidden")
+
+
+def test_the_description_of_the_api_can_be_tried(service, open_page) -> None:
+    page = open_page(f"{service.url}docs")
+    text_has(page, "#api", "/v1/sessions/{name}/frames")
+    text_has(page, "#api", "Authorize")

@@ -1,0 +1,69 @@
+"""The live streams for Foxglove and Rerun carry what the service found."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import time
+
+import pytest
+from websockets.sync.client import connect
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def test_foxglove_receives_poses_pictures_and_states(start_service, camera, tour) -> None:
+    pytest.importorskip("foxglove")
+    port = _free_port()
+    served = start_service("--foxglove", str(port))
+    with (
+        served.client() as client,
+        client.open(camera, name="live", prior=tour[0][1]) as session,
+        connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as viewer,
+    ):
+        topics: dict[int, str] = {}
+        seen: dict[str, bytes] = {}
+        until_s = time.monotonic() + 30.0
+        wanted = {"/live/state", "/live/target/pose", "/live/tf", "/live/camera/image",
+                  "/live/camera/contour"}  # fmt: skip
+        k = 0
+        while set(seen) < wanted:
+            assert time.monotonic() < until_s, (topics, list(seen))
+            if k < len(tour):
+                session.track(tour[k][2], tour[k][0])
+            k += 1
+            try:
+                while True:
+                    message = viewer.recv(0.2)
+                    if isinstance(message, str):
+                        told = json.loads(message)
+                        new = told.get("channels", []) if told["op"] == "advertise" else []
+                        for channel in new:
+                            topics[channel["id"]] = channel["topic"]
+                            asked = [{"id": channel["id"], "channelId": channel["id"]}]
+                            viewer.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+                    elif message[0] == 1:  # message data: subscription, time, content
+                        (number,) = struct.unpack("<I", message[1:5])
+                        seen[topics[number]] = message[13:]
+            except TimeoutError:
+                continue
+    assert json.loads(seen["/live/state"])["session"] == "live"
+    assert b"\xff\xd8\xff" in seen["/live/camera/image"]
+
+
+def test_rerun_receives_a_stream(tmp_path, start_service, camera, tour) -> None:
+    pytest.importorskip("rerun")
+    port = _free_port()
+    served = start_service("--rerun", str(port))
+    with served.client() as client, client.open(camera, name="live", prior=tour[0][1]) as session:
+        for time_s, _, image in tour[:4]:
+            assert session.track(image, time_s)["pose"] is not None
+        with socket.create_connection(("127.0.0.1", port), 5.0) as peer:  # it speaks HTTP/2
+            peer.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
+            assert peer.recv(9)[3] == 4  # a SETTINGS frame
+    assert not [line for line in served.lines if "live stream failed" in line]
