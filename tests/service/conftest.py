@@ -48,7 +48,8 @@ class Served:
         while True:
             said = [json.loads(line) for line in self.lines if line.startswith("{")]
             told = [line for line in said if message is None or line["message"] == message]
-            states = [line["state"] for line in told if line.get("session") == session]
+            own = [line for line in told if line.get("session") == session]
+            states = [line["state"] for line in own if "state" in line]
             if last in states:
                 return states
             assert time.monotonic() < until_s, states
