@@ -10,7 +10,7 @@ import json
 import struct
 import threading
 from collections import OrderedDict
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import cv2
@@ -181,10 +181,10 @@ def summary(path: Path) -> Recorded:
         RendezviewError: it cannot be read.
     """
     notes, parts = notes_of(path), parts_from(path)
-    chunks = places_of(parts)
+    extents = [_extent(part, part.stat().st_size) for part in parts]
+    counts, times = [e[0] for e in extents], [t for e in extents if e[0] for t in e[1:]]
     request = SessionRequest.model_validate_json(notes["request"])
     assert request.camera is not None
-    times = [time for _, _, time in chunks]
     return Recorded(
         name=path.name,
         session=notes.get("session", path.stem),
@@ -193,11 +193,18 @@ def summary(path: Path) -> Recorded:
         camera=request.camera.model_dump(),
         began_unix_s=min(times) * 1e-9 if times else None,
         length_s=(max(times) - min(times)) * 1e-9 if times else None,
-        frames=len(chunks) or None,
+        frames=sum(counts) or None,
         size_bytes=sum(part.stat().st_size for part in parts),
         parts=len(parts),
         recovered=RECOVERED in path.stem,
     )
+
+
+@lru_cache(maxsize=1024)
+def _extent(path: Path, size: int) -> tuple[int, int, int]:
+    """Number of chunks of a file of a size, and the times (ns) of the first and the last."""
+    times = [at for _, _, at in places_of([path])]
+    return len(times), min(times, default=0), max(times, default=0)
 
 
 def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:

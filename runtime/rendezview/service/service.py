@@ -225,7 +225,7 @@ class Service:
         self._opening.add(name)
         try:
             await self._workers.warmed(stored)
-            request = self.defaults.planned(request, stored.model)
+            request = await asyncio.to_thread(self.defaults.planned, request, stored)
             session = Session(
                 name,
                 stored,

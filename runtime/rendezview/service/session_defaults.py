@@ -17,6 +17,7 @@ from rendezview.sensors.appearance import ViewModel
 from rendezview.service.approach_messages import ApproachRequest, PortMessage, WayPoint
 from rendezview.service.fusion_messages import FusionRequest, RingMessage
 from rendezview.service.messages import CameraMessage, SessionRequest
+from rendezview.service.model_store import StoredModel
 from rendezview.service.settings import Settings
 from rendezview.service.tracking import camera_message
 from rendezview.trajectory.plan import Plan, load_plan
@@ -85,12 +86,12 @@ class SessionDefaults:
             more["approach"] = self._approach
         return request.model_copy(update=more)
 
-    def planned(self, request: SessionRequest, model: ViewModel) -> SessionRequest:
+    def planned(self, request: SessionRequest, stored: StoredModel) -> SessionRequest:
         """A request with the service's plan, if it has none of its own."""
         approach = request.approach or ApproachRequest()
         if self._plan is None or approach.plan:
             return request
-        points = way_points(self._plan, model)
+        points = way_points(self._plan, stored.model)
         return request.model_copy(update={"approach": approach.model_copy(update={"plan": points})})
 
 

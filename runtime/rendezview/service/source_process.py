@@ -62,9 +62,9 @@ class _Reader:
         self._connection = ours
         told = self._receive(_OPEN_S)
         if told is None or told[0]["kind"] == "fault":
-            why = self._end() if told is None else None
-            self.close()
-            raise RendezviewError(f"{self._text}: {why}" if told is None else str(told[0]["error"]))
+            why = str(told[0]["error"]) if told is not None else f"{self._text}: {self._end()}"
+            self._stop_process()
+            raise RendezviewError(why)
         self.told = told[0]
 
     def _receive(self, timeout_s: float | None) -> tuple[Header, bytes] | None:
@@ -88,8 +88,11 @@ class _Reader:
         return f"its decoder ended (code {code})"
 
     def close(self) -> None:
-        """End the process."""
+        """End the process for good."""
         self._closed = True
+        self._stop_process()
+
+    def _stop_process(self) -> None:
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
         self._connection.close()

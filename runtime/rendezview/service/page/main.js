@@ -278,7 +278,7 @@ async function restore() {
 
 /** A log of the service, from its start. */
 async function look(recording) {
-  begin({ ...recording, sensors: [], frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
+  begin({ ...recording, sensors: [], recording: { state: "off" }, frames: recording.frames ?? 0, found_fraction: null }, `/v1/recordings/${encodeURIComponent(recording.name)}`);
   recorded = recording.name;
   session = null;
   events.clear(null);
