@@ -72,8 +72,10 @@ class Sender(threading.Thread):
 
     def __init__(self, url: str, images: list[np.ndarray], camera: Any, **request: Any) -> None:
         super().__init__(daemon=True)
-        self.images, self.image, self.step_s = images, None, _STEP_S
-        self.count, self.state, self.time_s = 0, {}, 0.0
+        self.images, self.step_s = images, _STEP_S
+        self.image: np.ndarray | None = None  # sent in place of the tour's
+        self.state: dict[str, Any] = {}
+        self.count, self.time_s = 0, 0.0
         self._url, self._camera, self._request = url, camera, request
         self._going, self._done, self._opened = (threading.Event() for _ in range(3))
         self._between = threading.Lock()

@@ -121,7 +121,7 @@ const ageS = () => (last === null || paused !== null ? null : (performance.now()
 
 /** What changes without a message too. */
 function tick() {
-  showAge(ageS());
+  showAge(ageS(), info?.sensors?.[0]?.rate_hz);
   if (shown !== null) sayWhen();
   if (session === null && recorded === null) return;
   if (paused === null) showVerdict(words());
@@ -139,7 +139,7 @@ function slow() {
     showRecording(last.message.recording);
   }
   showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null);
-  showAge(ageS());
+  showAge(ageS(), info?.sensors?.[0]?.rate_hz);
   for (const label of document.querySelectorAll(".others")) label.hidden = !shown.state.fused && !shown.marks?.length;
   views.moved = true;
 }

@@ -2,7 +2,7 @@
 
 export const DEGREES = 180 / Math.PI;
 const SILENT_S = 3;
-const STALE_S = 1; // older numbers are grey
+const STALE_S = 1, PERIODS = 2.5; // numbers are grey when older, and older than so many frames
 const find = (id) => document.getElementById(id);
 
 /** Sets a text only if it has changed, so that the layout is not computed again. */
@@ -31,8 +31,8 @@ export function verdict(state, silentS, info = null) {
 }
 
 /** Greys what is not of now, and says how old it is; null: it is of now. */
-export function showAge(ageS) {
-  const old = ageS !== null && ageS > STALE_S;
+export function showAge(ageS, rateHz) {
+  const old = ageS !== null && ageS > Math.min(SILENT_S, Math.max(STALE_S, PERIODS / (rateHz || Infinity)));
   if (document.body.classList.contains("stale") !== old) document.body.classList.toggle("stale", old);
   const text = old ? `${ageS < 10 ? ageS.toFixed(1) : ageS.toFixed(0)} s old` : "";
   for (const label of document.querySelectorAll(".age")) {
