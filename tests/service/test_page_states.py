@@ -251,6 +251,7 @@ def test_a_dead_service_and_one_that_came_back_without_the_session(
     page = open_page(f"{served.url}#killed", tolerates="net::ERR_|WebSocket connection")
     one.send(3)
     word_is(page, "FOUND")
+    until(page, "rendezview.spaces > 0 && document.querySelectorAll('#plots canvas').length === 8")
     served.kill()
     word_is(page, "NO CONNECTION")
     text_has(page, "#reason", "cannot be reached for")

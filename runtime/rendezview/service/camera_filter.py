@@ -16,6 +16,9 @@ _ANY_RAD_S, _ANY_M_S = 0.5, 10.0
 # The same until the second pose, so that the filter can still use it. Source: below the limits at
 # which `fusion.step` starts again, 1 rad and the range.
 _ANY_RAD, _ANY_RANGES = 0.5, 0.4
+# Poses in a row that contradict the filter grossly, after which it starts again: squared deviations
+# in σ, where the filter's own gate is about 20. Source: chosen.
+_REJECTIONS, _GROSS_NIS = 3, 200.0
 
 
 class CameraFilter(SessionFilter):
@@ -24,7 +27,9 @@ class CameraFilter(SessionFilter):
     def __init__(self, request: FusionRequest | None) -> None:
         """A filter with the options of a request, if it has any."""
         super().__init__(request)
-        self._knows_rates = request is not None and request.options is not None
+        self._keeps_options = request is not None and request.options is not None
+        self._knows_rates = self._keeps_options
+        self._rejected = 0  # poses in a row
         self._first: PoseMeasurement | None = None
         self._start(None)
 
@@ -35,6 +40,14 @@ class CameraFilter(SessionFilter):
                 self._knows_rates = True
                 self._fusion = Fusion(self._with_any_rates(first, measurement))
                 self._fusion.add(first)
+        verdict = super()._add(measurement, counts)
+        gross = verdict["nis"] is None or verdict["nis"] > _GROSS_NIS
+        self._rejected = self._rejected + 1 if gross and not verdict["accepted"] else 0
+        if self._rejected < _REJECTIONS or not isinstance(measurement, PoseMeasurement):
+            return verdict
+        # No other sensor can say who is right, and poses in a row do not err alike.
+        self._start(f"{_REJECTIONS} poses in a row contradicted it")
+        self._knows_rates, self._first, self._rejected = self._keeps_options, measurement, 0
         return super()._add(measurement, counts)
 
     def _with_any_rates(self, first: PoseMeasurement, second: PoseMeasurement) -> FusionOptions:

@@ -33,10 +33,6 @@ export class Plots {
     this.hasPort = hasPort;
     this.zoomed = zoomed;
     this._states = [];
-    const style = document.createElement("link");
-    style.rel = "stylesheet";
-    style.href = "vendor/uplot.css";
-    document.head.append(style);
     parent.replaceChildren();
     this._plots = plotsOf(hasPort).map(([title, curves]) => this._make(parent, title, curves));
     this._resizes = new ResizeObserver(() => {

@@ -1,0 +1,102 @@
+"""The filter of a session with a camera only, without a service."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.observation import Observation, Status
+from rendezview.service.camera_filter import CameraFilter
+from rendezview.service.fusion_messages import FusionRequest
+
+WHITE = np.sqrt(0.1)
+SIGMA = np.array([4e-4] * 3 + [1e-3, 1e-3, 3e-3])
+
+
+def run(count: int, step_s: float, turn_rad, move_m, seed: int = 0, turns_at: int = 10**6):
+    """States of a filter on noisy poses; the motion turns back after some of them.
+
+    Most of the error lasts, as that of a camera does (docs/fusion.md); a tenth of its variance is
+    new with each frame.
+    """
+    rng = np.random.default_rng(seed)
+    lasting = rng.normal(size=6) * SIGMA
+    one = CameraFilter(None)
+    states, turned, place = [], np.zeros(3), np.array([0.0, 0.0, 9.0])
+    for k in range(count):
+        way = 1.0 if k < turns_at else -1.0
+        rotation = Rotation.from_rotvec(turned).as_matrix()
+        pose = Pose(rotation, place).perturbed(lasting + rng.normal(size=6) * WHITE * SIGMA)
+        seen = Observation(Status.OK, time_s=k * step_s, pose=pose, covariance=np.diag(SIGMA**2))
+        states.append(one.track(seen))
+        turned = turned + way * np.asarray(turn_rad)
+        place = place + way * np.asarray(move_m)
+    return one, states
+
+
+@pytest.mark.parametrize("step_s", [0.03, 0.1, 1.0, 5.0])
+def test_rates_are_found_at_any_frame_rate_and_turn(step_s):
+    turn, move = np.deg2rad([1.2, 0.0, 0.0]), np.array([0.01, -0.02, 0.03])
+    _, states = run(24, step_s, turn, move)
+    last = states[-1]
+    assert last["status"] == "tracking"
+    assert last["starts"] == 1
+    sigma = np.sqrt(np.diag(last["covariance"]))[6:]
+    found = np.r_[last["rates"]["angular_rad_s"], last["rates"]["linear_m_s"]]
+    wanted = np.r_[turn, move] / step_s
+    assert np.all(np.abs(found - wanted) < 4.0 * sigma)
+
+
+def test_the_filters_rates_are_quieter_than_those_of_two_frames():
+    """A step of a few millimetres, seen with 1 mm of new noise along the line of sight."""
+    _, states = run(200, 0.033, [0.0, 0.0, 0.0], [0.0, 0.0, 0.001], seed=3)
+    speeds = np.array([s["rates"]["linear_m_s"][2] for s in states[100:]])
+    assert speeds.mean() == pytest.approx(0.001 / 0.033, abs=0.005)
+    of_two_poses = np.sqrt(2.0) * WHITE * SIGMA[5] / 0.033
+    assert speeds.std() < 0.2 * of_two_poses
+
+
+def test_a_motion_that_turns_back_is_followed_after_three_poses():
+    turn, move = np.deg2rad([3.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.1])
+    _, states = run(40, 1.0, turn, move, turns_at=20)
+    assert states[19]["status"] == "tracking"
+    assert any("contradicted" in (state["reason"] or "") for state in states[22:25])
+    last = states[-1]
+    assert last["status"] == "tracking"
+    assert last["rates"]["linear_m_s"][2] == pytest.approx(-0.1, abs=0.01)
+
+
+def test_a_single_wrong_pose_does_not_start_it_again():
+    one, states = run(20, 0.1, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    wrong = Pose(Rotation.from_rotvec([0.0, 3.0, 0.0]).as_matrix(), np.array([0.0, 0.0, 9.0]))
+    state = one.track(Observation(Status.OK, time_s=2.0, pose=wrong, covariance=np.diag(SIGMA**2)))
+    assert state["starts"] == 1
+    assert state["pose"]["translation_m"] == pytest.approx(
+        states[-1]["pose"]["translation_m"], abs=0.01
+    )
+    held = Pose.from_quat_wxyz(state["pose"]["quat_wxyz"], [0.0, 0.0, 9.0])
+    assert held.angle_to(wrong) > 2.0
+
+
+def test_without_poses_the_prediction_goes_on_and_widens():
+    one, states = run(20, 0.1, [0.0, 0.0, 0.0], [0.0, 0.0, 0.1])
+    before = states[-1]
+    widths = [np.diag(before["covariance"])]
+    for k in range(1, 5):
+        state = one.track(Observation(Status.EMPTY, "dark", time_s=1.9 + 0.5 * k))
+        widths.append(np.diag(state["covariance"]))
+        assert state["pose"]["translation_m"][2] == pytest.approx(
+            before["pose"]["translation_m"][2] + 0.5 * k, abs=0.05
+        )
+    assert np.all(np.diff(widths, axis=0) > 0.0)
+
+
+def test_options_of_the_session_are_kept():
+    asked = FusionRequest.model_validate({"options": {"motion": {"first_rate": 0.001}}})
+    one = CameraFilter(asked)
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, 9.0]))
+    seen = Observation(Status.OK, time_s=0.0, pose=pose, covariance=np.diag(SIGMA**2))
+    state = one.track(seen)
+    assert np.sqrt(state["covariance"][6][6]) == pytest.approx(0.001, rel=1e-6)
