@@ -194,7 +194,7 @@ async function poll() {
   list();
   if (recorded !== null) return;
   const present = sessions.find((one) => one.id === session);
-  if (session !== null && present === undefined && leave === null && ended === null) ended = "this session is not there any more: it ended, or the service was restarted";
+  if (session !== null && present === undefined && leave === null && ended === null) showLink("session ended", "bad", (ended = "this session is not there any more: it ended, or the service was restarted"));
   info = present ?? info;
   if (session !== null && present !== undefined) events.load().catch(() => {});
   if (session === null || leave === null) {

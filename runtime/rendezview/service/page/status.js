@@ -14,7 +14,7 @@ export function say(element, text) {
 export function verdict(state, silentS, info = null) {
   const camera = info?.sensors?.[0] ?? null;
   const fault = camera !== null && !camera.healthy && !/^no frame yet|^no frame for \d+ s$/.test(camera.reason ?? "") ? camera.reason : null;
-  if (state === null && fault !== null) return ["offline", info.source ? "NO SOURCE" : "NO FRAMES", fault];
+  if (state === null && fault !== null) return ["lost", info.source ? "NO SOURCE" : "NO FRAMES", fault];
   if (state === null) return ["waiting", "WAITING", "no frame has been tracked yet"];
   if (silentS > SILENT_S) return ["silent", "NO FRAMES", fault ?? `the last frame came ${silentS.toFixed(0)} s ago`];
   const reason = state.reason ?? state.status;
