@@ -20,7 +20,7 @@ from rendezview.service.watching import Watcher
 log = logging.getLogger("rendezview.service")
 
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
-_CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)
+_CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
 _NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 
 Json = dict[str, Any]
