@@ -119,8 +119,8 @@ def test_a_client_connects_again_when_the_service_starts_again(
 ) -> None:
     served = start_service()
     port = served.url.rstrip("/").rpartition(":")[2]
-    with served.client() as client, client.open(camera, name="again") as session:
-        stream = session.stream()
+    with served.client() as client:
+        stream = client.open(camera, name="again").stream()
         stream.send(tour[0][2], 0.0)
         assert stream.receive(20.0)["frame"] == 0
         with pytest.raises(ServiceTimeout):

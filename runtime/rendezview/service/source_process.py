@@ -116,6 +116,7 @@ class _Reader:
             yield RendezviewError(f"{why}; starting again")
             if stop.wait(RECONNECT_S):
                 return
+            self._stop_process()
             with contextlib.suppress(RendezviewError):
                 self._start()
 

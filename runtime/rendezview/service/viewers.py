@@ -134,7 +134,7 @@ class FoxgloveViewer:
                 parent_frame_id=frame,
                 child_frame_id=f"{info.id}/target",
                 translation=parts.Vector3(**_xyz(state["pose"]["translation_m"])),
-                rotation=pose.orientation,
+                rotation=_foxglove_turn(parts, state["pose"]),
             )
             self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
         if picture:
@@ -160,11 +160,15 @@ def _xyz(values: list[float]) -> dict[str, float]:
     return dict(zip("xyz", values, strict=True))
 
 
-def _foxglove_pose(parts: Any, pose: Json) -> Any:
+def _foxglove_turn(parts: Any, pose: Json) -> Any:
     w, *vector = pose["quat_wxyz"]
+    return parts.Quaternion(w=w, **_xyz(vector))
+
+
+def _foxglove_pose(parts: Any, pose: Json) -> Any:
     return parts.Pose(
         position=parts.Vector3(**_xyz(pose["translation_m"])),
-        orientation=parts.Quaternion(w=w, **_xyz(vector)),
+        orientation=_foxglove_turn(parts, pose),
     )
 
 

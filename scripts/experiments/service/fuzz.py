@@ -172,8 +172,8 @@ class Fuzz:
         content = b""
         try:
             http.request(method, path, body, headers or {})
-            answer = http.getresponse()
-            content = answer.read()
+            with http.getresponse() as answer:
+                content = answer.read()
             self.outcomes[str(answer.status)] += 1
             if answer.status >= 500 and answer.status != 503:
                 self.failures.append(f"{method} {path}: {answer.status} {content[:200]!r}")
@@ -224,6 +224,7 @@ class Fuzz:
                 self.raw(raw_bytes(rng))
             if k % 1000 == 999:
                 self.still_tracks()
+        self.let_go()
         http.close()
 
     def raw(self, content: bytes) -> None:
