@@ -131,7 +131,9 @@ class Recording:
         pose, predicted = shown_pose(frame.state)
         if pose is None or self.request.camera is None:
             return None
-        return contour_at(self.model, camera_of(self.request.camera), pose_of(pose), predicted)
+        return contour_at(
+            self.model, camera_of(self.request.camera), pose_of(pose), predicted=predicted
+        )
 
     def _read(self, path: Path, offset: int) -> list[LoggedFrame]:
         if path not in self._kinds:

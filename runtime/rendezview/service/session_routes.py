@@ -243,7 +243,7 @@ async def get_contour(request: Request, name: str, frame: int) -> Contour | None
         return None
     camera = camera_of(session.request.camera)
     model = await run_in_threadpool(lambda: stored.model)
-    return contour_at(model, camera, pose_of(pose), predicted)
+    return contour_at(model, camera, pose_of(pose), predicted=predicted)
 
 
 @router.get("/{name}/events")
