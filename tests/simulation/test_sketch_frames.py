@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -84,7 +85,8 @@ def test_edges_lie_on_the_outline_of_a_convex_craft_and_creases_within() -> None
         step[1:] = np.maximum(step[1:], np.abs(np.diff(cover, axis=0)))
         outline = step > 0.6
         assert np.median(edge[outline]) > 0.4
-        assert not edge[cover == 0.0].max() > 0.9
+        beyond = cv2.dilate((cover > 0.0).astype(np.uint8), np.ones((3, 3), np.uint8)) == 0
+        assert edge[beyond].max(initial=0.0) < 0.3  # two pixels off the craft
         assert crease[cover < 0.5].max() < 0.5
         assert np.count_nonzero(crease > 0.5) < 0.2 * np.count_nonzero(cover > 0.5)
 
