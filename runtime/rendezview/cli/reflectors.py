@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
@@ -19,10 +20,19 @@ from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.images import write_png
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
 from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors.accelerations import Accelerations
 from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
+from rendezview.sensors.reflectors.camera_set import follow_cameras, load_cameras
 from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration
-from rendezview.sensors.reflectors.difference import Opening, ThresholdOptions
+from rendezview.sensors.reflectors.difference import (
+    Centroid,
+    LitDark,
+    Opening,
+    ThresholdOptions,
+)
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.overlay import draw_reading
+from rendezview.sensors.reflectors.paper_forms import PaperForms
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, patterns_of
 from rendezview.sensors.reflectors.run import (
     FramePair,
@@ -34,9 +44,17 @@ from rendezview.sensors.reflectors.run import (
     record,
     wrong_mode,
 )
+from rendezview.sensors.reflectors.triangulation import Iteration
 from rendezview.sensors.run import Line, run
 
 _CALIBRATE = "calibrate"
+
+
+class Glass(StrEnum):
+    """Hourglasses."""
+
+    TARGET = "target"  # of the target's own triangles, every tilt to 45°
+    PAPER = "paper"  # the lines of Book et al., figure 2
 
 
 def reflectors(
@@ -58,6 +76,10 @@ def reflectors(
         Path | None,
         typer.Option("-o", "--output", help="JSON lines of readings; calibrate: the calibration."),
     ] = None,
+    cameras: Annotated[
+        Path | None,
+        typer.Option(help="Several cameras with their pictures and ranges, TOML; no pictures."),
+    ] = None,
     group: Annotated[
         list[str] | None, typer.Option(help="Reflector group to use; repeat for several. All.")
     ] = None,
@@ -68,6 +90,17 @@ def reflectors(
     calibration: Annotated[
         Path | None, typer.Option(help="Give the closed form too, with this calibration.")
     ] = None,
+    triangulation: Annotated[
+        Iteration | None, typer.Option(help="Give Bales' iteration too, with its rates.")
+    ] = None,
+    accelerations: Annotated[
+        Path | None,
+        typer.Option(help="The target's acceleration as the control system knows it, JSON lines."),
+    ] = None,
+    centroid: Annotated[Centroid, typer.Option(help="A spot's place.")] = Centroid.WINDOWED,
+    hourglass: Annotated[
+        Glass, typer.Option(help="Where the centre spot may be: the target's own, or as printed.")
+    ] = Glass.TARGET,
     threshold: Annotated[
         float | None, typer.Option(min=0.0, max=255.0, help="Grey; from the noise if not given.")
     ] = None,
@@ -98,13 +131,14 @@ def reflectors(
     \b
     Example: rendezview reflectors lit dark --camera camera.yaml --target client -o readings.jsonl
              rendezview reflectors card/target.toml 0 --camera webcam.yaml --invert --overlay seen
+             rendezview reflectors client --cameras cameras.toml -o readings.jsonl
              rendezview reflectors calibrate run/lit run/dark --target client -o calibration.json
     """
     calibrating = frames[0] == _CALIBRATE
     places = frames[1:] if calibrating else frames
     if target is None and places:
         target, *places = places
-    if target is None or not places:
+    if target is None or not (places or cameras):
         raise RendezviewError(
             "reflectors calibrate: name the run: the pictures with their truth"
             if calibrating
@@ -112,49 +146,97 @@ def reflectors(
         )
     check_place(output, "the readings")
     patterns = patterns_of(find_target(target), tuple(group) if group else None)
-    loaded = ClosedFormCalibration.load(calibration) if calibration else None
-    options = ThresholdOptions(lower_grey=threshold, upper_grey=upper, opening=opening)
-    acquisition = AcquisitionOptions(blur_px=blur)
-    seen_by = load_camera(camera) if camera else None
-    pairs: Iterable[FramePair]
-    if len(places) == 1 and is_live(places[0]):
-        total = readings
-        pairs = pair_up_live(live_frames(places[0], seen_by), mode or Mode.SINGLE, invert)
-    else:
-        sequences = [open_sequence(place, seen_by) for place in places]
-        for note in dict.fromkeys(note for sequence in sequences for note in sequence.notes):
-            say(note)
-        if rate is not None:
-            sequences = [with_rate(sequence, rate) for sequence in sequences]
-        chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
-        pairs = pair_up(sequences, chosen, _affine(lit_from_dark), invert)
-        total = len(pairs) if readings is None else min(readings, len(pairs))
+    forms = PaperForms(
+        ClosedFormCalibration.load(calibration) if calibration else None, triangulation
+    )
+    options = ThresholdOptions(
+        lower_grey=threshold, upper_grey=upper, opening=opening, centroid=centroid
+    )
+    acquisition = AcquisitionOptions(blur_px=blur, paper_hourglass=hourglass is Glass.PAPER)
+    pushes = Accelerations.load(accelerations) if accelerations else None
+    if overlay:
+        make_folder(overlay)
+    if cameras:
+        if places or calibrating or independent:
+            raise RendezviewError(
+                "--cameras names the pictures itself, and follows: leave out pictures, calibrate "
+                "and --independent"
+            )
+        runs = load_cameras(cameras, mode, invert=invert)
+        total: int | None = len(runs[0].pairs) if readings is None else readings
+        of_set = follow_cameras(
+            runs, patterns, threshold=options, acquisition=acquisition, accelerations=pushes
+        )
+        steps = (
+            _Step(s.pair, s.frames, s.observation,
+                  {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
+            for s in of_set
+        )  # fmt: skip
+        _run(itertools.islice(steps, total), patterns, forms, overlay, output, total)
+        return
+    pairs, total = _pairs(places, camera, mode, lit_from_dark, invert, rate, readings)
     if calibrating:
         if output is None:
             raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")
         _calibrate(list(itertools.islice(pairs, total)), patterns[0], options, acquisition, output)
         return
-    if overlay:
-        make_folder(overlay)
     read = follow(
         itertools.islice(pairs, total), patterns, threshold=options, acquisition=acquisition,
-        independent=independent,
+        accelerations=pushes, independent=independent,
     )  # fmt: skip
+    steps = (_Step(*step, {}) for step in read)
+    poses = _run(steps, patterns, forms, overlay, output, total)
+    if not poses and isinstance(pairs, list) and (hint := wrong_mode(pairs, options)):
+        say(hint)
+
+
+class _Step(NamedTuple):
+    """One reading, with what a log has besides."""
+
+    pair: FramePair
+    frames: LitDark | None
+    observation: ReflectorObservation
+    more: dict[str, Any]
+
+
+def _pairs(
+    places: list[str], camera: Path | None, mode: Mode | None, lit_from_dark: str | None,
+    invert: bool, rate: float | None, readings: int | None,
+) -> tuple[Iterable[FramePair], int | None]:  # fmt: skip
+    """The readings of pictures or of a live camera, and how many are wanted."""
+    seen_by = load_camera(camera) if camera else None
+    if len(places) == 1 and is_live(places[0]):
+        live = live_frames(places[0], seen_by)
+        return pair_up_live(live, mode or Mode.SINGLE, invert), readings
+    sequences = [open_sequence(place, seen_by) for place in places]
+    for note in dict.fromkeys(note for sequence in sequences for note in sequence.notes):
+        say(note)
+    if rate is not None:
+        sequences = [with_rate(sequence, rate) for sequence in sequences]
+    chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
+    pairs = pair_up(sequences, chosen, _affine(lit_from_dark), invert)
+    return pairs, len(pairs) if readings is None else min(readings, len(pairs))
+
+
+def _run(
+    steps: Iterable[_Step], patterns: list[ReflectorPattern], forms: PaperForms,
+    overlay: Path | None, output: Path | None, total: int | None,
+) -> int:  # fmt: skip
+    """Write log and pictures of all readings; the number of poses."""
 
     def lines() -> Iterator[Line]:
-        for pair, pictures, reading in read:
+        for pair, pictures, reading, more in steps:
             if overlay and pictures is not None:
                 drawn = draw_reading(pictures, reading, pair.lit.camera, patterns)
                 write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
-            noted = record(pair, reading, patterns, loaded)
+            noted = record(pair, reading, patterns, forms, pictures) | more
             yield Line(noted, reading.status, spent_ms=sum(reading.stage_ms.values()))
 
     with ProgressBar() as bar:
         summary = run(lines(), log=output, progress=bar.stage("readings", total or 0))
     poses = summary.outcomes[Status.OK]
     say_summary(summary, poses, summary.total, what="poses", step="reading")
-    if not poses and isinstance(pairs, list) and (hint := wrong_mode(pairs, options)):
-        say(hint)
+    return poses
 
 
 def _calibrate(

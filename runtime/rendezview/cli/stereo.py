@@ -38,7 +38,9 @@ from rendezview.sensors.stereo.board import (
 from rendezview.sensors.stereo.bundle import INTRINSICS
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.laboratory_files import load_record
+from rendezview.sensors.stereo.multiplex import MultiplexedTracker
 from rendezview.sensors.stereo.readings import open_readings
+from rendezview.sensors.stereo.response import Normalisation
 from rendezview.sensors.stereo.rig_files import load_rig, save_opencv, save_rig
 from rendezview.sensors.stereo.spots import SpotOptions
 
@@ -67,6 +69,10 @@ def calibrate(
     order: Annotated[
         int, typer.Option(help="Of a photodiode's response: 3 as in the paper, or 5.")
     ] = 5,
+    normalisation: Annotated[
+        Normalisation,
+        typer.Option(help="Divisor of a photodiode's currents: pair as in the paper's eq. 1, 2."),
+    ] = Normalisation.TOTAL,
 ) -> None:
     """Calibrate cameras, lenses and their places.
 
@@ -78,7 +84,7 @@ def calibrate(
     rig = (
         _from_pictures(source, board, pitch_mm, lens)
         if source.is_dir()
-        else _from_record(source, order)
+        else _from_record(source, order, normalisation)
     )
     save_rig(rig, output)
     if opencv is not None:
@@ -108,6 +114,12 @@ def track(
     threshold: Annotated[
         float | None, typer.Option(help="Grey levels above the sky that make a light.")
     ] = None,
+    multiplex: Annotated[
+        float,
+        typer.Option(
+            "--multiplex-s", min=0.0, help="Seconds from one light to the next of a reading."
+        ),
+    ] = 0.0,
 ) -> None:
     """Track a target's lights through a log of readings or pictures.
 
@@ -128,9 +140,12 @@ def track(
         motion = MotionOptions(
             angular_acceleration=float(np.deg2rad(angular)), linear_acceleration=linear
         )
-    tracker: Sensor[Sequence[Spots], StereoObservation] = StereoTracker.of_target(
+    plain = StereoTracker.of_target(
         loaded, lights, TrackerOptions(motion=motion, calibration_error=True)
     )
+    tracker: Sensor[Sequence[Spots], StereoObservation] = plain
+    if multiplex > 0.0:
+        tracker = MultiplexedTracker(plain, multiplex * np.arange(len(names)))
     options = SpotOptions(threshold_grey=threshold)
     series = open_readings(readings, loaded, names, rate_hz=rate, options=options)
     if not series:
@@ -179,10 +194,10 @@ def _from_pictures(folder: Path, board: str, pitch_mm: float, lens: str) -> Rig:
     return made.rig
 
 
-def _from_record(path: Path, order: int) -> Rig:
+def _from_record(path: Path, order: int, normalisation: Normalisation) -> Rig:
     if order not in (3, 5):
         raise RendezviewError(f"--order must be 3 or 5, not {order}")
-    made = calibrate_laboratory(load_record(path), order=order)
+    made = calibrate_laboratory(load_record(path), normalisation, order)
     table = Table("step", "before, µm", "after, µm")
     for step in made.steps:
         table.add_row(step.name, f"{1e6 * step.before_m:.2f}", f"{1e6 * step.after_m:.2f}")

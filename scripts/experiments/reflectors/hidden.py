@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections import Counter, defaultdict
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -13,6 +17,7 @@ import poselib
 from experiments.frame import show, table_of
 from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, apart, plain
 from rendezview.geometry.pose import Pose
+from rendezview.io.results import read_json_lines
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import (
     LitDark,
@@ -149,7 +154,30 @@ def tracked(*, runs: int = 200, seed: int = 2) -> None:
     )
 
 
-def run(*, readings: int = 10_000, seed: int = 1) -> None:
+def one(n: int, seed: int, sensor: ReflectorSensor) -> dict[str, Any]:
+    """Reading n, which depends on its number and the seed only: group, answers, degrees off."""
+    rng = np.random.default_rng([seed, n])
+    visible = SUBSETS[n % len(SUBSETS)]
+    placed = place(rng)
+    truth = Pose(*placed)
+    frames = picture(rng, visible, placed)
+    sensor.forget()
+    reading = sensor.update(0.0, frames)
+    answers = {"this sensor": kind(reading.pose, reading.status, truth, reading.roll_ambiguous)}
+    error = 0.0
+    if reading.pose is not None:
+        error = apart(reading.pose, truth, reading.roll_ambiguous)[0]
+    group = f"{len(visible)} visible"
+    if len(visible) < 5:
+        group += ", with post" if 1 in visible else ", without post"
+    answers |= peers(frames, visible, truth)
+    return {"n": n, "seed": seed, "group": group, "error_deg": error, "answers": answers}
+
+
+def run(
+    *, readings: int = 10_000, seed: int = 1,
+    log: Annotated[Path | None, "what is there is kept; the rest is added (JSON lines)"] = None,
+) -> None:  # fmt: skip
     """Every subset of three to five of Bales' five reflectors: right, wrong, ambiguous or none.
 
     Plain pictures of the tests' simulator, which shares no code with the product: 1 to 8 m, tilt
@@ -157,33 +185,36 @@ def run(*, readings: int = 10_000, seed: int = 1) -> None:
     spots as large and bright as the discs. Each reading on its own. Wrong: more than 5° or 3 % of
     the range off (half a turn of roll is no error where it is reported). OpenCV's SQPNP and
     poselib's RANSAC have our centroids with the right names of the reflectors, and no false spots.
+    With --log a run that was stopped goes on where it was.
     """
-    rng = np.random.default_rng(seed)
+    done: list[dict[str, Any]] = []
+    if log is not None and log.exists():
+        done = [line for line in read_json_lines(log) if line["seed"] == seed][:readings]
+    sensor = ReflectorSensor(CAMERA, [FIVE], tracking=TrackingOptions(confirm=False))
+    with nullcontext() if log is None else log.open("a", encoding="utf-8") as file:
+        for n in range(len(done), readings):
+            done.append(one(n, seed, sensor))
+            if file is not None:
+                file.write(json.dumps(done[-1]) + "\n")
+                file.flush()
+    _show(done, seed)
+
+
+def _show(done: list[dict[str, Any]], seed: int) -> None:
     counts: dict[str, Counter[str]] = defaultdict(Counter)
-    worst = 0.0
-    for n in range(readings):
-        visible = SUBSETS[n % len(SUBSETS)]
-        placed = place(rng)
-        truth = Pose(*placed)
-        frames = picture(rng, visible, placed)
-        sensor = ReflectorSensor(CAMERA, [FIVE], tracking=TrackingOptions(confirm=False))
-        reading = sensor.update(0.0, frames)
-        answer = kind(reading.pose, reading.status, truth, reading.roll_ambiguous)
-        if answer == "wrong":
-            worst = max(worst, apart(reading.pose, truth, reading.roll_ambiguous)[0])
-        group = f"{len(visible)} visible"
-        if len(visible) < 5:
-            group += ", with post" if 1 in visible else ", without post"
-        counts[f"this sensor | {group}"][answer] += 1
-        for name, theirs in peers(frames, visible, truth).items():
-            counts[f"{name} | {group}"][theirs] += 1
-    table = table_of(f"{readings} readings, seed {seed}", ["solver", "spots", *KINDS], left=2)
+    for line in done:
+        for name, answer in line["answers"].items():
+            counts[f"{name} | {line['group']}"][answer] += 1
+    table = table_of(f"{len(done)} readings, seed {seed}", ["solver", "spots", *KINDS], left=2)
     for name in ("this sensor", "solvePnP", "poselib"):
         whole: Counter[str] = Counter()
         for key in sorted(counts):
             if key.startswith(name):
                 table.add_row(*key.split(" | "), *[str(counts[key][k]) for k in KINDS])
                 whole += counts[key]
-        table.add_row(name, "all", *[f"{100.0 * whole[k] / readings:.2f} %" for k in KINDS])
+        table.add_row(name, "all", *[f"{100.0 * whole[k] / len(done):.2f} %" for k in KINDS])
     show(table)
-    print(f"largest error of a wrong pose: {worst:.0f}°")
+    wrong = [line for line in done if line["answers"]["this sensor"] == "wrong"]
+    print(
+        f"largest error of a wrong pose: {max((x['error_deg'] for x in wrong), default=0.0):.0f}°"
+    )

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.reflectors import SixNumbers, pose_of, predict_spots
+from rendezview.sensors.reflectors.difference import Centroid
 from rendezview.sensors.reflectors.discs import (
     LAW,
     camera_numbers,
@@ -37,6 +38,7 @@ from rendezview.sensors.reflectors.spots import (
     Y,
     gather,
     place,
+    recentre,
     window_centroid,
 )
 from rendezview.sensors.reflectors.triplets import expected_size
@@ -227,9 +229,9 @@ def test_gathered_moments_are_numpys():
     np.testing.assert_allclose(filled[[X, Y]], [30.3, 25.7], atol=0.01)
     assert filled[SIZE] == pytest.approx(2.0, rel=0.03)
     table = np.array([row, row])
-    place(image, NO_DARK, table, 2.0, 2)
+    place(image, NO_DARK, table, 2.0)
     np.testing.assert_array_equal(table, [filled, filled])
-    place(image, NO_DARK, table, 2.0, 1)
+    recentre(table, 2.0, Centroid.WEIGHTED)
     np.testing.assert_array_equal(table[0, [X, Y]], row[[WEIGHTED_X, WEIGHTED_X + 1]])
 
 

@@ -5,11 +5,6 @@ import json
 import numpy as np
 import pytest
 
-from experiments.reflectors.triangulation import (
-    alternate_iteration,
-    newton_raphson,
-    pose_from_distances,
-)
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -22,6 +17,11 @@ from rendezview.sensors.reflectors import (
     predict_spots,
     refine,
     six_numbers,
+)
+from rendezview.sensors.reflectors.triangulation import (
+    alternate_iteration,
+    newton_raphson,
+    pose_from_distances,
 )
 
 SIX = SixNumbers(4.0, 0.1, -0.08, 0.4, -0.2, 0.3)

@@ -18,10 +18,18 @@ from rendezview.io.bundled import find_target
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import check_place
 from rendezview.io.target import Target
+from rendezview.sensors.stereo.rig_files import load_rig
 from rendezview.simulation.background import Earth, Stars
 from rendezview.simulation.joint_motion import joint_motion
+from rendezview.simulation.led_pictures import PictureOptions
+from rendezview.simulation.light_scene import simulate_lights
 from rendezview.simulation.mitsuba_renderer import MitsubaOptions
 from rendezview.simulation.ranger import Ranger, write_echoes
+from rendezview.simulation.reflector_scene import (
+    Integration,
+    simulate_reflectors,
+    without_mesh,
+)
 from rendezview.simulation.scene import SceneOptions
 from rendezview.simulation.scene import simulate as simulate_scene
 from rendezview.simulation.sensor import SensorOptions
@@ -30,6 +38,8 @@ from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.command_options import Jobs
 from rendezview.training.joints import with_parts
 from rendezview.training.mesh import Mesh, load_mesh
+
+_LED_GREY = 200.0  # peak of a light
 
 
 class Kind(StrEnum):
@@ -77,6 +87,27 @@ def simulate(
     laser_origin: Annotated[
         str, typer.Option(help="Where its beam leaves, 'x,y,z', camera frame; it runs along +z.")
     ] = "0.1,0,0",
+    reflectors: Annotated[
+        bool,
+        typer.Option(
+            "--reflectors", help="Write lit/ and dark/ with the target's reflectors lit by lasers."
+        ),
+    ] = False,
+    group: Annotated[
+        list[str] | None, typer.Option(help="With --reflectors: groups that there are. All.")
+    ] = None,
+    integration: Annotated[
+        Integration,
+        typer.Option(help="With --reflectors: the exposure; suggested: as the readings ask."),
+    ] = Integration.AUTOMATIC,
+    leds: Annotated[
+        Path | None,
+        typer.Option(help="Write what the cameras of this rig file see of the target's LEDs."),
+    ] = None,
+    multiplex: Annotated[
+        float,
+        typer.Option("--multiplex-s", min=0.0, help="With --leds: from one light to the next."),
+    ] = 0.0,
     sun_phase: Annotated[
         float, typer.Option(min=0.0, max=180.0, help="Degrees Sun–target–camera.")
     ] = 0.0,
@@ -127,11 +158,18 @@ def simulate(
 ) -> None:
     """Render camera frames of a target, with the true pose of each.
 
+    \b
     Example: rendezview simulate hubble -o approach --trajectory spiral --sun-phase 20
+             rendezview simulate client -o run --trajectory vbar --axis ring --reflectors
+             rendezview simulate scole -o lights --trajectory circular --leds rig.json
     """
     found = find_target(target)
-    mesh = load_mesh(found.mesh_path, unit or found.unit)
-    mesh = with_parts(mesh, found, unit)
+    if reflectors and leds is not None:
+        raise RendezviewError("simulate --reflectors or --leds, not both in one run")
+    if found.mesh is None and (reflectors or leds is not None):
+        mesh = without_mesh(found)
+    else:
+        mesh = with_parts(load_mesh(found.mesh_path, unit or found.unit), found, unit)
     moving = joint_motion([parts.joint for parts in found.joints], joint or [])
     flight_camera = load_camera(camera) if camera else default_camera()
     options = SceneOptions(
@@ -167,19 +205,29 @@ def simulate(
             raise RendezviewError(f"--laser-sigma must be positive, not {laser_sigma}")
         check_place(laser, "the ranger's log")
         ranger = Ranger(_vector("--laser-origin", laser_origin), laser_sigma)
+    processes = 1 if mitsuba else jobs  # Mitsuba uses all cores itself
     with ProgressBar() as progress:
-        simulate_scene(
-            mesh,
-            flight_camera,
-            path,
-            options,
-            output,
-            seed,
-            joints=moving if moving.joints else None,
-            jobs=1 if mitsuba else jobs,  # Mitsuba uses all cores itself
-            progress=lambda done, total: progress("frames", done, total),
-            overwrite=overwrite,
-        )
+
+        def report(done: int, total: int) -> None:
+            progress("frames", done, total)
+
+        if leds is not None:
+            spots = PictureOptions(signal_to_noise=_LED_GREY / max(noise, 0.1), peak_grey=_LED_GREY)
+            rig = load_rig(leds)
+            simulate_lights(
+                found, rig, path, output, seed, options=spots, multiplex_s=multiplex,
+                progress=report,
+            )  # fmt: skip
+        elif reflectors:
+            simulate_reflectors(
+                mesh, found, flight_camera, path, options, output, seed, groups=tuple(group or ()),
+                integration=integration, jobs=processes, progress=report, overwrite=overwrite,
+            )  # fmt: skip
+        else:
+            simulate_scene(
+                mesh, flight_camera, path, options, output, seed, jobs=processes, progress=report,
+                overwrite=overwrite, joints=moving if moving.joints else None,
+            )  # fmt: skip
     if laser is not None and ranger is not None:
         write_echoes(laser, mesh, path, ranger, seed)
     Console(stderr=True).print(f"{output}: {frames} frames", highlight=False, soft_wrap=True)

@@ -8,6 +8,7 @@ paper's lens and detector (25 mm, 1 cm × 1 cm).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,6 +129,22 @@ class Laboratory:
                 for pose in poses
             ]
         )
+        return exact if rng is None else exact + rng.normal(0.0, self.noise, exact.shape)
+
+    def scan(
+        self, pose_at: Callable[[float], Pose], times_s: Array, rng: np.random.Generator | None
+    ) -> Array:
+        """(C, L, 4) currents of one reading whose lights shine one after the other.
+
+        Args:
+            pose_at: rig_from_target at a time.
+            times_s: (L,) of each light.
+            rng: of the noise; None: without.
+        """
+        places = np.array(
+            [pose_at(float(t)).apply(led) for t, led in zip(times_s, self.leds, strict=True)]
+        )
+        exact = np.array([self.noiseless(k, places) for k in range(len(self.rig))])
         return exact if rng is None else exact + rng.normal(0.0, self.noise, exact.shape)
 
     def calibration(self, rng: np.random.Generator, scans: int = 60) -> LaboratoryRecord:

@@ -132,6 +132,7 @@ def render_pair(
     dark_pose: Pose | None = None,
     hidden: tuple[int, ...] = (),
     clutter: tuple[Clutter, ...] = (),
+    gain: float | None = None,
 ) -> tuple[Grey, Grey]:
     """The lit and the dark picture (H, W) of one reading.
 
@@ -144,8 +145,10 @@ def render_pair(
         dark_pose: at the dark picture; None: both are simultaneous (beam splitter).
         hidden: numbers of occluded reflectors.
         clutter: all other light.
+        gain: of `exposure`, which it is where left out.
     """
-    gain = exposure(camera, pattern, camera_from_target, options)
+    if gain is None:
+        gain = exposure(camera, pattern, camera_from_target, options)
     pictures = []
     for number, pose in enumerate((camera_from_target, dark_pose or camera_from_target)):
         grey = np.full((camera.height, camera.width), options.black_level_grey, np.float32)
@@ -159,6 +162,19 @@ def render_pair(
                 paint_reflector(grey, camera, pattern, k, pose, gain * share, options)
         pictures.append(_detect(grey, options, rng))
     return pictures[0], pictures[1]
+
+
+def reflector_light(
+    camera: Camera, pattern: ReflectorPattern, pose: Pose, options: ReflectorFrameOptions,
+    gain: float, hidden: tuple[int, ...] = (), *, dark: bool = False,
+) -> Float32s:  # fmt: skip
+    """(H, W) grey levels of all reflectors, blurred by the optics; ``gain`` as of `exposure`."""
+    grey = np.zeros((camera.height, camera.width), np.float32)
+    for k in range(len(pattern)):
+        if k not in hidden:
+            share = _dark_share(pattern, k, pose, options) if dark else 1.0
+            paint_reflector(grey, camera, pattern, k, pose, gain * share, options)
+    return grey
 
 
 def exposure(

@@ -39,6 +39,7 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.zbuffer import Float32s
 
 Progress = Callable[[int, int], None]
+Light = Callable[[int, Pose], Float32s]  # number and pose of a frame → grey levels (H, W)
 Picture = tuple[Float32s, Float32s]  # radiance, premultiplied by coverage, and coverage
 
 _METERED_FRAMES = 5  # frames rendered for the automatic exposure of a scene
@@ -155,12 +156,18 @@ def simulate(
     jobs: int = 1,
     progress: Progress | None = None,
     overwrite: bool = False,
+    light: Light | None = None,
+    again: bool = False,
 ) -> None:
     """Render every pose and write a BOP scene; frame i of ``poses`` is image i.
 
     With ``joints`` the parts of the mesh move, and ``scene_joints.json`` has their angles. The
     bytes depend on ``seed`` and not on ``jobs``: each frame has a child seed. Automatic exposure
     is set once for the scene, from a few of its frames.
+
+    Args:
+        light: added to each picture, such as that of reflectors.
+        again: the same scene in a second picture at the same time: only the noise differs.
 
     Raises:
         RendezviewError: there are no poses, times do not increase, or the folder cannot be
@@ -189,6 +196,8 @@ def simulate(
             if options.sun_azimuth_each_frame:
                 azimuth = float(rng.uniform(0.0, 2.0 * math.pi))
         suns.append(_sun(mesh, pose, options, azimuth))
+    if again:
+        rngs = [rng.spawn(1)[0] for rng in rngs]
     if options.sensor.exposure is None:
         chosen = np.unique(np.linspace(0, len(poses) - 1, _METERED_FRAMES).round().astype(int))
         # One sample per pixel without shadows is enough to measure the sunlit faces.
@@ -200,8 +209,12 @@ def simulate(
         )
     with BopSceneWriter(folder, camera, overwrite=overwrite) as writer:
         frames = Parallel(n_jobs=jobs, prefer="threads", return_as="generator")(
-            delayed(_frame)(own, camera, pose, sun, options, rng, time_s)
-            for own, (time_s, pose), sun, rng in zip(meshes, poses, suns, rngs, strict=True)
+            delayed(_frame)(
+                own, camera, pose, sun, options, rng, time_s, light and light(number, pose)
+            )
+            for number, (own, (time_s, pose), sun, rng) in enumerate(
+                zip(meshes, poses, suns, rngs, strict=True)
+            )
         )
         for i, (image, coverage) in enumerate(frames):
             time_s, pose = poses[i]
@@ -239,6 +252,7 @@ def _frame(
     options: SceneOptions,
     rng: np.random.Generator,
     time_s: float,
+    light: Float32s | None = None,
 ) -> tuple[UInt8s, Float32s]:
     camera_from_sky = options.camera_from_sky(camera_from_target)
     earth_camera = None
@@ -266,7 +280,7 @@ def _frame(
         specks = np.zeros_like(radiance)
         add_dust(specks, options.dust, rng)
         radiance = radiance + specks * np.float32(radiance_per_grey)
-    return expose(radiance, exposure, options.sensor, rng), coverage
+    return expose(radiance, exposure, options.sensor, rng, light), coverage
 
 
 def _target(

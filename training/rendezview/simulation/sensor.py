@@ -103,11 +103,16 @@ def with_aureole(signal: Float32s, share: float) -> Float32s:
 
 
 def expose(
-    radiance: Float32s, exposure: float, options: SensorOptions, rng: np.random.Generator
+    radiance: Float32s,
+    exposure: float,
+    options: SensorOptions,
+    rng: np.random.Generator,
+    light: Float32s | None = None,
 ) -> UInt8s:
     """The 8-bit picture of a radiance image (H, W): optics, gain, noise, rounding, saturation.
 
-    ``exposure`` replaces that of the options, which may be automatic.
+    ``exposure`` replaces that of the options, which may be automatic; ``light`` (H, W) is added
+    behind the optics, grey levels.
     """
     signal = np.asarray(radiance, dtype=np.float32)
     if options.blur_sigma_px > 0.0:
@@ -121,6 +126,8 @@ def expose(
     if options.bloom > 0.0:
         signal = with_aureole(signal, options.bloom)
     grey = signal * np.float32(exposure * options.overexposure)
+    if light is not None:
+        grey = grey + light
     if options.electrons_per_grey is not None:
         grey = with_shot_noise(grey, options.electrons_per_grey, rng)
     grey = grey + np.float32(options.black_level_grey)

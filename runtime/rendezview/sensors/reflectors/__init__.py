@@ -4,7 +4,12 @@ from rendezview.sensors.reflectors.acquisition import Acquirer
 from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.cameras import RangedCamera, SwitchingSensor
 from rendezview.sensors.reflectors.closed_form import ClosedFormCalibration, calibrate, closed_form
-from rendezview.sensors.reflectors.difference import LitDark, Opening, ThresholdOptions
+from rendezview.sensors.reflectors.difference import (
+    Centroid,
+    LitDark,
+    Opening,
+    ThresholdOptions,
+)
 from rendezview.sensors.reflectors.discs import predict_spots
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
@@ -17,7 +22,7 @@ from rendezview.sensors.reflectors.pattern import (
 )
 from rendezview.sensors.reflectors.refinement import refine
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
-from rendezview.sensors.reflectors.spots import Centroid, SpotTable, find_spots
+from rendezview.sensors.reflectors.spots import SpotTable, find_spots
 from rendezview.sensors.reflectors.track import TrackingOptions
 
 __all__ = [

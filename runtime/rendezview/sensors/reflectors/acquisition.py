@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
@@ -27,9 +28,10 @@ from rendezview.sensors.reflectors.spots import (
     TOP,
     SpotTable,
 )
-from rendezview.sensors.reflectors.triplets import hourglass_of, search
+from rendezview.sensors.reflectors.triplets import PAPER_HOURGLASS, Hourglass, hourglass_of, search
 
 _MOST_TRIPLETS = 20_000  # Source: by construction, a bound of memory
+_MIDWAY = 1e-3  # base lengths off the base's middle, head-on. Source: by construction
 _NO_RANGE = np.array([0.0, np.inf])  # m. Source: by construction
 
 
@@ -117,7 +119,9 @@ class Acquirer:
             for triangle in triangles:
                 left, _, right = triangle
                 positions = pattern.positions_m
-                glass = hourglass_of(pattern, triangle, self.options.tilt_rad)
+                glass = self._hourglass(pattern, triangle)
+                if glass is None:
+                    continue
                 only = ReflectorPattern(
                     pattern.name,
                     tuple(pattern.names[k] for k in triangle),
@@ -137,7 +141,21 @@ class Acquirer:
                     )
                 )
             first += len(pattern)
+        if not ready:
+            raise RendezviewError(
+                "the printed hourglass is that of a centre reflector on a post midway over the "
+                "base, and this target has none: leave --hourglass out"
+            )
         return ready
+
+    def _hourglass(
+        self, pattern: ReflectorPattern, triangle: tuple[int, int, int]
+    ) -> Hourglass | None:
+        """Of a triangle (left, centre, right); None: the printed one does not hold for it."""
+        glass = hourglass_of(pattern, triangle, self.options.tilt_rad)
+        if not self.options.paper_hourglass:
+            return glass
+        return PAPER_HOURGLASS if abs(glass.x0) + abs(glass.y0) < _MIDWAY else None
 
     def _usable(self, spots: SpotTable) -> npt.NDArray[np.int64]:
         """Spots that are round and do not touch the border."""

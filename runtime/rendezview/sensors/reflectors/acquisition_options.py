@@ -23,6 +23,7 @@ class AcquisitionOptions:
     # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
     # boresight.
     tilt_rad: float = math.radians(45.0)
+    paper_hourglass: bool = False  # the lines of fig. 2 as printed, in place of the target's own
     nearest_m: float = 0.3  # m. Source: a chosen limit
     farthest_m: float = 150.0  # m. Source: a chosen limit
     # σ of the optics and of a pixel's width together. Source: by construction, √(0.7² + 1/12) with

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
+
+import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
@@ -12,6 +15,9 @@ from rendezview.sensors.reflectors.difference import LitDark
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
+
+_RETRY_S = 5.0  # s, a failed camera is left out. Source: by construction, a restart
+_MEMORY_S = 5.0  # s, a pose is handed over. Source: by construction, 0.5 m at 0.1 m/s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,13 +34,19 @@ class RangedCamera:
 class SwitchingSensor:
     """Uses the camera whose ranges hold the target, and hands the pose over to the next.
 
-    Where ranges overlap the camera in use stays in use. Without a pose the cameras take turns.
+    Where ranges overlap the camera in use stays in use. A camera that fails, or sees no spot in two
+    readings in a row, is replaced by the next best; a failed one is tried again later. Where no
+    target is tracked the cameras take turns.
+
+    Args:
+        cameras: one or more.
+        retry_s: how long a failed camera is left out.
 
     Raises:
         RendezviewError: no cameras, ranges that do not rise, or a gap between them.
     """
 
-    def __init__(self, cameras: list[RangedCamera]) -> None:
+    def __init__(self, cameras: list[RangedCamera], *, retry_s: float = _RETRY_S) -> None:
         if not cameras:
             raise RendezviewError("a switching sensor needs cameras: give one or more")
         ordered = sorted(cameras, key=lambda camera: camera.farthest_m)
@@ -51,7 +63,11 @@ class SwitchingSensor:
                     "let their ranges overlap"
                 )
         self.cameras = ordered
+        self._retry_s = retry_s
         self._active = len(ordered) - 1
+        self._out_until_s = [-math.inf] * len(ordered)
+        self._empty = 0  # readings in a row without a spot
+        self._last: _Last | None = None
 
     @property
     def active(self) -> RangedCamera:
@@ -63,30 +79,84 @@ class SwitchingSensor:
         """The groups of the camera in use."""
         return self.active.sensor.patterns
 
-    def update(self, time_s: float, frames: LitDark) -> tuple[ReflectorObservation, Pose | None]:
-        """A reading of the active camera and ``chaser_from_target``; then the next is chosen."""
+    def fail(self, time_s: float) -> None:
+        """The camera in use gives no picture: another one takes over, at the same time."""
+        self._out_until_s[self._active] = time_s + self._retry_s
+        self._turn(time_s)
+
+    def update(
+        self, time_s: float, frames: LitDark, acceleration: npt.ArrayLike | None = None
+    ) -> tuple[ReflectorObservation, Pose | None]:
+        """A reading of the active camera and ``chaser_from_target``; then the next is chosen.
+
+        ``acceleration`` is that of `ReflectorSensor.update`, in the active camera's frame.
+        """
         camera = self.active
-        reading = camera.sensor.update(time_s, frames)
+        reading = camera.sensor.update(time_s, frames, acceleration)
+        self._empty = 0 if len(reading.spots) else self._empty + 1
         if reading.pose is None or reading.six is None:
             waiting = reading.status is Status.UNCONFIRMED  # for its second reading
-            if not (waiting or camera.sensor.is_tracking):
-                self._active = (self._active - 1) % len(self.cameras)
+            if not waiting and (self._empty > 1 or not camera.sensor.is_tracking):
+                self._turn(time_s)
             return reading, None
         chaser_from_target = camera.camera_from_chaser.inverse() @ reading.pose
         far = reading.six.range_m
+        self._last = _Last(time_s, chaser_from_target, far, not reading.roll_ambiguous)
         if not camera.nearest_m <= far <= camera.farthest_m:
-            middles = [
-                0.0 if c.nearest_m <= far <= c.farthest_m
-                else min(abs(far - c.nearest_m), abs(far - c.farthest_m))
-                for c in self.cameras
-            ]  # fmt: skip
-            best = min(range(len(middles)), key=lambda k: middles[k])
-            if best != self._active:
-                self._active = best
-                following = self.active
-                following.sensor.start(
-                    time_s,
-                    following.camera_from_chaser @ chaser_from_target,
-                    roll_known=not reading.roll_ambiguous,
-                )
+            best = min(self._working(time_s), key=lambda k: self._off(k, far))
+            if best != self._active and self._off(best, far) < self._off(self._active, far):
+                self._use(best, time_s)
         return reading, chaser_from_target
+
+    def _off(self, k: int, far_m: float) -> float:
+        """How far a range lies outside those of a camera, m."""
+        camera = self.cameras[k]
+        return max(camera.nearest_m - far_m, far_m - camera.farthest_m, 0.0)
+
+    def _working(self, time_s: float) -> list[int]:
+        """Cameras that have not failed, or all where all have."""
+        everyone = range(len(self.cameras))
+        return [k for k in everyone if self._out_until_s[k] <= time_s] or list(everyone)
+
+    def _turn(self, time_s: float) -> None:
+        """Use another camera: the one for the last range, or the next in turn."""
+        count = len(self.cameras)
+        others = [k for k in self._working(time_s) if k != self._active]
+        if not others:
+            return
+        recent = self._recent(time_s)
+        far = recent.range_m if recent else None
+        self._use(
+            min(
+                others,
+                key=lambda k: (
+                    0.0 if far is None else self._off(k, far), (self._active - k) % count
+                ),
+            ),
+            time_s,
+        )  # fmt: skip
+
+    def _recent(self, time_s: float) -> _Last | None:
+        last = self._last
+        return last if last is not None and time_s - last.time_s <= _MEMORY_S else None
+
+    def _use(self, k: int, time_s: float) -> None:
+        """Make a camera the active one, with the last pose if it is recent."""
+        self._active, self._empty = k, 0
+        last = self._recent(time_s)
+        if last is not None:
+            self.active.sensor.start(
+                time_s,
+                self.active.camera_from_chaser @ last.chaser_from_target,
+                roll_known=last.roll_known,
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Last:
+    """The last pose of any camera."""
+
+    time_s: float
+    chaser_from_target: Pose
+    range_m: float
+    roll_known: bool

@@ -182,18 +182,24 @@ def base_and_post(pattern: ReflectorPattern) -> tuple[float, float]:
     """Base and post length of the paper's target, metres.
 
     Raises:
-        ValueError: the pattern is another one.
+        ValueError: the pattern has no reflector on a post midway over its base.
     """
-    if len(pattern) == 3:
-        left, right = pattern.base
-        (centre,) = {0, 1, 2} - {left, right}
-        post = pattern.target_from_face.inverse().apply(pattern.positions_m[centre])
-        if abs(post[0]) + abs(post[1]) < 1e-3 * pattern.base_m and post[2] > 0.0:
-            return pattern.base_m, float(post[2])
-    raise ValueError(
-        f"reflectors {pattern.names}: the closed form needs three, the middle one on a post that "
-        "stands midway between the outer two"
-    )
+    centre = post_of(pattern)
+    if centre is None:
+        raise ValueError(
+            f"reflectors {pattern.names}: the closed form needs one on a post that stands midway "
+            "between the outer two"
+        )
+    post = pattern.target_from_face.inverse().apply(pattern.positions_m[centre])
+    return pattern.base_m, float(post[2])
+
+
+def post_of(pattern: ReflectorPattern) -> int | None:
+    """Number of the reflector on a post midway over the base; None: there is none."""
+    places = pattern.target_from_face.inverse().apply(pattern.positions_m)
+    off = np.abs(places[:, :2]).sum(axis=1)
+    there = np.flatnonzero((off < 1e-3 * pattern.base_m) & (places[:, 2] > 0.0))
+    return int(there[0]) if len(there) else None
 
 
 def _must(raw: _Raw | None) -> _Raw:

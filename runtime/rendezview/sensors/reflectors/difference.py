@@ -39,6 +39,14 @@ class Opening(StrEnum):
     SQUARE = "square"  # what holds no 3 × 3 pixels goes: the paper's zeroing of the edge
 
 
+class Centroid(StrEnum):
+    """Which of a spot's three centroids is its place."""
+
+    BINARY = "binary"
+    WEIGHTED = "weighted"
+    WINDOWED = "windowed"
+
+
 # Of each opening: kernel, anchors of erosion and dilation. Source: by construction
 _KERNELS = {
     Opening.SMALL: (np.ones((2, 2), np.uint8), (1, 1), (0, 0)),  # even: dilated the other way
@@ -49,7 +57,7 @@ _KERNELS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThresholdOptions:
-    """Which pixels may belong to a spot. Grey levels of the 8-bit pictures."""
+    """Which pixels may belong to a spot, and its place. Grey levels of the 8-bit pictures."""
 
     lower_grey: float | None = None  # of the difference; None: from its noise
     # × noise: one pixel in 10¹¹ of pure noise. Source: normal distribution
@@ -65,6 +73,7 @@ class ThresholdOptions:
     # just below 255
     dark_grey: float = 250.0
     opening: Opening = Opening.SMALL  # a far reflector may hold no more than 2 × 2 pixels
+    centroid: Centroid = Centroid.WINDOWED
 
     def __post_init__(self) -> None:
         for name in ("lower_grey", "upper_grey"):

@@ -46,7 +46,6 @@ class ReflectorObservation(Observation):
     def record(self) -> dict[str, Any]:
         """The observation as its line of JSON."""
         has_pose = self.pose is not None
-        rates = self.rates
         return {
             "time_s": self.time_s,
             "status": str(self.status),
@@ -61,16 +60,21 @@ class ReflectorObservation(Observation):
             "six": self.six,
             "roll_ambiguous": self.roll_ambiguous if has_pose else None,
             "covariance": self.covariance,
-            "rates": None
-            if rates is None
-            else {
-                "velocity_m_s": rates.velocity_m_s,
-                "turn_rad_s": rates.turn_rad_s,
-                "six_per_s": rates.six_per_s,
-                "covariance": rates.covariance,
-                "span_s": rates.span_s,
-            },
+            "rates": rates_record(self.rates),
             "tracked": self.tracked,
             "note": self.note,
             "stage_ms": self.stage_ms,
         }
+
+
+def rates_record(rates: Rates | None) -> dict[str, Any] | None:
+    """Rates as a log has them."""
+    if rates is None:
+        return None
+    return {
+        "velocity_m_s": rates.velocity_m_s,
+        "turn_rad_s": rates.turn_rad_s,
+        "six_per_s": rates.six_per_s,
+        "covariance": rates.covariance,
+        "span_s": rates.span_s,
+    }

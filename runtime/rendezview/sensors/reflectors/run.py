@@ -8,28 +8,33 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.sequences import Frame, Sequence
+from rendezview.sensors.reflectors.accelerations import Accelerations
 from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.closed_form import (
     ClosedFormCalibration,
     base_and_post,
     calibrate,
-    closed_form,
 )
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, registered
+from rendezview.sensors.reflectors.exposure import suggest_exposure
 from rendezview.sensors.reflectors.observation import ReflectorObservation
+from rendezview.sensors.reflectors.paper_forms import PaperForms, outer_and_centre
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.spots import find_spots
 from rendezview.sensors.reflectors.track import TrackingOptions
 from rendezview.sensors.run import observe
 from rendezview.sensors.sensor import AidedSensor
+
+# A reading that is no farther from its truth calibrates: a false triplet is farther.
+# Source: by construction, ten times the errors of a good reading at the farthest
+_NEAR_RAD, _NEAR_SHARE = 0.2, 0.1
 
 
 class Mode(StrEnum):
@@ -160,6 +165,7 @@ def follow(
     threshold: ThresholdOptions | None = None,
     acquisition: AcquisitionOptions | None = None,
     tracking: TrackingOptions | None = None,
+    accelerations: Accelerations | None = None,
     independent: bool = False,
 ) -> Iterator[tuple[FramePair, LitDark | None, ReflectorObservation]]:
     """One observation for each pair, in order; ``UNREADABLE`` where a picture cannot be read.
@@ -168,6 +174,7 @@ def follow(
         pairs: of `pair_up`; without times they count as one second apart.
         patterns: groups to look for.
         threshold, acquisition, tracking: options.
+        accelerations: of the target, which move the windows.
         independent: each on its own, no memory.
 
     Yields:
@@ -178,11 +185,11 @@ def follow(
     """
     if independent:
         tracking = TrackingOptions(confirm=False)
-    sensors: dict[Camera, AidedSensor[LitDark, npt.ArrayLike, ReflectorObservation]] = {}
+    sensors: dict[Camera, ReflectorSensor] = {}
 
     def look(pair: FramePair, time_s: float, frames: LitDark) -> ReflectorObservation:
         camera = pair.lit.camera
-        if camera not in sensors or independent:
+        if camera not in sensors:
             sensors[camera] = ReflectorSensor(
                 camera,
                 patterns,
@@ -190,7 +197,11 @@ def follow(
                 acquisition=acquisition,
                 tracking=tracking,
             )
-        return replace(sensors[camera].update(time_s, frames), time_s=pair.time_s)
+        elif independent:
+            sensors[camera].forget()
+        push = accelerations.at(time_s) if accelerations else None
+        sensor: AidedSensor[LitDark, npt.ArrayLike, ReflectorObservation] = sensors[camera]
+        return replace(sensor.update(time_s, frames, push), time_s=pair.time_s)
 
     return observe(pairs, look, ReflectorObservation, ordered=not independent)
 
@@ -199,46 +210,19 @@ def record(
     pair: FramePair,
     reading: ReflectorObservation,
     patterns: list[ReflectorPattern],
-    calibration: ClosedFormCalibration | None = None,
+    forms: PaperForms | None = None,
+    frames: LitDark | None = None,
 ) -> dict[str, Any]:
-    """One reading as a log of JSON lines stores it."""
+    """One reading as a log of JSON lines stores it.
+
+    ``forms``: the papers' solutions, beside the pose; ``frames``: the pictures, for the
+    suggestion of an exposure.
+    """
     line = {"im_id": pair.lit.im_id, "image": pair.lit.name} | reading.record()
     line["time_s"] = pair.lit.time_s
-    if calibration is not None:
-        last = {key: line.pop(key) for key in ("tracked", "stage_ms")}
-        line |= {"closed_form": _closed(pair, reading, patterns, calibration), **last}
-    return line
-
-
-def _closed(
-    pair: FramePair,
-    reading: ReflectorObservation,
-    patterns: list[ReflectorPattern],
-    calibration: ClosedFormCalibration,
-) -> SixNumbers | None:
-    """The closed form beside the pose, where the group is one it can read."""
-    pattern = next((p for p in patterns if p.name == reading.group), None)
-    places = None if pattern is None else _outer_and_centre(pattern, reading)
-    if pattern is None or places is None or reading.pose is None:
-        return None
-    try:
-        return closed_form(pair.lit.camera, pattern, places, calibration)
-    except ValueError:  # another pattern than the paper's
-        return None
-
-
-def _outer_and_centre(pattern: ReflectorPattern, reading: ReflectorObservation) -> Array | None:
-    """(3, 2) spots of left, centre and right reflector, where all are visible."""
-    if len(pattern) != 3:
-        return None
-    left, right = pattern.base
-    (centre,) = {0, 1, 2} - {left, right}
-    rows = []
-    for k in (left, centre, right):
-        if pattern.names[k] not in reading.reflectors:
-            return None
-        rows.append(reading.spots.centroids_px[reading.reflectors.index(pattern.names[k])])
-    return np.array(rows)
+    last = {key: line.pop(key) for key in ("tracked", "stage_ms")}
+    beside = forms.of(pair.lit.camera, reading, patterns) if forms else {}
+    return line | {"exposure_factor": suggest_exposure(reading, frames), **beside, **last}
 
 
 def calibrate_run(
@@ -249,6 +233,9 @@ def calibrate_run(
     acquisition: AcquisitionOptions | None = None,
 ) -> tuple[ClosedFormCalibration, int]:
     """The closed form's calibration from a run whose pictures have their true pose.
+
+    Each reading counts on its own, so that separate known poses are a run too. One whose pose
+    is not near the truth is left out.
 
     Returns:
         The calibration and the number of readings in it.
@@ -266,14 +253,24 @@ def calibrate_run(
         )
     readings: list[tuple[Array, SixNumbers]] = []
     camera = pairs[0].lit.camera
-    for pair, _, reading in follow(pairs, [pattern], threshold=threshold, acquisition=acquisition):
+    for pair, _, reading in follow(
+        pairs, [pattern], threshold=threshold, acquisition=acquisition, independent=True
+    ):
         truth = pair.lit.camera_from_target
-        places = _outer_and_centre(pattern, reading)
+        places = outer_and_centre(pattern, reading)
         if truth is None or reading.pose is None or places is None:
             continue
         six = six_numbers(truth, pattern)
+        off = reading.pose.angle_to(truth)
         # A roll that was read half a turn off names left and right the other way round.
-        if reading.pose.angle_to(truth) > 0.5 * math.pi:
-            places = places[::-1]
+        if off > 0.5 * math.pi:
+            places, off = places[::-1], math.pi - off
+        if off > _NEAR_RAD or not _near(reading, six):
+            continue
         readings.append((places, six))
     return calibrate(camera, pattern, readings), len(readings)
+
+
+def _near(reading: ReflectorObservation, six: SixNumbers) -> bool:
+    assert reading.six is not None
+    return abs(reading.six.range_m / six.range_m - 1.0) < _NEAR_SHARE

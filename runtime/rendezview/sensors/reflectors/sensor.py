@@ -14,12 +14,13 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import Acquirer, merged
 from rendezview.sensors.reflectors.acquisition_options import Acquisition, AcquisitionOptions
-from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
+from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, noise_grey
+from rendezview.sensors.reflectors.hidden_noise import HiddenNoise
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined
-from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable, find_spots
+from rendezview.sensors.reflectors.spots import SpotTable, find_spots
 from rendezview.sensors.reflectors.tolerance import fit_dots
 from rendezview.sensors.reflectors.track import (
     Branch,
@@ -28,12 +29,7 @@ from rendezview.sensors.reflectors.track import (
     checked_acceleration,
 )
 from rendezview.sensors.reflectors.window_fit import WindowFit
-from rendezview.sensors.reflectors.windows import (
-    VISIBLE,
-    carry,
-    read_windows,
-    window_noise,
-)
+from rendezview.sensors.reflectors.windows import VISIBLE, carry
 
 
 class ReflectorSensor:
@@ -73,9 +69,6 @@ class ReflectorSensor:
         self._last_s = -np.inf
         self._lock = threading.Lock()
         n = len(self.constellation)
-        self._expected, self._table = np.empty((n, 3)), np.empty((n, COLUMNS))
-        self._outcome = np.zeros(n, np.int64)
-        self._half, self._level = np.empty(n), np.empty(n)
         self._never, self._dim = np.zeros(n, np.int64), np.full(n, np.nan)
         self._nowhere = np.full((n, 2), np.nan)
         self._group_of = [pattern.name for pattern in patterns for _ in pattern.names]
@@ -96,6 +89,15 @@ class ReflectorSensor:
                 not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
             )  # fmt: skip
             self._rates.clear()
+
+    def forget(self) -> None:
+        """Begin anew: the next reading knows nothing of those before."""
+        with self._lock:
+            self._track, self._unconfirmed, self._last_s = None, None, -np.inf
+            self._rates.clear()
+            if self._note is not None:
+                self._expect(*self._given)
+                self._note = None
 
     def update(
         self, time_s: float, frames: LitDark, acceleration: npt.ArrayLike | None = None
@@ -134,7 +136,7 @@ class ReflectorSensor:
             else:
                 self._track = None
         begin = time.perf_counter()
-        spots = find_spots(frames, self.threshold)
+        spots = self._spots(frames)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
         if found.status is Status.NOT_FOUND and prior is None:
@@ -163,6 +165,14 @@ class ReflectorSensor:
             assert found.reflectors is not None
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
+
+    def _spots(self, frames: LitDark) -> SpotTable:
+        """The spots of the whole picture; the noise that pixels do not show is in their errors."""
+        spots = find_spots(frames, self.threshold)
+        if len(spots) >= 3 and not spots.overfull:
+            self._fit.hidden = HiddenNoise.of(frames)
+            self._fit.hidden.widen(spots.table, noise_grey(frames))
+        return spots
 
     def _with_other_dots(self, spots: SpotTable) -> Acquisition | None:
         """What is found with dots of another diameter or blur, which are then taken for right."""
@@ -211,29 +221,21 @@ class ReflectorSensor:
     # --- tracking
 
     def _follow(self, time_s: float, frames: LitDark, push: Array | None) -> ReflectorObservation:
-        track, options = self._track, self.tracking
+        track = self._track
         assert track is not None
         begin = time.perf_counter()
-        expected, half, level = self._expected, self._half, self._level
-        self._fit.place(time_s, track, push, self.threshold, expected, half, level)
-        dark = frames.dark_or_nothing
-        noise = window_noise(frames.lit, dark, expected, half)
-        noise = track.noise if noise < 0.0 else noise
-        read_windows(
-            frames.lit, dark, expected, half, level, noise,
-            (options.size_limit, options.least_shape), self._table, self._outcome,
-        )  # fmt: skip
+        noise = self._fit.look(time_s, track, push, frames, self.threshold)
         middle = time.perf_counter()
-        seen = np.flatnonzero(self._outcome == VISIBLE)
-        fit, table = self._fit, self._table
+        fit, table, outcome = self._fit, self._fit.table, self._fit.outcome
+        seen = np.flatnonzero(outcome == VISIBLE)
         refined = fit.solve(track.pose, table, seen) if len(seen) >= 3 else None
         if refined is not None and len(seen) > 3:
             refined, seen = fit.without_strangers(track.pose, refined, table, seen)
         branch = Branch.SURE if refined is None else fit.branch(track, refined, table, seen)
         ended = time.perf_counter()
         stage_ms = {"windows": 1e3 * (middle - begin), "pose": 1e3 * (ended - middle)}
-        self._outcome[:] = 0
-        self._outcome[seen] = VISIBLE
+        outcome[:] = 0
+        outcome[seen] = VISIBLE
         if refined is None and not np.isfinite(track.before).any():
             # The motion is not known: windows are of little use.
             return self._acquire(time_s, frames)
@@ -245,7 +247,7 @@ class ReflectorSensor:
         if refined is None:
             return self._miss(time_s, track, seen, spots, names, stage_ms)
         table = table.copy()
-        table[self._outcome != VISIBLE] = np.nan
+        table[outcome != VISIBLE] = np.nan
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
         self._remember(time_s, table, refined, noise, ambiguous, branch)
         if branch is Branch.OPEN:
@@ -273,11 +275,11 @@ class ReflectorSensor:
         and another group could tell it. A second reading in a row that agrees takes the track over.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
-        if not (several or refined is None or self._fit.misses(self._expected, seen)):
+        if not (several or refined is None or self._fit.misses(seen)):
             self._unconfirmed = None
             return None
         begin = time.perf_counter()
-        spots = find_spots(frames, self.threshold)
+        spots = self._spots(frames)
         found = self.acquirer.acquire(spots) if len(spots) > max(len(seen), 2) else None
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
         if found is None or found.refined is None or found.reflectors is None:
@@ -315,13 +317,15 @@ class ReflectorSensor:
         if len(seen) and track.misses <= self.tracking.coast:
             # Visible reflectors still move the windows of the others.
             places = np.full_like(track.places, np.nan)
-            places[seen] = self._table[seen, :2]
-            self._fit.nudge(track, self._table, seen)
+            places[seen] = self._fit.table[seen, :2]
+            self._fit.nudge(track, seen)
             track.before, track.before_s = track.places, track.time_s
             track.places, track.time_s = places, time_s
             track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
         if len(seen):
-            expected = zip(self.constellation.names, np.isfinite(self._expected[:, 0]), strict=True)
+            expected = zip(
+                self.constellation.names, np.isfinite(self._fit.expected[:, 0]), strict=True
+            )
             lost = [name for name, visible in expected if visible and name not in names]
             return ReflectorObservation(
                 Status.PARTIAL,

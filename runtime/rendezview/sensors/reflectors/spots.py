@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +18,7 @@ from numba import njit
 from rendezview.estimation.spot_centroid import centre_spot, ring_plane, saturated_error
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.difference import (
+    Centroid,
     Grey,
     LitDark,
     ThresholdOptions,
@@ -39,14 +39,6 @@ BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DAR
     8, 19
 )
 COLUMNS = 19  # Source: by construction
-
-
-class Centroid(StrEnum):
-    """Which of the three centroids a spot's place is."""
-
-    BINARY = "binary"
-    WEIGHTED = "weighted"
-    WINDOWED = "windowed"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,9 +100,12 @@ class SpotTable:
 def find_spots(
     frames: LitDark,
     options: ThresholdOptions | None = None,
-    centroid: Centroid = Centroid.WINDOWED,
+    centroid: Centroid | None = None,
 ) -> SpotTable:
-    """All spots of a picture, in the order in which a scan meets them."""
+    """All spots of a picture, in the order in which a scan meets them.
+
+    ``centroid`` wins over that of the options.
+    """
     chosen = options or ThresholdOptions()
     noise = noise_grey(frames)
     table = np.zeros((MOST_SPOTS, COLUMNS))
@@ -122,7 +117,8 @@ def find_spots(
         count = _label(mask, frames.lit, frames.dark_or_nothing, level, table)
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
-    place(frames.lit, frames.dark_or_nothing, found, noise, list(Centroid).index(centroid))
+    place(frames.lit, frames.dark_or_nothing, found, noise)
+    recentre(found, noise, centroid or chosen.centroid)
     return SpotTable(found, overfull)
 
 
@@ -233,20 +229,24 @@ def gather(
 
 
 @njit(cache=True, nogil=True)
-def place(lit: Grey, dark: Grey, table: Array, noise: float, method: int) -> None:
-    """Fill place, size and error of every spot; method 0 binary, 1 weighted, 2 windowed."""
+def place(lit: Grey, dark: Grey, table: Array, noise: float) -> None:
+    """Fill place, size and error of every spot by its window."""
     columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
     for i in range(table.shape[0]):
-        row = table[i]
-        if method == 2:
-            window_centroid(lit, dark, row, noise, columns, rows)
-            continue
-        k = BINARY_X if method == 0 else WEIGHTED_X
-        row[X], row[Y] = row[k], row[k + 1]
-        if method == 0:  # each pixel of the rim is in or out: uniform, about √area of them
-            row[SIGMA] = 0.29 / row[AREA] ** 0.25
-        else:  # noise of every pixel times its lever, the thresholded rim included
-            row[SIGMA] = noise * row[SIZE] * math.sqrt(row[AREA]) / max(row[ABOVE], 1e-6)
+        window_centroid(lit, dark, table[i], noise, columns, rows)
+
+
+def recentre(table: Array, noise: float, centroid: Centroid) -> None:
+    """Put another centroid and its error in the place of the windowed one; sizes stay."""
+    if centroid is Centroid.WINDOWED:
+        return
+    k = BINARY_X if centroid is Centroid.BINARY else WEIGHTED_X
+    table[:, X], table[:, Y] = table[:, k], table[:, k + 1]
+    if centroid is Centroid.BINARY:  # each pixel of the rim is in or out: uniform, about √area
+        table[:, SIGMA] = 0.29 / table[:, AREA] ** 0.25
+    else:  # noise of every pixel times its lever, the thresholded rim included
+        lever = table[:, SIZE] * np.sqrt(table[:, AREA])
+        table[:, SIGMA] = noise * lever / np.maximum(table[:, ABOVE], 1e-6)
 
 
 @njit(cache=True, nogil=True)

@@ -11,15 +11,21 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.choice import mirror
-from rendezview.sensors.reflectors.difference import ThresholdOptions
+from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.sensors.reflectors.discs import camera_numbers
+from rendezview.sensors.reflectors.hidden_noise import HiddenNoise
 from rendezview.sensors.reflectors.judgement import least_facing
 from rendezview.sensors.reflectors.matching import expect_spots
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 from rendezview.sensors.reflectors.refinement import Refined, adjust, solve_spots
-from rendezview.sensors.reflectors.spots import SIGMA
+from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, recentre
 from rendezview.sensors.reflectors.track import Branch, Track, TrackingOptions
-from rendezview.sensors.reflectors.windows import place_windows
+from rendezview.sensors.reflectors.windows import (
+    VISIBLE,
+    place_windows,
+    read_windows,
+    window_noise,
+)
 
 Ints = npt.NDArray[np.int64]
 
@@ -44,6 +50,34 @@ class WindowFit:
         self._lens = camera_numbers(camera, acquisition.blur_px)
         self._centre = constellation.centre_m
         self._arms = constellation.positions_m - self._centre
+        self.hidden = HiddenNoise.none()  # of the last whole picture
+        n = len(constellation)  # of the last reading's windows:
+        self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
+        self.outcome = np.zeros(n, np.int64)
+        self._half, self._level = np.empty(n), np.empty(n)
+
+    def look(
+        self, time_s: float, track: Track, push: Array | None, frames: LitDark,
+        threshold: ThresholdOptions,
+    ) -> float:  # fmt: skip
+        """Read all windows into ``expected``, ``table`` and ``outcome``; the noise of a pixel.
+
+        ``push`` (6,) is the target's acceleration, `checked_acceleration`.
+        """
+        self._place(time_s, track, push, threshold)
+        dark, limits = frames.dark_or_nothing, (self.options.size_limit, self.options.least_shape)
+        noise = window_noise(frames.lit, dark, self.expected, self._half)
+        noise = track.noise if noise < 0.0 else noise
+        read_windows(
+            frames.lit, dark, self.expected, self._half, self._level, noise, limits, self.table,
+            self.outcome,
+        )  # fmt: skip
+        seen = self.outcome == VISIBLE
+        rows = self.table[seen]
+        recentre(rows, noise, threshold.centroid)
+        self.hidden.widen(rows, noise)
+        self.table[seen] = rows
+        return noise
 
     def solve(self, start: Pose, table: Array, seen: Ints) -> Refined | None:
         """Least squares on the rows ``seen`` of a spot table, from a pose."""
@@ -110,20 +144,11 @@ class WindowFit:
         sigma = np.hypot(table[seen, SIGMA], self.options.floor_px)
         return float(np.sum((refined.residuals_px / sigma[:, None]) ** 2))
 
-    def place(
-        self,
-        time_s: float,
-        track: Track,
-        push: Array | None,
-        threshold: ThresholdOptions,
-        expected: Array,
-        half: Array,
-        level: Array,
+    def _place(
+        self, time_s: float, track: Track, push: Array | None, threshold: ThresholdOptions
     ) -> None:
-        """Fill where spots are expected (N, 3), half widths (N,) and thresholds (N,).
-
-        ``push`` (6,) is the target's acceleration, `checked_acceleration`.
-        """
+        """Where spots are expected (N, 3), half widths (N,) and thresholds (N,)."""
+        expected = self.expected
         options = self.options
         self._show(track.pose, expected)
         step, span = time_s - track.time_s, track.time_s - track.before_s
@@ -137,7 +162,7 @@ class WindowFit:
             step / span if span > 0.0 else 0.0, track.misses,
             (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
              options.apart_sizes, least),
-            half, level,
+            self._half, self._level,
         )  # fmt: skip
 
     def _show(self, pose: Pose, out: Array) -> None:
@@ -148,15 +173,15 @@ class WindowFit:
             pose.rotation, pose.translation_m, self.camera.fx, self._blur_px, out,
         )  # fmt: skip
 
-    def misses(self, expected: Array, seen: Ints) -> bool:
+    def misses(self, seen: Ints) -> bool:
         """Whether a reflector is not visible that is expected well inside the picture."""
-        places = expected[:, :2].copy()
+        places = self.expected[:, :2].copy()
         places[seen] = np.nan
-        margin = 3.0 * expected[:, 2:] + self.options.window_px
+        margin = 3.0 * self.expected[:, 2:] + self.options.window_px
         size = (self.camera.width - 1, self.camera.height - 1)
         return bool(((places > margin) & (places < size - margin)).all(axis=1).any())
 
-    def nudge(self, track: Track, table: Array, seen: Ints) -> None:
+    def nudge(self, track: Track, seen: Ints) -> None:
         """Move the remembered pose by the least that brings it under the visible spots."""
         if not track.covariance.any():
             return
@@ -167,7 +192,7 @@ class WindowFit:
         covariance, residuals = np.empty((6, 6)), np.empty((len(seen), 2))
         iterations = adjust(
             self._lens, self._arms[seen], self.constellation.normals[seen],
-            self.constellation.diameters_m[seen], np.ascontiguousarray(table[seen, :2]),
+            self.constellation.diameters_m[seen], np.ascontiguousarray(self.table[seen, :2]),
             np.full(len(seen), 0.1), prior, rotation, shift, covariance, residuals,
         )  # fmt: skip
         if iterations >= 0:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +19,13 @@ from rendezview.geometry.pose import Array, Pose
 
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
+
+
+class Iteration(StrEnum):
+    """Bales' two methods."""
+
+    NEWTON = "newton"  # Newton–Raphson from the mid-point assumption
+    ALTERNATE = "alternate"  # three distances in turn, from right triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)

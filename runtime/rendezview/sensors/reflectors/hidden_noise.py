@@ -1,0 +1,121 @@
+"""Noise that the steps between neighbouring pixels do not show: compression, moved texture.
+
+A centroid averages over its spot, so what counts is the noise of an average. White noise of a pixel
+tells it only if there is nothing slower. A background that moves between lit and dark leaves a
+smooth pattern in the difference; JPEG (and MJPEG) takes the fast noise away and leaves multiples of
+its quantisation steps.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.pose import Array
+from rendezview.sensors.reflectors.difference import Grey, LitDark, noise_grey
+from rendezview.sensors.reflectors.spots import SIGMA, SIZE
+
+_CELLS_PX = (4, 8, 16)  # Source: by construction, the extents of spots of σ 1 to 4 px
+_CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment reflector-nees
+_CHANCE = 1.15  # of the variance of cells. Source: by construction, 3 σ of 1500 cells
+_BLOCK = 8  # px. Source: ITU-T T.81
+_ROWS = 3  # of blocks: one row in so many is looked at. Source: by construction, 0.1 ms
+_FEWEST = 12  # multiples of a step. Source: by construction, chance is below 1e-6
+_LEAST_STEP = 1.5  # grey of a coefficient. Source: by construction, five times its rounding
+# Source: by construction, qualities 30 to 88; smaller steps hide less than a grey level
+_STEPS = tuple(range(24, 2, -1))
+_MULTIPLES = 12.0  # of a step, at most. Source: by construction, few are so small in a wall
+_OFF_GRID = 0.12  # of a step; 0.25 by chance. Source: by construction, rounding of a step of 3
+# Variance of a pixel's noise over the square of a step: 1/12 of the quantisation itself, the noise
+# that it hides, and the larger steps of faster coefficients. Source: experiment reflector-nees
+_STEP_VARIANCE = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HiddenNoise:
+    """Variances beside the white noise of a pixel, grey²."""
+
+    of_cells: Array  # (3,) as white noise of a pixel that gives cells of 4, 8, 16 px their scatter
+    of_compression: float
+
+    @classmethod
+    def none(cls) -> HiddenNoise:
+        """Nothing is known."""
+        return cls(np.zeros(len(_CELLS_PX)), 0.0)
+
+    @classmethod
+    def of(cls, frames: LitDark) -> HiddenNoise:
+        """Measured in whole pictures."""
+        compression = _STEP_VARIANCE * quantisation_step(frames.lit) ** 2
+        if frames.dark is None:
+            return cls(np.zeros(len(_CELLS_PX)), compression)
+        compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
+        return cls(_slow(frames.lit, frames.dark, noise_grey(frames)), compression)
+
+    def widen(self, table: Array, noise: float) -> None:
+        """Add it to the errors of the spots of a table, whose white noise is given, grey."""
+        if not (self.of_compression or self.of_cells.any()):
+            return
+        cell = np.log2(np.clip(_CELLS_A_SIZE * table[:, SIZE], _CELLS_PX[0], _CELLS_PX[-1]))
+        slow = np.interp(cell, np.log2(_CELLS_PX), self.of_cells)
+        table[:, SIGMA] *= np.sqrt(1.0 + (slow + self.of_compression) / noise**2)
+
+
+def _slow(lit: Grey, dark: Grey, noise: float) -> Array:
+    """(3,) variance of cells of the difference beyond that of white noise, as noise of a pixel."""
+    height, width = lit.shape
+    difference = cv2.subtract(lit, dark, dtype=cv2.CV_16S).astype(np.float32)
+    found = np.zeros(len(_CELLS_PX))
+    for k, cell in enumerate(_CELLS_PX):
+        if min(height, width) < 8 * cell:
+            break
+        size = (width // cell, height // cell)
+        cells = cv2.resize(
+            difference[: size[1] * cell, : size[0] * cell], size, interpolation=cv2.INTER_AREA
+        )
+        steps = np.concatenate([np.diff(cells, axis=1).ravel(), np.diff(cells, axis=0).ravel()])
+        # Spots and edges are few: the median of |steps| is 0.6745 √2 σ of a normal distribution.
+        sigma = float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(2.0))
+        variance = (cell * sigma) ** 2
+        found[k] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
+    return found
+
+
+def quantisation_step(picture: Grey) -> float:
+    """Grey levels of the slowest coefficients' steps in a JPEG; 0 where it is none.
+
+    Blocks of 8 × 8 px from the first pixel on. Of a JPEG their coefficients are multiples of a
+    whole number, up to rounding.
+    """
+    rows, columns = picture.shape[0] // _BLOCK, picture.shape[1] // _BLOCK
+    if rows < 1 or columns < 1:
+        return 0.0
+    blocks = picture[: rows * _BLOCK, : columns * _BLOCK].reshape(rows, _BLOCK, columns, _BLOCK)
+    angle = math.pi * (np.arange(_BLOCK) + 0.5) / _BLOCK
+    basis = np.stack([np.full(_BLOCK, math.sqrt(0.125)), 0.5 * np.cos(angle)], axis=1)
+    for every in (_ROWS, 1):  # in a dark picture only the spots' own blocks have any
+        across = blocks[::every].astype(np.float64) @ basis  # (rows, 8, columns, 2)
+        whole = np.einsum("rycu,yv->vurc", across, basis)
+        steps = [_common_step(np.abs(whole[v, u].ravel())) for v, u in ((0, 1), (1, 0), (1, 1))]
+        told = [step for step in steps if step is not None]
+        found = [step for step in told if step > 0]
+        if len(told) > 1:
+            return float(np.mean(found)) if len(found) > 1 else 0.0
+    return 0.0
+
+
+def _common_step(sizes: Array) -> int | None:
+    """The largest whole number of which all are multiples; 0: there is none, None: too few."""
+    sizes = sizes[sizes > _LEAST_STEP]
+    if len(sizes) < _FEWEST:
+        return None
+    for step in _STEPS:
+        some = sizes[sizes < _MULTIPLES * step] / step
+        if len(some) < _FEWEST or some.min() < 1.0 - 3.0 * _OFF_GRID:
+            continue
+        if np.abs(some - np.rint(some)).mean() < _OFF_GRID:
+            return step
+    return 0
