@@ -111,8 +111,9 @@ def test_separate_known_poses_calibrate(run, tmp_path):
     ])  # fmt: skip
     out = tmp_path / "c.json"
     for option in ([], ["--independent"]):
-        ran = run("reflectors", "calibrate", tmp_path / "poses" / "lit", tmp_path / "poses" / "dark",
-                  "--target", CLIENT, "--group", "far", "-o", out, *option)  # fmt: skip
+        folders = tmp_path / "poses" / "lit", tmp_path / "poses" / "dark"
+        ran = run("reflectors", "calibrate", *folders, "--target", CLIENT, "--group", "far",
+                  "-o", out, *option)  # fmt: skip
         assert ran.code == 0, ran
         used = int(ran.err.split(" from ")[1].split(" of ")[0])
         assert used >= 22
@@ -120,7 +121,7 @@ def test_separate_known_poses_calibrate(run, tmp_path):
 
 
 def test_an_acceleration_that_is_known_moves_the_windows(run, tmp_path):
-    """A jerk of the chaser: 0.7 m/s² across for one reading, which the last motion does not tell."""
+    """A push between two readings moves the target by 0.55 m: the last motion does not tell."""
     sixes, bearing, rate = [], -0.1, 0.0
     for k in range(10):
         sixes.append(SixNumbers(4.0, bearing, 0.0, 0.1, 0.1, 0.1))
@@ -129,7 +130,7 @@ def test_an_acceleration_that_is_known_moves_the_windows(run, tmp_path):
     write(tmp_path / "run", sixes)
     without = readings(run, tmp_path / "run", tmp_path / "without.jsonl")
     assert without[6]["tracked"] is False or without[6]["pose"] is None
-    # Half of step times two steps moves the windows by a · dt²: the place in question.
+    # The windows move by half of step times two steps times the acceleration: 0.55 m.
     push = 4.0 * 0.55 / STEP_S
     known = tmp_path / "known.jsonl"
     known.write_text("".join(

@@ -80,6 +80,20 @@ def test_a_log_of_currents_gives_poses(laboratory, rig: Path, tmp_path: Path, op
         assert np.shape(records[row.im_id]["covariance"]) == (6, 6)
 
 
+def test_the_papers_normalisation_is_an_option_that_the_rig_file_keeps(rig: Path, tmp_path: Path):
+    usual = json.loads(rig.read_text())
+    assert usual["cameras"][0]["photodiode"]["normalisation"] == "total"
+    out = tmp_path / "pair.json"
+    done = run("calibrate", rig.parent / "record.json", "-o", out, "--normalisation", "pair")
+    assert done.returncode == 0, done.stderr
+    pair = json.loads(out.read_text())
+    assert {c["photodiode"]["normalisation"] for c in pair["cameras"]} == {"pair"}
+    first, second = (x["cameras"][0]["photodiode"]["response"] for x in (pair, usual))
+    assert first != second
+    for one, other in zip(pair["cameras"], usual["cameras"], strict=True):
+        assert one["fx"] == pytest.approx(other["fx"], rel=0.02)
+
+
 def test_folders_of_pictures_give_poses(laboratory, tmp_path: Path):
     options = PictureOptions(size_px=512)
     rig = picture_rig(laboratory, options)

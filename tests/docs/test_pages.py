@@ -65,7 +65,10 @@ def test_every_picture_of_the_tutorial_is_there_and_has_words():
         assert len(words_) > 20
 
 
-@pytest.mark.parametrize("page", ["tutorial.md", "own_target.md", "files-plan.md", "evaluation.md"])
+@pytest.mark.parametrize("page", [
+    "tutorial.md", "own_target.md", "files-plan.md", "evaluation.md", "reflectors-options.md",
+    "stereo-laboratory.md",
+])  # fmt: skip
 def test_printed_commands_have_options_that_exist(page: str):
     text = (DOCS / page).read_text(encoding="utf-8")
     commands = [

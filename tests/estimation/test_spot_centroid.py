@@ -60,11 +60,9 @@ def read(picture, x, y, sigma, noise):
     columns, rows = np.empty(64), np.empty(64)
     half = int(2.5 * sigma) + 1
     box = (int(x) - half, int(x) + half, int(y) - half, int(y) + half)
-    level, slope_x, slope_y, rough = ring_plane(picture, NOTHING, box, noise)
-    return centre_spot(
-        picture, NOTHING, (level, slope_x, slope_y), (float(int(x)), float(int(y)), sigma), rough,
-        columns, rows,
-    )  # fmt: skip
+    level, slope_x, slope_y, rough, doubt = ring_plane(picture, NOTHING, box, noise)
+    plane, start = (level, slope_x, slope_y, doubt), (float(int(x)), float(int(y)), sigma)
+    return centre_spot(picture, NOTHING, plane, start, rough, columns, rows)
 
 
 def test_moments_of_a_spot_on_pixels_are_those_of_its_picture():
@@ -107,16 +105,37 @@ def test_the_claimed_error_is_the_error_and_near_the_bound(sigma, peak):
     assert rms < 1.35 * np.sqrt(2.0 / np.pi) * 2.02 / peak
 
 
+def test_a_wide_spot_on_a_flat_ground_is_not_moved_by_a_slope_of_chance():
+    """A disc of 10 px radius: its claimed error holds, and is near that of a known ground."""
+    rng, off, claimed = np.random.default_rng(4), [], []
+    rows, columns = np.mgrid[:101, :101]
+    for _ in range(80):
+        x, y = rng.uniform(49.5, 50.5, 2)
+        disc = 176.0 * np.clip(10.5 - np.hypot(columns - x, rows - y), 0.0, 1.0)
+        light = np.clip(np.rint(10.0 + disc + rng.normal(0.0, 2.83, disc.shape)), 0, 255)
+        picture = light.astype(np.uint8)
+        plane = ring_plane(picture, NOTHING, (40, 60, 40, 60), 2.85)
+        found = centre_spot(
+            picture, NOTHING, (*plane[:3], plane[4]), (50.0, 50.0, 6.0), plane[3], np.empty(101),
+            np.empty(101),
+        )  # fmt: skip
+        off.append((found[0] - x, found[1] - y))
+        claimed.append(found[4])
+    assert np.sqrt(np.mean(np.square(off))) < 1.25 * 0.8 * 2.83 / 176.0
+    assert 0.8 < np.sqrt(np.mean(np.square(off) / np.square(claimed)[:, None])) < 1.25
+
+
 def test_the_background_is_the_plane_of_the_ring_without_its_neighbours():
     rows, columns = np.mgrid[:41, :41]
     rng = np.random.default_rng(2)
     plane = 60.0 + 0.8 * (columns - 20) - 0.5 * (rows - 20)
     light = plane + spot(20.0, 20.0, 1.0, 100.0) + spot(28.0, 14.0, 1.0, 100.0)
     noisy = np.clip(np.rint(light + rng.normal(0.0, 1.0, light.shape)), 0, 255).astype(np.uint8)
-    level, slope_x, slope_y, rough = ring_plane(noisy, NOTHING, (17, 23, 17, 23), 1.04)
+    level, slope_x, slope_y, rough, doubt = ring_plane(noisy, NOTHING, (17, 23, 17, 23), 1.04)
     assert level == pytest.approx(60.0, abs=0.5)
     assert (slope_x, slope_y) == pytest.approx((0.8, -0.5), abs=0.06)
     assert 1.0 <= rough < 2.5
+    assert 0.0 < doubt < 0.06
     found = read(noisy, 20.0, 20.0, 1.0, 1.04)
     assert np.hypot(found[0] - 20.0, found[1] - 20.0) < 0.06
 

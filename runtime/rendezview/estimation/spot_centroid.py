@@ -34,6 +34,10 @@ _LEAST_SPREAD = 0.04  # px², of a spot before the pixels. Source: by constructi
 _CHANCE = 1.6
 # px²: area over which texture is one grey level, for its error. Source: experiment reflector-nees
 _GRAIN_PX2 = 14.0
+_GRAIN_PX = 4.0  # px along the frame, likewise. Source: by construction, the root of that
+# σ of a slope that counts, where one is kept and where none is. Source: by construction, the risk
+# of James and Stein's estimate of 2 σ and of 0
+_DOUBT, _FLAT = 1.2, 0.5
 # px of error a root of a saturated pixel: a flat top tells little. Source: reflector-nees
 _SATURATED_PX = 0.02
 
@@ -131,14 +135,14 @@ def _on_pixels(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def centre_spot(
-    image: Grey, dark: Grey, plane: tuple[float, float, float], start: tuple[float, float, float],
-    noise: float, columns: Array, rows: Array,
+    image: Grey, dark: Grey, plane: tuple[float, float, float, float],
+    start: tuple[float, float, float], noise: float, columns: Array, rows: Array,
 ) -> tuple[float, float, float, float, float]:  # fmt: skip
     """Place x, y, size, amplitude and error of one spot; error 0 where there is none.
 
     Args:
         image: (H, W) picture; ``dark``: one to subtract, or (0, 0).
-        plane: of the background: grey at the start, and its slopes, grey a px.
+        plane: of the background: grey at the start, its slopes and their error, grey a px.
         start: x, y and σ of the first window, px.
         noise: of a pixel as one error of a white one, grey: of `ring_plane`.
         columns, rows: scratch, at least as long as the picture is wide and high.
@@ -149,7 +153,7 @@ def centre_spot(
     """
     height, width = image.shape
     x, y, sigma = start
-    level, slope_x, slope_y = plane
+    level, slope_x, slope_y, slope_error = plane
     sigma = min(max(sigma, LEAST_WINDOW_PX), LARGEST_WINDOW_PX)
     size, amplitude, error, spread = sigma, 0.0, 0.0, max(sigma * sigma - 1.0 / 12.0, 0.25)
     settled = False
@@ -171,7 +175,8 @@ def centre_spot(
         # Newton on "no first moment": d(mx)/dx = mxx / σ² − total, −total/2 for a Gaussian.
         fx = max(1.0 - mxx / (total * square), 0.25)
         fy = max(1.0 - myy / (total * square), 0.25)
-        error = noise * math.sqrt(lever) * 0.5 * (1.0 / fx + 1.0 / fy) / total
+        error = math.hypot(noise * math.sqrt(lever), tilt * slope_error) / total
+        error *= 0.5 * (1.0 / fx + 1.0 / fy)
         wide = math.sqrt(2.0 * max(m, 0.0))  # of the window that is as wide as the spot
         if wide < LEAST_WINDOW_PX and sigma == LEAST_WINDOW_PX:
             ax, ay, spread = _on_pixels(x, y, spread, sigma, (x0, x1, y0, y1), m)
@@ -180,8 +185,7 @@ def centre_spot(
         else:
             size, amplitude = sigma, total / (math.pi * square)  # a Gaussian's peak, at any phase
         step_x, step_y = mx / fx, my / fy
-        x += min(max(step_x, -sigma), sigma)
-        y += min(max(step_y, -sigma), sigma)
+        x, y = x + min(max(step_x, -sigma), sigma), y + min(max(step_y, -sigma), sigma)
         if settled and abs(step_x) + abs(step_y) < _SETTLED_PX:
             break
         # Window of the spot's own size: under a window as wide, its second moment halves.
@@ -195,12 +199,13 @@ def centre_spot(
 @njit(cache=True, nogil=True, error_model="numpy")
 def ring_plane(
     image: Grey, dark: Grey, box: tuple[int, int, int, int], noise: float
-) -> tuple[float, float, float, float]:
-    """Background about a spot: grey at the box's middle, its slopes, and the noise of a pixel.
+) -> tuple[float, float, float, float, float]:
+    """Background about a spot: grey at the box's middle, two slopes, noise, error of a slope.
 
     A plane through the pixels of a frame about the box, without those far off the rest. The noise
     is that of the picture, or that of the frame: its scatter beyond the steps between neighbours is
-    texture, which counts as white noise of so many more grey levels as its grains are large.
+    texture, which counts as white noise of so many more grey levels as its grains are large. A
+    slope that chance explains is none: it would move a wide spot by as much as all its noise.
 
     Args:
         image: (H, W) picture; ``dark``: one to subtract, or (0, 0).
@@ -208,10 +213,7 @@ def ring_plane(
         noise: of a pixel of the picture (of the difference), grey.
     """
     height, width = image.shape
-    x0, x1, y0, y1 = box
-    grow = 3 + (max(x1 - x0, y1 - y0) + 1) // 2
-    mx, my = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
-    half_x, half_y = (x1 - x0) // 2 + grow, (y1 - y0) // 2 + grow
+    mx, my, half_x, half_y = _frame_about(box)
     level = slope_x = slope_y = 0.0
     limit, scatter, steps = np.inf, 0.0, 0.0
     for _ in range(_CLIPS):
@@ -237,7 +239,7 @@ def ring_plane(
                 sd, nd = sd + (value - before) ** 2, nd + 1.0
             before, near = value, True
         if n < 8.0:
-            return level, 0.0, 0.0, noise
+            return level, 0.0, 0.0, noise, 0.0
         level = sv / n
         cx, cy, cxy = sxx - sx * sx / n, syy - sy * sy / n, sxy - sx * sy / n
         bx, by, slope_x, slope_y = svx - level * sx, svy - level * sy, 0.0, 0.0
@@ -250,7 +252,26 @@ def ring_plane(
         limit = 2.5 * math.sqrt(max(scatter, noise * noise))
     white = steps if steps > _CHANCE * noise * noise else noise * noise
     grain = max(scatter - _CHANCE * white, 0.0)
-    return level, slope_x, slope_y, math.sqrt(white + _GRAIN_PX2 * grain)
+    variance = 2.0 * (white + _GRAIN_PX * grain) / (cx + cy)
+    kept_x, kept_y = _kept(slope_x, variance), _kept(slope_y, variance)
+    level += ((slope_x - kept_x) * sx + (slope_y - kept_y) * sy) / n
+    doubt = math.sqrt(variance) * (_DOUBT if kept_x != 0.0 or kept_y != 0.0 else _FLAT)
+    return level, kept_x, kept_y, math.sqrt(white + _GRAIN_PX2 * grain), doubt
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _kept(slope: float, variance: float) -> float:
+    """The slope less what chance adds to it; 0 up to two of its σ (James and Stein)."""
+    square = slope * slope
+    return slope * (1.0 - 4.0 * variance / square) if square > 4.0 * variance else 0.0
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _frame_about(box: tuple[int, int, int, int]) -> tuple[float, float, int, int]:
+    """Middle and half sides of the frame about a box: half as far again, and 3 px."""
+    x0, x1, y0, y1 = box
+    grow = 3 + (max(x1 - x0, y1 - y0) + 1) // 2
+    return 0.5 * (x0 + x1), 0.5 * (y0 + y1), (x1 - x0) // 2 + grow, (y1 - y0) // 2 + grow
 
 
 @njit(cache=True, nogil=True, inline="always")

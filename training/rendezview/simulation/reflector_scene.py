@@ -41,13 +41,17 @@ class Integration(StrEnum):
 
 
 def without_mesh(target: Target) -> Mesh:
-    """A target of which only reflectors or lights are known: nothing else is drawn."""
+    """A target of which only reflectors or lights are known: nothing else is drawn.
+
+    Its faces have no area; they give a trajectory its centre and size.
+    """
     places = [item.position_m for item in (*target.reflectors, *target.leds)]
     if not places:
         raise RendezviewError(f"target {target.name!r} has no mesh, reflectors or LEDs to draw")
+    count = len(places)
+    faces = np.repeat(np.arange(count, dtype=np.int32)[:, None], 3, axis=1)
     return Mesh(
-        np.array(places, dtype=np.float64), np.zeros((0, 3), np.int32),
-        np.zeros((0, 3), np.float32), (),
+        np.array(places, dtype=np.float64), faces, np.zeros((count, 3), np.float32), ()
     )  # fmt: skip
 
 

@@ -81,12 +81,10 @@ class ReflectorSensor:
 
     def start(self, time_s: float, pose: Pose, *, roll_known: bool = True) -> None:
         """Begin to track from a pose of another camera or sensor."""
-        n = len(self.constellation)
-        nowhere = np.full((n, 2), np.nan)
         with self._lock:
             self._track = Track(
-                time_s, pose, nowhere, nowhere.copy(), time_s, np.full(n, np.nan), 2.0,
-                not roll_known, np.zeros((6, 6)), unseen=np.zeros(n, np.int64),
+                time_s, pose, self._nowhere.copy(), self._nowhere.copy(), time_s, self._dim.copy(),
+                2.0, not roll_known, np.zeros((6, 6)), unseen=self._never.copy(),
             )  # fmt: skip
             self._rates.clear()
 
@@ -179,7 +177,9 @@ class ReflectorSensor:
         fitted = fit_dots(self.camera, self._given[0], self._given[1], spots)
         if fitted is None:
             return None
+        hidden = self._fit.hidden
         self._expect(fitted.patterns, fitted.options)
+        self._fit.hidden = hidden
         self._note = fitted.note
         return fitted.found
 

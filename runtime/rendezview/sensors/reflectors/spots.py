@@ -256,11 +256,11 @@ def window_centroid(
     """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size."""
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
-    level, slope_x, slope_y, rough = ring_plane(lit, dark, box, noise)
+    level, slope_x, slope_y, rough, doubt = ring_plane(lit, dark, box, noise)
     level += slope_x * (x - 0.5 * (box[0] + box[1])) + slope_y * (y - 0.5 * (box[2] + box[3]))
     # The rows above the threshold are the top of the spot: its true width is larger.
     x, y, size, amplitude, error = centre_spot(
-        lit, dark, (level, slope_x, slope_y), (x, y, 1.2 * row[SIZE]), rough, columns, rows
+        lit, dark, (level, slope_x, slope_y, doubt), (x, y, 1.2 * row[SIZE]), rough, columns, rows
     )
     # A window that ran away from its spot is no measurement of it.
     away = 0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP], 2.0)

@@ -113,13 +113,12 @@ def _centre(
     x, y = sx / total, sy / total
     height, width = grey.shape
     columns, rows, nothing = np.empty(width), np.empty(height), grey[:0, :0]
-    level, slope_x, slope_y, rough = ring_plane(
+    level, slope_x, slope_y, rough, doubt = ring_plane(
         grey, nothing, (x0, x0 + w - 1, y0, y0 + h - 1), noise
     )
     level += slope_x * (x - x0 - 0.5 * (w - 1)) + slope_y * (y - y0 - 0.5 * (h - 1))
-    x, y, _, peak, sigma = centre_spot(
-        grey, nothing, (level, slope_x, slope_y), (x, y, max(w, h) / 4.0), rough, columns, rows
-    )
+    plane, start = (level, slope_x, slope_y, doubt), (x, y, max(w, h) / 4.0)
+    x, y, _, peak, sigma = centre_spot(grey, nothing, plane, start, rough, columns, rows)
     if abs(x - x0 - 0.5 * w) > w + 2 or abs(y - y0 - 0.5 * h) > h + 2 or not peak > 0.0:
         return 0.0, 0.0, 0.0, 0.0  # it left its blob
     return x, y, saturated_error(sigma, saturated), peak

@@ -1,0 +1,112 @@
+"""Lights that shine one after the other, on a target that turns: errors with and without times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import MODELS_CAD, nees, show, table_of
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.so3 import between
+from rendezview.io.target import Target
+from rendezview.sensors.observation import Status
+from rendezview.sensors.stereo import StereoTracker
+from rendezview.sensors.stereo.multiplex import MultiplexedTracker
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+
+SLOT_S, READING_S = 1.0 / 60.0, 0.1
+_SETTLED = 10  # readings before the errors count
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Of the readings after the first second."""
+
+    turn_deg: float  # median
+    light_mm: float  # median of the farthest light
+    nees: float  # mean; 6 is right
+    poses: int  # of all readings, the first ones too
+
+
+def turning(rate_rad_s: float) -> Callable[[float], Pose]:
+    """rig_from_target of a stage that turns and swings by 0.1 m."""
+
+    def at(time_s: float) -> Pose:
+        turn = Rotation.from_rotvec([0.0, 0.0, rate_rad_s * time_s]).as_matrix()
+        return Pose(turn, np.array([0.1 * np.sin(0.5 * time_s), 0.0, 0.0]))
+
+    return at
+
+
+def errors(
+    laboratory: Laboratory, rate_deg_s: float, corrected: bool, readings: int, seed: int
+) -> Errors:
+    """Errors of a run at one rate, ten readings a second."""
+    at, rng = turning(np.deg2rad(rate_deg_s)), np.random.default_rng(seed)
+    plain = StereoTracker(laboratory.rig, laboratory.leds)
+    offsets = SLOT_S * np.arange(len(laboratory.leds))
+    tracker = MultiplexedTracker(plain, offsets) if corrected else plain
+    first, known = laboratory.rig.cameras[0].camera_from_rig, 0
+    turns, lights, squares = [], [], []
+    for k in range(readings):
+        time_s = READING_S * k
+        currents = laboratory.scan(at, time_s + offsets, rng)
+        spots = [
+            camera.photodiode.read(seen)
+            for camera, seen in zip(laboratory.rig.cameras, currents, strict=True)
+            if camera.photodiode is not None
+        ]
+        found = tracker.update(time_s, spots)
+        if found.status is not Status.OK or found.pose is None:
+            continue
+        known += 1
+        if k < _SETTLED:
+            continue
+        truth = first @ at(time_s)
+        turn = between(found.pose.rotation, truth.rotation)
+        off = np.append(turn, found.pose.translation_m - truth.translation_m)
+        apart = found.pose.apply(laboratory.leds) - truth.apply(laboratory.leds)
+        turns.append(np.linalg.norm(turn))
+        lights.append(np.linalg.norm(apart, axis=1).max())
+        squares.append(nees(off, found.covariance))
+    if not turns:
+        return Errors(np.nan, np.nan, np.nan, known)
+    return Errors(
+        float(np.rad2deg(np.median(turns))), float(1e3 * np.median(lights)),
+        float(np.mean(squares)), known,
+    )  # fmt: skip
+
+
+def laboratory_of(signal_to_noise: float, seed: int) -> Laboratory:
+    """SCOLE's six lights before two perfect photodiodes."""
+    leds = np.array([led.position_m for led in Target.load(MODELS_CAD / "scole").leds])
+    options = LaboratoryOptions(signal_to_noise=signal_to_noise, distorted=False)
+    return Laboratory(leds, options, seed=seed)
+
+
+def run(*, readings: int = 100, snr: float = 4000.0, seed: int = 16) -> None:
+    """Six lights 1/60 s apart, ten readings a second: errors of a turning target.
+
+    Two photodiodes 7 m above the stage. Each reading's pose is compared with the truth at its
+    first light. 'as one' takes the lights as simultaneous.
+    """
+    laboratory = laboratory_of(snr, seed)
+    table = table_of(
+        f"{readings} readings, S/N {snr:g}, seed {seed}",
+        "°/s | as one: poses | turn | farthest light, mm | NEES "
+        "| in time: poses | turn | farthest light, mm | NEES",
+        left=0,
+    )
+    for rate in (0.0, 5.0, 20.0, 40.0):
+        cells = []
+        for corrected in (False, True):
+            found = errors(laboratory, rate, corrected, readings, seed)
+            cells += [
+                f"{found.poses}", f"{found.turn_deg:.3f}°", f"{found.light_mm:.2f}",
+                f"{found.nees:.1f}",
+            ]  # fmt: skip
+        table.add_row(f"{rate:g}", *cells)
+    show(table)
