@@ -59,6 +59,7 @@ EXPERIMENTS = {
         "stereo-accuracy": ("stereo.accuracy", "pose errors in the simulated laboratory"),
         "stereo-calibration": ("stereo.calibration", "calibration with and without rail errors"),
         "stereo-laboratory": ("stereo.laboratory", "writes a simulated laboratory as files"),
+        "stereo-board": ("stereo.board", "NEES of a pair calibrated from a dozen board pairs"),
         "stereo-multiplex": ("stereo.multiplex", "lights one after the other, turning target"),
         "stereo-speed": ("stereo.speed", "readings a second"),
     },

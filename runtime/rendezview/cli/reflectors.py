@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -114,6 +115,10 @@ def reflectors(
     lit_from_dark: Annotated[
         str | None, typer.Option(help="Splitter: 'a,b,c,d,e,f', rows of the map between cameras.")
     ] = None,
+    registered: Annotated[
+        bool,
+        typer.Option("--register", help="The background moves between lit and dark: follow it."),
+    ] = False,
     independent: Annotated[
         bool, typer.Option("--independent", help="Each reading on its own, no memory.")
     ] = False,
@@ -175,6 +180,9 @@ def reflectors(
         _run(itertools.islice(steps, total), patterns, forms, overlay, output, total)
         return
     pairs, total = _pairs(places, camera, mode, lit_from_dark, invert, rate, readings)
+    if registered:
+        followed = (replace(pair, register=True) for pair in pairs)
+        pairs = list(followed) if isinstance(pairs, list) else followed
     if calibrating:
         if output is None:
             raise RendezviewError("reflectors calibrate: give -o, the file for the calibration")

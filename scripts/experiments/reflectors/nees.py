@@ -14,6 +14,7 @@ from rendezview.estimation.acceleration import AccelerationBank
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.reflectors import LitDark, ReflectorSensor, TrackingOptions
+from rendezview.sensors.reflectors.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
 
@@ -33,7 +34,7 @@ def jpeg(picture: np.ndarray, quality: int = 75) -> np.ndarray:
 def frames_of(kind: str, light: np.ndarray, look: plain.Look, rng: np.random.Generator) -> LitDark:
     """The pictures of one reading under a condition."""
     background = None
-    if kind in ("texture", "texture, 0.3 px of motion"):
+    if kind.startswith("texture"):
         wall = plain.texture(PINHOLE, rng, 3.0, 60.0)
         moved = wall
         if "motion" in kind:
@@ -47,12 +48,13 @@ def frames_of(kind: str, light: np.ndarray, look: plain.Look, rng: np.random.Gen
         return LitDark(lit)
     if kind == "MJPEG":
         return LitDark(jpeg(lit), jpeg(dark))
-    return LitDark(lit, dark)
+    frames = LitDark(lit, dark)
+    return register(frames) if "registered" in kind else frames
 
 
 KINDS = (
     "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "texture",
-    "texture, 0.3 px of motion", "five reflectors",
+    "texture, 0.3 px of motion", "texture, 0.3 px of motion, registered", "five reflectors",
 )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from rendezview.sensors.reflectors.exposure import suggest_exposure
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.paper_forms import PaperForms, outer_and_centre
 from rendezview.sensors.reflectors.pattern import ReflectorPattern, SixNumbers, six_numbers
+from rendezview.sensors.reflectors.registration import register
 from rendezview.sensors.reflectors.sensor import ReflectorSensor
 from rendezview.sensors.reflectors.spots import find_spots
 from rendezview.sensors.reflectors.track import TrackingOptions
@@ -53,6 +54,7 @@ class FramePair:
     dark: Frame | None
     lit_from_dark: Array | None = None  # (2, 3) of a second camera; see `registered`
     invert: bool = False  # dark dots on a bright ground
+    register: bool = False  # move the dark picture onto the lit one's background
 
     @property
     def name(self) -> str:
@@ -74,6 +76,7 @@ class FramePair:
         if dark is not None and self.lit_from_dark is not None:
             dark = registered(dark, self.lit_from_dark)
         frames = LitDark(self.lit.read(), dark)
+        frames = register(frames) if self.register else frames
         return frames.inverted() if self.invert else frames
 
 

@@ -1,0 +1,71 @@
+"""Noise that pixels do not show, and a background that moves between lit and dark."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from tests import plain_pictures as plain
+
+from rendezview.sensors.reflectors import LitDark
+from rendezview.sensors.reflectors.hidden_noise import HiddenNoise, quantisation_step
+from rendezview.sensors.reflectors.registration import background_motion, register
+
+CAMERA = plain.Pinhole()
+LOOK = plain.Look()
+
+
+def pair(shift, grey, seed=2):
+    """Lit and dark before a wall that lies ``shift`` px further in the dark one, six lights."""
+    rng = np.random.default_rng(seed)
+    wall = plain.texture(CAMERA, rng, 3.0, grey) if grey else np.zeros((384, 512))
+    affine = np.float32([[1, 0, shift[0]], [0, 1, shift[1]]])
+    moved = cv2.warpAffine(
+        wall, affine, (512, 384), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
+    )
+    places = rng.uniform((20, 20), (480, 360), (6, 2))
+    lights = plain.lights(CAMERA, np.column_stack([places, np.full(6, 5.0), np.full(6, 150.0)]))
+    return LitDark(*plain.pair(CAMERA, lights, LOOK, rng, background=(wall, moved)))
+
+
+def jpeg(picture, quality):
+    _, coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, 0.0), (0.6, -0.4), (6.0, -9.0)])
+def test_the_motion_of_a_background_is_found_and_taken_out(shift):
+    frames = pair(shift, 60.0)
+    motion = background_motion(frames)
+    assert motion == pytest.approx(np.negative(shift), abs=0.1)
+    still = register(frames)
+    off = still.lit[20:-20, 20:-20].astype(int) - still.dark[20:-20, 20:-20]
+    assert 1.4826 * np.median(np.abs(off - np.median(off))) < 3.5
+
+
+def test_a_background_without_texture_is_left_alone():
+    frames = pair((0.0, 0.0), 0.0)
+    assert background_motion(frames) is None
+    assert register(frames) is frames
+    assert background_motion(LitDark(frames.lit)) is None
+
+
+def test_jpeg_is_known_by_its_steps_and_raw_pictures_have_none():
+    for grey in (0.0, 60.0):
+        raw = pair((0.0, 0.0), grey).lit
+        assert quantisation_step(raw) == 0.0
+        assert quantisation_step(jpeg(raw, 75)) == pytest.approx(6.0, abs=0.7)
+    assert quantisation_step(jpeg(pair((0.0, 0.0), 60.0).lit, 50)) > 10.0
+    assert quantisation_step(np.zeros((5, 5), np.uint8)) == 0.0
+
+
+def test_texture_that_moved_counts_in_wide_spots_most():
+    white, moved = HiddenNoise.of(pair((0.0, 0.0), 60.0)), HiddenNoise.of(pair((0.3, 0.0), 60.0))
+    assert not white.of_cells.any()
+    assert white.of_compression == 0.0
+    # As white noise of 3.5 to 8.8 grey levels in place of 2.8, by the size of the spot: measured.
+    assert np.sqrt(8.0 + moved.of_cells) == pytest.approx([4.0, 6.3, 7.0], abs=1.0)
+    table = np.zeros((2, 19))
+    table[:, 5], table[:, 7] = (1.2, 4.0), 0.01
+    moved.widen(table, 2.83)
+    assert 0.01 < table[0, 7] < table[1, 7]
