@@ -60,15 +60,31 @@ def test_a_filter_is_that_of_plain_numpy():
     change = gain @ moved
     wanted = rates + dt * np.append(rates[6:], np.zeros(6)) + change[6:]
     state = [rotation[None].copy(), place[None].copy(), rates[None].copy(), covariance[None].copy()]
-    scores = np.array([2.0])
+    scores = np.array([[2.0, 4.0]])
     step_filters(
         dt, *state, density[None], seen.rotation, seen.translation_m, measured, 0.5, scores
     )
     np.testing.assert_allclose(state[2][0], wanted, atol=1e-12)
     np.testing.assert_allclose(state[3][0], before - gain @ before[:6], atol=1e-12)
     np.testing.assert_allclose(state[1][0], ahead.translation_m + change[3:6], atol=1e-12)
-    likely = -0.5 * (moved @ np.linalg.solve(spread, moved) + np.linalg.slogdet(spread)[1])
-    assert scores[0] == pytest.approx(1.0 + likely)
+    for k, kept in enumerate((1.0, 2.0)):
+        part = slice(3 * k, 3 * k + 3)
+        own, off = spread[part, part], moved[part]
+        likely = -0.5 * (off @ np.linalg.solve(own, off) + np.linalg.slogdet(own)[1])
+        assert scores[0, k] == pytest.approx(kept + likely)
+
+
+def test_a_target_that_only_moves_has_a_steady_turn():
+    """Which filter counts for the angular rate is not decided by the velocity, which swings."""
+    rng, bank, off = np.random.default_rng(6), AccelerationBank(), []
+    for t in np.arange(0.0, 30.0, 0.2):
+        turn = Rotation.from_rotvec([0.0, 0.14 * t, 0.0]).as_matrix()
+        pose = Pose(turn, np.array([0.3 * np.sin(0.9 * t), 0.0, 5.0]))
+        found = bank.add(float(t), pose.perturbed(rng.normal(0.0, SIGMA)), np.diag(SIGMA**2))
+        if t > 10.0:
+            off.append(found.rates[:3] - (0.0, 0.14, 0.0))
+            assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    assert np.sqrt(np.mean(np.square(off))) < 2.5e-3
 
 
 @pytest.mark.parametrize("hertz", [2.0, 10.0, 30.0])

@@ -1,9 +1,10 @@
 """Rates of a pose by filters of constant acceleration, which white jerks disturb.
 
 State: attitude, place, angular rate, velocity, angular and linear acceleration. Nobody knows how
-freely a target moves: several filters run side by side, each with its own jerk, and each counts as
-much as it foretold the last readings (a static multiple-model estimator; Bar-Shalom, Li &
-Kirubarajan, *Estimation with applications to tracking and navigation*, 2001, section 11.6).
+freely a target moves: several filters run side by side, each with its own jerk. Each counts as much
+as it foretold the last readings, by their turns for the angular rate and by their moves for the
+velocity (a static multiple-model estimator; Bar-Shalom, Li & Kirubarajan, *Estimation with
+applications to tracking and navigation*, 2001, section 11.6).
 Frames and perturbations are those of `rendezview.estimation.motion`.
 """
 
@@ -58,7 +59,7 @@ class AccelerationBank:
         self._rotations, self._places = np.empty((count, 3, 3)), np.empty((count, 3))
         self._rates = np.zeros((count, 12))
         self._covariances = np.zeros((count, _STATES, _STATES))
-        self._scores = np.zeros(count)
+        self._scores = np.zeros((count, 2))  # of turns, and of moves
         self._time_s: float | None = None
 
     def clear(self) -> None:
@@ -108,7 +109,8 @@ def step_filters(
         density: (B, 6) spectral densities of the white jerks.
         rotation, place, measured: the reading's pose and its covariance (6, 6).
         memory: share of a filter's score that is kept.
-        scores: (B,) logarithm of its likelihood; NaN where a covariance is singular.
+        scores: (B, 2) logarithm of its likelihood by the turns and by the moves; NaN where a
+            covariance is singular.
     """
     carry, moved = np.eye(_STATES), np.empty(6)
     spread, lower, inverse = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
@@ -137,10 +139,8 @@ def step_filters(
         if not invert(spread, lower, inverse):
             scores[b] = np.nan
             continue
-        likely = -0.5 * moved @ inverse @ moved
-        for i in range(6):  # `invert` leaves the factor's own inverse there
-            likely += math.log(lower[i, i])
-        scores[b] = memory * scores[b] + likely
+        for part in range(2):
+            scores[b, part] = memory * scores[b, part] + _likely(spread, moved, 3 * part)
         gain = np.ascontiguousarray(before[:, :6]) @ inverse
         change = gain @ moved
         rotations[b] = so3.exp(change[:3]) @ rotations[b]
@@ -154,25 +154,48 @@ def step_filters(
 def mix_rates(scores: Array, rates: Array, covariances: Array, mean: Array, spread: Array) -> bool:
     """Mean (6,) and covariance (6, 6) of the rates of B filters; false where a score is not finite.
 
+    The angular rate is one filter's and the velocity another's, each with its own weight: they
+    correlate where it is the same filter.
+
     Args:
-        scores: (B,) logarithms of the filters' likelihoods.
+        scores: (B, 2) logarithms of the filters' likelihoods, by turns and by moves.
         rates, covariances: of the filters, as in `step_filters`.
     """
     count = len(scores)
-    weights, best, total = np.empty(count), scores.max(), 0.0
-    for b in range(count):
-        if not np.isfinite(scores[b]):
-            return False
-        weights[b] = math.exp(scores[b] - best)
-        total += weights[b]
+    weights = np.empty((count, 2))
     mean[:], spread[:] = 0.0, 0.0
-    for b in range(count):
-        weights[b] /= total
-        for i in range(6):
-            mean[i] += weights[b] * rates[b, i]
+    for part in range(2):
+        best, total = scores[:, part].max(), 0.0
+        for b in range(count):
+            if not np.isfinite(scores[b, part]):
+                return False
+            weights[b, part] = math.exp(scores[b, part] - best)
+            total += weights[b, part]
+        for b in range(count):
+            weights[b, part] /= total
+            for i in range(3 * part, 3 * part + 3):
+                mean[i] += weights[b, part] * rates[b, i]
     for b in range(count):
         for i in range(6):
             for j in range(6):
-                off = (rates[b, i] - mean[i]) * (rates[b, j] - mean[j])
-                spread[i, j] += weights[b] * (covariances[b, 6 + i, 6 + j] + off)
+                own = covariances[b, 6 + i, 6 + j]
+                if i // 3 == j // 3:
+                    off = (rates[b, i] - mean[i]) * (rates[b, j] - mean[j])
+                    spread[i, j] += weights[b, i // 3] * (own + off)
+                else:
+                    spread[i, j] += weights[b, 0] * weights[b, 1] * own
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _likely(spread: Array, moved: Array, first: int) -> float:
+    """Logarithm of the likelihood of three of the six numbers by which a reading is off."""
+    lower, inverse = np.zeros((3, 3)), np.empty((3, 3))
+    off = moved[first : first + 3].copy()
+    own = np.ascontiguousarray(spread[first : first + 3, first : first + 3])
+    if not invert(own, lower, inverse):
+        return np.nan
+    likely = -0.5 * off @ inverse @ off
+    for i in range(3):  # `invert` leaves the factor's own inverse there
+        likely += math.log(lower[i, i])
+    return float(likely)

@@ -161,13 +161,13 @@ def simulate(
     \b
     Example: rendezview simulate hubble -o approach --trajectory spiral --sun-phase 20
              rendezview simulate client -o run --trajectory vbar --axis ring --reflectors
-             rendezview simulate scole -o lights --trajectory circular --leds rig.json
+             rendezview simulate scole -o lights --trajectory vbar --axis 0,0,-1 --leds rig.json
     """
     found = find_target(target)
     if reflectors and leds is not None:
         raise RendezviewError("simulate --reflectors or --leds, not both in one run")
-    if found.mesh is None and (reflectors or leds is not None):
-        mesh = without_mesh(found)
+    if leds is not None or (found.mesh is None and reflectors):
+        mesh = without_mesh(found)  # trajectories are about the lights, which are all that is drawn
     else:
         mesh = with_parts(load_mesh(found.mesh_path, unit or found.unit), found, unit)
     moving = joint_motion([parts.joint for parts in found.joints], joint or [])
