@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.difference import LitDark, registered
+
+Float32s = npt.NDArray[np.float32]
 
 _ROUNDS = 4  # of Gauss–Newton. Source: by construction, two do
 _FAR_SIGMAS = 3.0  # of the residual: reflectors and glints. Source: by construction, normal tail
@@ -25,7 +28,7 @@ def background_motion(frames: LitDark) -> Array | None:
     if frames.dark is None:
         return None
     lit, dark = (
-        cv2.GaussianBlur(picture, (0, 0), _SMOOTH_PX).astype(np.float32)
+        np.asarray(cv2.GaussianBlur(picture, (0, 0), _SMOOTH_PX), dtype=np.float32)
         for picture in (frames.lit, frames.dark)
     )
     window = cv2.createHanningWindow(lit.shape[::-1], cv2.CV_32F)
@@ -61,11 +64,12 @@ def register(frames: LitDark) -> LitDark:
     return LitDark(frames.lit, registered(frames.dark, np.column_stack([np.eye(2), shift])))
 
 
-def _shifted(picture: Array, shift: Array) -> Array:
+def _shifted(picture: Float32s, shift: Array) -> Float32s:
     height, width = picture.shape
     affine = np.column_stack([np.eye(2), shift])
     return np.asarray(
         cv2.warpAffine(
             picture, affine, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
-        )
+        ),
+        dtype=np.float32,
     )
