@@ -139,9 +139,9 @@ def _reading(
         width, height = camera.size or (0, 0)
         found = camera.project(places) + rng.normal(0.0, _SPOT_SIGMA_PX, (len(places), 2))
         with np.errstate(invalid="ignore"):
-            inside = ((found > 0.0) & (found < (width - 1, height - 1))).all(axis=1)
+            inside = np.all((found > 0.0) & (found < (width - 1, height - 1)), axis=1)
         spots.append(found[inside])
-        leds.append([name for name, there in zip(names, inside, strict=True) if there])
+        leds.append([names[k] for k in np.flatnonzero(inside)])
     return {"spots": spots, "leds": leds, "sigma_px": _SPOT_SIGMA_PX}
 
 
