@@ -175,7 +175,8 @@ def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> 
     for place, size in zip(spots.centroids_px, spots.size_px, strict=True):
         axes[1].add_patch(Circle(place, 3.0 * size + 5.0, fill=False, color=GREY, lw=0.8))
     axes[1].add_patch(Polygon(three, fill=False, color=ORANGE, lw=0.9))
-    windows = zip(sensor._expected[:, :2], sensor._half, strict=True)  # as it looked, no copy
+    looked = sensor._fit
+    windows = zip(looked.expected[:, :2], looked.half, strict=True)
     for (middle, half), place, size, name in zip(
         windows, three, reading.spots.size_px, reading.reflectors, strict=True
     ):

@@ -8,9 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import show, table_of
-from rendezview.sensors.reflectors import LitDark, find_spots
-from rendezview.sensors.reflectors.difference import ThresholdOptions
-from rendezview.sensors.reflectors.spots import Centroid
+from rendezview.sensors.reflectors import Centroid, LitDark, ThresholdOptions, find_spots
 
 BLOCK, CARD = 2880, 80  # bytes, of a FITS header
 SKY_GREY = 20.0

@@ -45,7 +45,8 @@ def without_mesh(target: Target) -> Mesh:
 
     Its faces have no area; they give a trajectory its centre and size.
     """
-    places = [item.position_m for item in (*target.reflectors, *target.leds)]
+    places = [reflector.position_m for reflector in target.reflectors]
+    places += [led.position_m for led in target.leds]
     if not places:
         raise RendezviewError(f"target {target.name!r} has no mesh, reflectors or LEDs to draw")
     count = len(places)
@@ -88,18 +89,23 @@ def simulate_reflectors(
     gains = _gains(patterns, camera, poses, light, integration, seed)
     hidden = [_hidden(mesh, everything, pose) for _, pose in poses]
 
-    def painted(dark: bool, number: int, pose: Pose) -> Float32s:
-        return reflector_light(
-            camera, everything, pose, light, gains[number], hidden[number], dark=dark
-        )
+    def picture(name: str, dark: bool) -> None:
+        def painted(number: int, pose: Pose) -> Float32s:
+            return reflector_light(
+                camera, everything, pose, light, gains[number], hidden[number], dark=dark
+            )
 
-    for name, dark in (("lit", False), ("dark", True)):
+        def report(done: int, total: int) -> None:
+            if progress is not None:
+                progress(dark * total + done, 2 * total)
+
         simulate(
             mesh, camera, poses, options, folder / name, seed, jobs=jobs, overwrite=overwrite,
-            light=lambda number, pose, dark=dark: painted(dark, number, pose), again=dark,
-            progress=(lambda done, total, dark=dark: progress(dark * total + done, 2 * total))
-            if progress else None,
+            light=painted, again=dark, progress=report,
         )  # fmt: skip
+
+    picture("lit", dark=False)
+    picture("dark", dark=True)
     with JsonLinesWriter(folder / "integration.jsonl") as writer:
         for k, ((time_s, _), gain) in enumerate(zip(poses, gains, strict=True)):
             writer.write({"im_id": k, "time_s": time_s, "exposure": gain / gains[0]})

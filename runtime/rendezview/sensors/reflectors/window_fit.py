@@ -54,7 +54,7 @@ class WindowFit:
         n = len(constellation)  # of the last reading's windows:
         self.expected, self.table = np.empty((n, 3)), np.empty((n, COLUMNS))
         self.outcome = np.zeros(n, np.int64)
-        self._half, self._level = np.empty(n), np.empty(n)
+        self.half, self._level = np.empty(n), np.empty(n)
 
     def look(
         self, time_s: float, track: Track, push: Array | None, frames: LitDark,
@@ -66,10 +66,10 @@ class WindowFit:
         """
         self._place(time_s, track, push, threshold)
         dark, limits = frames.dark_or_nothing, (self.options.size_limit, self.options.least_shape)
-        noise = window_noise(frames.lit, dark, self.expected, self._half)
+        noise = window_noise(frames.lit, dark, self.expected, self.half)
         noise = track.noise if noise < 0.0 else noise
         read_windows(
-            frames.lit, dark, self.expected, self._half, self._level, noise, limits, self.table,
+            frames.lit, dark, self.expected, self.half, self._level, noise, limits, self.table,
             self.outcome,
         )  # fmt: skip
         seen = self.outcome == VISIBLE
@@ -162,7 +162,7 @@ class WindowFit:
             step / span if span > 0.0 else 0.0, track.misses,
             (options.window_sizes, options.window_px, options.coasting_px, options.window_share,
              options.apart_sizes, least),
-            self._half, self._level,
+            self.half, self._level,
         )  # fmt: skip
 
     def _show(self, pose: Pose, out: Array) -> None:
