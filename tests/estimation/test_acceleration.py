@@ -126,13 +126,18 @@ def test_mixed_rates_are_those_of_plain_numpy():
     rng = np.random.default_rng(3)
     root = rng.normal(0.0, 0.1, (4, 18, 18))
     covariances, rates = root @ root.transpose(0, 2, 1), rng.normal(0.0, 0.1, (4, 12))
-    scores, mean, spread = rng.normal(0.0, 2.0, 4), np.empty(6), np.empty((6, 6))
+    scores, mean, spread = rng.normal(0.0, 2.0, (4, 2)), np.empty(6), np.empty((6, 6))
     assert mix_rates(scores, rates, covariances, mean, spread)
-    weights = np.exp(scores) / np.exp(scores).sum()
-    expected = weights @ rates[:, :6]
+    weights = np.repeat(np.exp(scores) / np.exp(scores).sum(axis=0), 3, axis=1)
+    expected = (weights * rates[:, :6]).sum(axis=0)
     off = rates[:, :6] - expected
-    inside = np.einsum("b,bij->ij", weights, covariances[:, 6:12, 6:12])
+    both = weights[:, :, None] * np.ones(6)  # each part by its own weights
+    both[:, :3, 3:] = both[:, 3:, :3] = (weights[:, 0] * weights[:, 3])[:, None, None]
+    wanted = (both * covariances[:, 6:12, 6:12]).sum(axis=0)
+    for part in (slice(0, 3), slice(3, 6)):
+        wanted[part, part] += (weights[:, part] * off[:, part]).T @ off[:, part]
     assert mean == pytest.approx(expected)
-    assert spread == pytest.approx(inside + (weights[:, None] * off).T @ off)
-    scores[2] = np.nan
+    assert spread == pytest.approx(wanted)
+    assert np.linalg.eigvalsh(spread).min() > 0.0
+    scores[2, 1] = np.nan
     assert not mix_rates(scores, rates, covariances, mean, spread)
