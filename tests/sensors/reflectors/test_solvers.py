@@ -1,6 +1,7 @@
 """Closed form, Bales' iterations, least squares: each against the pose that made the spots."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -201,6 +202,8 @@ def test_calibration_files_and_runs_that_cannot_work_are_told(three, paper_camer
     spots = predict_spots(paper_camera, three, pose_of(SIX, three))
     with pytest.raises(RendezviewError, match="does not vary"):
         calibrate(paper_camera, three, [(spots, SIX)] * 20)
-    with pytest.raises(ValueError, match="closed form needs three"):
-        closed_form(paper_camera, five, spots)
+    assert closed_form(paper_camera, five, spots) == closed_form(paper_camera, three, spots)
+    corner = replace(three, positions_m=three.positions_m + [[0, 0, 0], [0.1, 0, 0], [0, 0, 0]])
+    with pytest.raises(ValueError, match="on a post"):
+        closed_form(paper_camera, corner, spots)
     assert closed_form(paper_camera, three, spots[[0, 0, 0]]) is None
