@@ -203,7 +203,8 @@ def test_calibration_files_and_runs_that_cannot_work_are_told(three, paper_camer
     with pytest.raises(RendezviewError, match="does not vary"):
         calibrate(paper_camera, three, [(spots, SIX)] * 20)
     assert closed_form(paper_camera, five, spots) == closed_form(paper_camera, three, spots)
-    corner = replace(three, positions_m=three.positions_m + [[0, 0, 0], [0.1, 0, 0], [0, 0, 0]])
+    aside = np.add(three.positions_m, [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    corner = replace(three, positions_m=aside)
     with pytest.raises(ValueError, match="on a post"):
         closed_form(paper_camera, corner, spots)
     assert closed_form(paper_camera, three, spots[[0, 0, 0]]) is None
