@@ -66,6 +66,6 @@ def test_texture_that_moved_counts_in_wide_spots_most():
     # As white noise of 3.5 to 8.8 grey levels in place of 2.8, by the size of the spot: measured.
     assert np.sqrt(8.0 + moved.of_cells) == pytest.approx([4.0, 6.3, 7.0], abs=1.0)
     table = np.zeros((2, 19))
-    table[:, 5], table[:, 7] = (1.2, 4.0), 0.01
-    moved.widen(table, 2.83)
+    table[:, 3], table[:, 5], table[:, 7] = 176.0, (1.2, 4.0), 0.01
+    moved.widen(table)
     assert 0.01 < table[0, 7] < table[1, 7]

@@ -16,7 +16,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.difference import Grey, LitDark, noise_grey
-from rendezview.sensors.reflectors.spots import SIGMA, SIZE
+from rendezview.sensors.reflectors.spots import AMPLITUDE, SIGMA, SIZE
 
 _CELLS_PX = (4, 8, 16)  # Source: by construction, the extents of spots of σ 1 to 4 px
 _CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment reflector-nees
@@ -31,7 +31,7 @@ _MULTIPLES = 12.0  # of a step, at most. Source: by construction, few are so sma
 _OFF_GRID = 0.12  # of a step; 0.25 by chance. Source: by construction, rounding of a step of 3
 # Variance of a pixel's noise over the square of a step: 1/12 of the quantisation itself, the noise
 # that it hides, and the larger steps of faster coefficients. Source: experiment reflector-nees
-_STEP_VARIANCE = 0.2
+_STEP_VARIANCE = 0.12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,13 +55,17 @@ class HiddenNoise:
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
         return cls(_slow(frames.lit, frames.dark, noise_grey(frames)), compression)
 
-    def widen(self, table: Array, noise: float) -> None:
-        """Add it to the errors of the spots of a table, whose white noise is given, grey."""
+    def widen(self, table: Array) -> None:
+        """Add it to the errors of the spots of a table.
+
+        White noise of one grey level moves a windowed centroid by √(2/π) / amplitude, px.
+        """
         if not (self.of_compression or self.of_cells.any()):
             return
         cell = np.log2(np.clip(_CELLS_A_SIZE * table[:, SIZE], _CELLS_PX[0], _CELLS_PX[-1]))
-        slow = np.interp(cell, np.log2(_CELLS_PX), self.of_cells)
-        table[:, SIGMA] *= np.sqrt(1.0 + (slow + self.of_compression) / noise**2)
+        hidden = np.interp(cell, np.log2(_CELLS_PX), self.of_cells) + self.of_compression
+        moved = math.sqrt(2.0 / math.pi) / np.maximum(table[:, AMPLITUDE], 1.0)
+        table[:, SIGMA] = np.sqrt(table[:, SIGMA] ** 2 + hidden * moved**2)
 
 
 def _slow(lit: Grey, dark: Grey, noise: float) -> Array:

@@ -14,7 +14,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.acquisition import Acquirer, merged
 from rendezview.sensors.reflectors.acquisition_options import Acquisition, AcquisitionOptions
-from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions, noise_grey
+from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.sensors.reflectors.hidden_noise import HiddenNoise
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
@@ -169,7 +169,7 @@ class ReflectorSensor:
         spots = find_spots(frames, self.threshold)
         if len(spots) >= 3 and not spots.overfull:
             self._fit.hidden = HiddenNoise.of(frames)
-            self._fit.hidden.widen(spots.table, noise_grey(frames))
+            self._fit.hidden.widen(spots.table)
         return spots
 
     def _with_other_dots(self, spots: SpotTable) -> Acquisition | None:

@@ -75,7 +75,7 @@ class WindowFit:
         seen = self.outcome == VISIBLE
         rows = self.table[seen]
         recentre(rows, noise, threshold.centroid)
-        self.hidden.widen(rows, noise)
+        self.hidden.widen(rows)
         self.table[seen] = rows
         return noise
 
