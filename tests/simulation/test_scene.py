@@ -66,6 +66,7 @@ def frame(options: SceneOptions, sun: Any = (0.3, -0.4, -0.8), pose: Pose = PATH
     return image.astype(np.float64)
 
 
+@pytest.mark.requirement("RV-SIM-1")
 def test_the_same_seed_gives_the_same_bytes_for_one_and_two_jobs(tmp_path: Path) -> None:
     options = SceneOptions(
         shading=QUICK, earth=Earth(), stars=Stars(), masks=True, sun_azimuth_each_frame=True
@@ -239,6 +240,21 @@ def test_a_scene_with_a_mesh_error_keeps_its_truth_and_moves_its_outline(tmp_pat
     assert all(bent[name] != plain[name] for name in masks)
 
 
+def test_a_blanket_keeps_the_truth_and_makes_the_outline_larger(tmp_path: Path) -> None:
+    for name, share in (("plain", 0.0), ("wrapped", 0.05)):
+        options = SceneOptions(shading=QUICK, masks=True, insulation=share)
+        simulate(MESH, CAMERA, PATH[:3], options, tmp_path / name, 3)
+    plain, wrapped = (files_of(tmp_path / name) for name in ("plain", "wrapped"))
+    assert wrapped["scene_gt.json"] == plain["scene_gt.json"]
+    for name in (name for name in plain if name.startswith("mask_visib")):
+        masks = [
+            cv2.imdecode(np.frombuffer(files[name], np.uint8), cv2.IMREAD_GRAYSCALE) > 0
+            for files in (plain, wrapped)
+        ]
+        assert masks[1].sum() > masks[0].sum()
+        assert (masks[1] | ~masks[0]).all()  # nothing of the craft is lost
+
+
 def test_scenes_without_the_effects_of_a_photograph_draw_no_random_numbers_for_them() -> None:
     """Their pictures are those of the versions before: noise is drawn first."""
     sensor = SensorOptions(exposure=200.0)
@@ -262,6 +278,7 @@ def test_scenes_without_the_effects_of_a_photograph_draw_no_random_numbers_for_t
         ("dust", -1),
         ("mesh_error", 0.9),
         ("mesh_error", math.nan),
+        ("insulation", 0.5),
     ],
 )
 def test_impossible_options_are_refused_by_name(name: str, value: Any) -> None:

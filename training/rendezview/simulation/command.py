@@ -141,6 +141,10 @@ def simulate(
         list[str] | None,
         typer.Option(help="NAME=ANGLE or NAME=ANGLE,RATE of a joint, degrees (a second)."),
     ] = None,
+    insulation: Annotated[
+        float,
+        typer.Option(help="Bumpy blanket over half of the mesh: thickness, share of its radius."),
+    ] = 0.0,
     bearing: Annotated[
         float, typer.Option(help="Random trajectory: largest angle off the boresight, degrees.")
     ] = 0.0,
@@ -191,6 +195,7 @@ def simulate(
         sky_level_grey=sky_level,
         dust=dust,
         mesh_error=mesh_error,
+        insulation=insulation,
         masks=masks,
     )
     motion = _trajectory_options(

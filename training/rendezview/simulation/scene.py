@@ -35,6 +35,7 @@ from rendezview.simulation.shading import (
     unit,
 )
 from rendezview.simulation.trajectories import TimedPose, Triple
+from rendezview.training.insulation import MOST_INSULATION, insulated
 from rendezview.training.mesh import Mesh
 from rendezview.training.zbuffer import Float32s
 
@@ -45,7 +46,8 @@ Picture = tuple[Float32s, Float32s]  # radiance, premultiplied by coverage, and 
 _METERED_FRAMES = 5  # frames rendered for the automatic exposure of a scene
 _MASK_COVERAGE = 0.5  # least coverage of a pixel in the mask
 _MOST_DUST = 10_000  # specks a frame
-_MESH_STREAM = 1  # random numbers of the deformed mesh, beside those of the frames
+# Random numbers of the deformed mesh and of the blanket, beside those of the frames.
+_MESH_STREAM, _BLANKET_STREAM = 1, 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +76,7 @@ class SceneOptions:
     sky_level_grey: float = 0.0  # glow of the sky: grey levels behind the target, not before it
     dust: int = 0  # specks before the camera, new in each frame
     mesh_error: float = 0.0  # RMS displacement of the surface, share of the target's radius
+    insulation: float = 0.0  # mean thickness of a blanket over half of it, share of the radius
     masks: bool = False  # write mask_visib/ too
 
     def __post_init__(self) -> None:
@@ -90,6 +93,10 @@ class SceneOptions:
         if not 0.0 <= self.mesh_error <= MOST_MESH_ERROR:
             raise RendezviewError(
                 f"mesh_error must be 0 to {MOST_MESH_ERROR}, not {self.mesh_error}"
+            )
+        if not 0.0 <= self.insulation <= MOST_INSULATION:
+            raise RendezviewError(
+                f"insulation must be 0 to {MOST_INSULATION}, not {self.insulation}"
             )
         for name in ("sun_direction_sky", "earth_direction_sky"):
             value = getattr(self, name)
@@ -137,7 +144,7 @@ def render_frame(
 ) -> UInt8s:
     """One 8-bit picture (H, W). An automatic exposure uses this frame only.
 
-    The mesh is drawn as it is: ``mesh_error`` belongs to scenes.
+    The mesh is drawn as it is: ``mesh_error`` and ``insulation`` belong to scenes.
     """
     return _frame(
         mesh, camera, camera_from_target, unit(sun_direction_camera, "sun"), options, rng, time_s
@@ -182,6 +189,10 @@ def simulate(
         raise RendezviewError("jobs must be a number of threads, or −1 for all cores, not 0")
     if options.mesh_error > 0.0:  # after the trajectory, which is planned with the CAD model
         mesh = deformed(mesh, options.mesh_error, np.random.default_rng([seed, _MESH_STREAM]))
+    if options.insulation > 0.0:
+        if joints is not None:
+            raise RendezviewError("insulation and joints: a blanket has no joints, give one of them")
+        mesh = insulated(mesh, options.insulation, np.random.default_rng([seed, _BLANKET_STREAM]))
     meshes = [mesh] * len(poses)
     if joints is not None:
         meshes = [joints.posed(mesh, time_s) for time_s in times_s]
