@@ -3,13 +3,18 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint docs clean
+.PHONY: demo test evidence lint docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rendezview demo
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist loadfile $(PYTEST)
+
+# Requirements, the tests that verify them, and their results; fails where one is not verified.
+evidence: $(VENV)/.installed-dev
+	-$(BIN)/python -m pytest -q -n auto --dist loadfile -m requirement --junit-xml build/evidence.xml
+	$(BIN)/python -m experiments evidence build/evidence.xml
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

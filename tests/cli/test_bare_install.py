@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 GROUND = ("trimesh", "sklearn", "joblib", "matplotlib", "networkx", "lxml", "PIL",
           "rendezview.training", "rendezview.simulation", "rendezview.evaluation")  # fmt: skip
 BLOCKER = f"""
@@ -31,6 +33,7 @@ def _bare(*arguments: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.requirement("RV-CMD-3")
 def test_tracking_and_export_run_without_the_ground_side(
     tiny_model_path: Path, scene: Path, tmp_path: Path
 ):

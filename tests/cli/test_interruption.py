@@ -46,6 +46,7 @@ def test_an_interrupted_simulation_leaves_nothing(
     assert files_below(tmp_path) == set()
 
 
+@pytest.mark.requirement("RV-TRACK-3")
 def test_an_interrupted_track_keeps_what_was_computed(
     spawn, files_below, tiny_model_path: Path, scene: Path, prior_path: Path, tmp_path: Path
 ):

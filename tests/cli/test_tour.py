@@ -13,6 +13,7 @@ TINY = ["--order", "1", "--views", "300", "--held-out", "50", "--resolution", "9
 COMMANDS = ("demo", "train", "simulate", "track", "evaluate", "show", "export")
 
 
+@pytest.mark.requirement("RV-CMD-2")
 def test_from_a_mesh_to_an_evaluation(run, mesh_path: Path, tmp_path: Path):
     model, scene = tmp_path / "bumpy.rvm", tmp_path / "scene"
     poses, log = tmp_path / "poses.csv", tmp_path / "log.jsonl"

@@ -14,6 +14,7 @@ TINY = ["--order", "1", "--views", "300", "--held-out", "50", "--resolution", "9
 TETRAHEDRON = "v {0} 0 0\nv 0 {1} 0\nv 0 0 {2}\nv 0 0 0\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
 
 
+@pytest.mark.requirement("RV-CMD-1")
 @pytest.mark.parametrize(
     "arguments",
     ["track NO SCENE -o OUT", "track MODEL NO -o OUT", "track MODEL SCENE -o NO/x.csv",
@@ -107,6 +108,7 @@ def _flip(data: bytes, at: int) -> bytes:
     return data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :]
 
 
+@pytest.mark.requirement("RV-MODEL-1")
 @pytest.mark.parametrize(
     ("damage", "word"),
     [
@@ -217,6 +219,7 @@ def _tracked(run, model: Path, scene: Path, *options: object) -> list[dict]:
     return records
 
 
+@pytest.mark.requirement("RV-TRACK-2")
 def test_bad_frames_say_why_and_the_rest_goes_on(run, tiny_model_path: Path, bad_scene: Path):
     records = _tracked(run, tiny_model_path, bad_scene, "--independent")
     assert {k: records[k]["status"] for k in BAD} == BAD

@@ -66,12 +66,14 @@ def some_attitude(model: ViewModel, rng: np.random.Generator) -> np.ndarray:
     return Rotation.from_rotvec(0.1 * rng.normal(size=3)).as_matrix() @ view
 
 
+@pytest.mark.requirement("RV-CODE-1")
 @needs_compiler
 @pytest.mark.parametrize("level", ["-O0", "-O2"])
 def test_it_compiles_without_a_warning(tiny_model, tmp_path, level):
     build(tiny_model, tmp_path / "code", [level, *MORE_WARNINGS])
 
 
+@pytest.mark.requirement("RV-CODE-1")
 @needs_compiler
 def test_all_trees_decide_as_the_runtime_on_ten_thousand_signatures(code, tiny_model):
     rng = np.random.default_rng(1)
@@ -296,6 +298,7 @@ def test_every_table_is_constant(objects):
         assert said.splitlines()[1].split()[1:3] == ["0", "0"]  # data, bss
 
 
+@pytest.mark.requirement("RV-CODE-1")
 def test_no_function_calls_itself(objects):
     """Each function calls only those above it in its file, or of the files before."""
     functions = 0

@@ -40,6 +40,7 @@ def away(fusion, world, time_s):
     return off @ np.linalg.solve(estimate.covariance[:6, :6], off)
 
 
+@pytest.mark.requirement("RV-FUSE-1")
 def test_late_measurements_give_what_they_give_in_order(world):
     series = [
         make(0.5 * k + late)
@@ -133,6 +134,7 @@ def test_a_first_pose_of_a_sensor_that_then_is_silent_is_left_for_another(world)
     assert away(fusion, world, 3.5) < 30.0
 
 
+@pytest.mark.requirement("RV-FUSE-2")
 @pytest.mark.parametrize(
     "sensors", [("camera", "laser"), ("camera", "ring"), ("camera", "ring", "laser")]
 )

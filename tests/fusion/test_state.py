@@ -82,6 +82,7 @@ def test_a_slope_of_a_slanting_beam_is_the_derivative(world):
         assert (behind - ahead) / 2e-5 == pytest.approx(here.slope[:, k], abs=1e-6)
 
 
+@pytest.mark.requirement("RV-FUSE-3")
 def test_normalised_errors_are_those_of_their_degrees_of_freedom(make_world):
     values = []
     for seed in range(60):

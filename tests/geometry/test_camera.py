@@ -34,6 +34,7 @@ def grid(camera):
     return np.column_stack([u.ravel(), v.ravel()])
 
 
+@pytest.mark.requirement("RV-CAM-1")
 @pytest.mark.parametrize("camera", POLYNOMIALS)
 def test_projection_is_that_of_opencv(camera):
     rng = np.random.default_rng(0)
@@ -121,6 +122,7 @@ def test_projecting_the_ray_of_a_pixel_gives_the_pixel(camera):
     np.testing.assert_allclose(camera.project(7.0 * rays), pixels, atol=1e-8)
 
 
+@pytest.mark.requirement("RV-CAM-1")
 def test_pixel_zero_is_the_centre_of_the_top_left_pixel():
     camera = Camera.from_fov(4, 2, math.pi / 2)
     assert (camera.cx, camera.cy, camera.fx, camera.fy) == pytest.approx((1.5, 0.5, 2.0, 2.0))
@@ -129,6 +131,7 @@ def test_pixel_zero_is_the_centre_of_the_top_left_pixel():
     np.testing.assert_allclose(camera.project([-1.0, 0.0, 1.0]), [-0.5, 0.5], atol=1e-12)
 
 
+@pytest.mark.requirement("RV-CAM-1")
 def test_x_is_right_and_y_is_down():
     right, down = PLAIN.project([[1.0, 0.0, 10.0], [0.0, 1.0, 10.0]])
     assert right == pytest.approx([390.0, 245.0])

@@ -46,12 +46,14 @@ def test_chaining_is_associative(a, b, c):
     assert_same((a @ b) @ c, a @ (b @ c))
 
 
+@pytest.mark.requirement("RV-POSE-1")
 @settings(deadline=None)
 @given(poses, poses, vectors)
 def test_chaining_applies_the_right_pose_first(a, b, point):
     np.testing.assert_allclose((a @ b).apply(point), a.apply(b.apply(point)), atol=1e-7)
 
 
+@pytest.mark.requirement("RV-POSE-1")
 @settings(deadline=None)
 @given(poses)
 def test_quaternion_is_unit_scalar_first_not_negative_and_gives_the_pose_back(pose):
@@ -129,6 +131,7 @@ def test_angle_between_poses_is_exact_near_zero_and_near_pi(angle):
     assert rotation_angle(turn) == pytest.approx(angle, abs=1e-14)
 
 
+@pytest.mark.requirement("RV-POSE-2")
 def test_perturbation_is_on_the_left_in_the_camera_frame():
     rng = np.random.default_rng(3)
     pose = Pose.from_quat_wxyz(rng.normal(size=4), rng.normal(size=3))

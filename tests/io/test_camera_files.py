@@ -41,6 +41,7 @@ def test_a_saved_camera_is_loaded_unchanged_and_read_by_opencv(camera, tmp_path)
     assert [entry.name for entry in tmp_path.iterdir()] == ["camera.yaml"]
 
 
+@pytest.mark.requirement("RV-CAM-2")
 @pytest.mark.parametrize("suffix", [".yaml", ".xml", ".json"])
 @pytest.mark.parametrize(
     ("matrix_key", "distortion_key"),
@@ -148,6 +149,7 @@ k:
 """
 
 
+@pytest.mark.requirement("RV-CAM-2")
 @pytest.mark.parametrize(
     "text",
     [ROS_CALIBRATION, ROS_BLOCKS, ROS_MESSAGE, ROS2_MESSAGE],
@@ -212,6 +214,7 @@ cam0:
 """
 
 
+@pytest.mark.requirement("RV-CAM-2")
 @pytest.mark.parametrize(("model", "lens"), [("radtan", "opencv"), ("equidistant", "fisheye")])
 def test_kalibrs_files_are_read(tmp_path, model, lens):
     (tmp_path / "c.yaml").write_text(KALIBR.replace("MODEL", model))
@@ -248,6 +251,7 @@ SPEED = {
 }  # fmt: skip
 
 
+@pytest.mark.requirement("RV-CAM-2")
 def test_speed_camera_is_metres_over_pitch_with_its_own_principal_point(tmp_path):
     (tmp_path / "camera.json").write_text(json.dumps(SPEED))
     camera = load_camera(tmp_path / "camera.json")
@@ -268,6 +272,7 @@ def test_speed_plus_matrix_and_distortion_win(tmp_path):
     assert (camera.width, camera.height) == (1920, 1200)
 
 
+@pytest.mark.requirement("RV-CAM-2")
 def test_bop_camera_is_read(tmp_path):
     data = {"cx": 325.2611, "cy": 242.04899, "depth_scale": 1.0, "fx": 572.4114, "fy": 573.57043,
             "height": 480, "width": 640}  # fmt: skip

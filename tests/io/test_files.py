@@ -15,6 +15,7 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.requirement("RV-FILE-2")
 def test_content_appears_only_when_all_is_written(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(b"old")

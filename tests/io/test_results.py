@@ -37,6 +37,7 @@ def rows(count=20):
     ]
 
 
+@pytest.mark.requirement("RV-FILE-1")
 def test_written_rows_are_read_back_in_full_precision(tmp_path):
     written = rows()
     write_results(tmp_path / "r.csv", written)
@@ -51,6 +52,7 @@ def test_written_rows_are_read_back_in_full_precision(tmp_path):
         )
 
 
+@pytest.mark.requirement("RV-FILE-1")
 def test_the_file_is_the_one_bop_describes(tmp_path):
     quarter = Pose([[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.001, 0.002, 3.0])
     write_results(tmp_path / "r.csv", [ResultRow(1, 7, 2, 0.5, quarter, 0.25)])

@@ -128,6 +128,7 @@ def test_a_lease_is_held_renewed_and_let_go():
     lease.take("a", 14.6)
 
 
+@pytest.mark.requirement("RV-SVC-3")
 def test_two_senders_do_not_mix(service, client, camera, tour):
     """The other one's frames show the target elsewhere: its attitude would jump."""
     session = client.open(camera, prior=tour[0][1], name="shared")

@@ -209,6 +209,7 @@ def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_
     assert "bit for bit" in done.stderr
 
 
+@pytest.mark.requirement("RV-SVC-1")
 def test_the_service_outlives_a_worker(start_service, camera, tour, tmp_path):
     served = start_service("--record", str(tmp_path))
     with served.client() as client:

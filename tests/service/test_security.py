@@ -58,6 +58,7 @@ def _guard(tokens_path: Path | None = None, **settings: object) -> Guard:
     return Guard(_says_right, Settings(**settings), tokens, Metrics())
 
 
+@pytest.mark.requirement("RV-SVC-2")
 @pytest.mark.parametrize(
     ("token", "right"),
     [("eve-may-only-look-here", Right.READ), ("bob-may-send-his-frames", Right.TRACK)],

@@ -19,6 +19,7 @@ SUN = np.array([0.5, -0.4, -0.768])
 LAMBERT = MitsubaOptions(foil=0.0, ambient=0.0, samples=64)
 
 
+@pytest.mark.requirement("RV-SIM-2")
 def test_both_renderers_cover_the_same_pixels(bumpy_mesh):
     _, coverage = render_mitsuba(bumpy_mesh, CAMERA, POSE, SUN, LAMBERT)
     ours = render(bumpy_mesh, CAMERA, POSE, SUN, ShadingOptions(samples=8)).coverage

@@ -68,6 +68,7 @@ def stopped(folder: Path, mesh: Mesh, by: signal.Signals, jobs: int = 1) -> tupl
     return path, done.returncode
 
 
+@pytest.mark.requirement("RV-TRAIN-1")
 def test_two_jobs_give_the_bytes_of_one(tmp_path, bumpy_mesh, reference):
     train(bumpy_mesh, tmp_path / "m.rvm", name="bumpy", options=SMALL, jobs=2)
     assert (tmp_path / "m.rvm").read_bytes() == reference
@@ -79,6 +80,7 @@ def test_another_seed_gives_other_bytes(tmp_path, bumpy_mesh, reference):
     assert (tmp_path / "m.rvm").read_bytes() != reference
 
 
+@pytest.mark.requirement("RV-TRAIN-2")
 def test_a_killed_job_goes_on_where_it_stopped_and_gives_the_same_bytes(
     tmp_path, bumpy_mesh, reference
 ):

@@ -117,6 +117,7 @@ def test_one_category_is_one_leaf(label):
     assert (trees.leaf_on[0], trees.leaf_off[0]) == ((200, 0) if label else (0, 200))
 
 
+@pytest.mark.requirement("RV-TRAIN-3")
 @pytest.mark.parametrize("step", [1, 3])
 @pytest.mark.parametrize("least", [2, 30])
 def test_decisions_are_scikit_learns_and_thresholds_are_whole(step, least):

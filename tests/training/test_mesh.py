@@ -95,6 +95,7 @@ def test_metres_are_assumed_aloud_where_the_file_has_no_unit(tmp_path: Path) -> 
     assert "taken as metres, 2.00 × 1.00 × 0.50 m; give --unit mm if that is wrong" in note
 
 
+@pytest.mark.requirement("RV-MESH-1")
 @pytest.mark.parametrize("suffix", ["stl", "obj", "ply", "glb"])
 def test_millimetres_without_a_unit_are_an_error_with_every_choice(
     tmp_path: Path, suffix: str

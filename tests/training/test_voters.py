@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from sklearn.metrics import roc_auc_score
 from sklearn.tree import DecisionTreeClassifier
 
@@ -33,6 +34,7 @@ def samples(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarra
     return readings, labels ^ (rng.random(count) < 0.05)
 
 
+@pytest.mark.requirement("RV-TRAIN-3")
 def test_split_is_the_best_of_all_thresholds_by_equation_5():
     for seed in range(5):
         rng = np.random.default_rng(seed)

@@ -123,6 +123,7 @@ def free_flight(tmp_path) -> tuple[Plan, Segment, np.ndarray]:
     return plan, segment, state
 
 
+@pytest.mark.requirement("RV-PATH-1")
 def test_the_correction_flown_meets_the_plan_in_place_and_velocity(tmp_path):
     plan, segment, state = free_flight(tmp_path)
     given = correct(segment, plan, 200.0, 400.0)

@@ -41,6 +41,7 @@ def test_circle_and_spiral_are_found_and_go_on(shape, climb):
     assert segment.frame[:, 2] @ turn[:, 2] > np.cos(2e-3)
 
 
+@pytest.mark.requirement("RV-PATH-1")
 def test_cloud_of_on_nodes_with_outliers_gives_the_segment():
     rng = np.random.default_rng(3)
     _, first, _ = circle(rng)

@@ -119,6 +119,7 @@ def test_a_model_without_contours_is_refused(tiny_model, camera):
         ShapeEstimator(tiny_model, camera)
 
 
+@pytest.mark.requirement("RV-REC-5")
 def test_a_wrong_mesh_that_nobody_mentions_widens_the_covariance(
     refining_model, camera, fly_around, found
 ):

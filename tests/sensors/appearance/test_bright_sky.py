@@ -67,6 +67,7 @@ def test_before_the_earth_the_body_is_where_the_target_is(foreground):
     assert around >= 6
 
 
+@pytest.mark.requirement("RV-REC-3")
 def test_clouds_alone_are_no_body(foreground):
     mesh = random_craft(np.random.default_rng(0))
     away = Pose(np.eye(3), [500.0, 0.0, 9.0])

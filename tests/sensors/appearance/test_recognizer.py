@@ -75,6 +75,7 @@ def all_errors(model, camera, mesh, draw, seed: int, prior_deg: float | None) ->
     return np.array(rows)
 
 
+@pytest.mark.requirement("RV-REC-1")
 @pytest.mark.parametrize("prior_deg", [0.0, 20.0])
 def test_poses_are_near_the_truth_from_a_prior_20_degrees_off(
     tiny_model, camera, bumpy_mesh, draw, prior_deg

@@ -176,6 +176,7 @@ def test_a_distorted_camera_is_refined_through_its_lens(refining_model, bumpy_me
         assert error > 2.0 * np.linalg.norm(found.pose.translation_m - truth.translation_m)
 
 
+@pytest.mark.requirement("RV-REC-4")
 def test_the_covariance_is_symmetric_positive_and_of_the_size_of_the_errors(
     refining_model, bumpy_mesh, camera
 ):
@@ -242,6 +243,7 @@ def test_nothing_to_hold_on_to_gives_no_pose(refining_model, camera):
     assert refiner.refine(flat, Sky.of(flat), random_pose(0)) is None
 
 
+@pytest.mark.requirement("RV-REC-2")
 def test_first_poses_without_a_prior_are_right_or_not_given(refining_model, bumpy_mesh, camera):
     recognizer = Recognizer(refining_model, camera)
     errors = []

@@ -226,6 +226,7 @@ def test_a_dark_frame_is_empty(grey, options):
     assert missed(np.full((120, 160), grey, np.uint8), options).status is Status.EMPTY
 
 
+@pytest.mark.requirement("RV-REC-3")
 def test_noise_alone_is_no_target():
     for seed in range(5):
         frame = noisy(np.full((480, 640), 20.0), 3.0, seed)

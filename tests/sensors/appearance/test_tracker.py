@@ -59,6 +59,7 @@ def script() -> Script:
     return Script()
 
 
+@pytest.mark.requirement("RV-TRACK-1")
 def test_each_pose_is_the_prior_of_the_next_frame(script):
     tracker = Tracker(script)
     for time_s, answer in enumerate([A, A, A]):
@@ -116,6 +117,7 @@ def test_a_first_prior_that_is_never_met_is_forgotten_too(script):
     assert script.priors == [A, A, A, None]
 
 
+@pytest.mark.requirement("RV-TRACK-1")
 def test_the_prior_is_forgotten_after_an_outage(script):
     tracker = Tracker(script, options=TrackerOptions(longest_outage_s=10.0))
     script.answer = A

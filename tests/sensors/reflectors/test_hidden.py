@@ -59,6 +59,7 @@ def test_the_plain_simulator_and_the_sensor_agree_on_where_a_disc_is(pinhole, fi
         assert apart.max() < 0.01
 
 
+@pytest.mark.requirement("RV-REFL-1")
 @pytest.mark.parametrize("hidden", [(1, 0), (1, 2), (1, 3), (0, 3)])
 def test_three_of_five_are_never_a_wrong_pose(pinhole, five, paper_camera, hidden):
     rng = np.random.default_rng(1)

@@ -24,6 +24,7 @@ def error(pose, rotation, translation):
     )
 
 
+@pytest.mark.requirement("RV-REFL-2")
 @pytest.mark.parametrize("range_m", [0.5, 1.0, 12.0, 100.0, 1000.0])
 def test_head_on_is_exact(range_m):
     poses = solve_p3p(rays_of(HEAD_ON, np.array([0, 0, range_m])), TARGET)

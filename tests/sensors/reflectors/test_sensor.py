@@ -71,6 +71,7 @@ def test_the_target_is_found_and_its_half_turn_told(picture, three, paper_camera
     assert close(found.refined.camera_from_target, pose_of(six, three), range_m)
 
 
+@pytest.mark.requirement("RV-REFL-2")
 def test_head_on_is_found(picture, three, paper_camera):
     six = SixNumbers(3.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     frames = picture(three, six, np.random.default_rng(1))
@@ -101,6 +102,7 @@ def test_with_a_reflector_hidden_there_is_no_pose(picture, three, paper_camera, 
     assert "three are needed" in found.reason
 
 
+@pytest.mark.requirement("RV-REFL-1")
 @pytest.mark.parametrize("hidden", [(), (0,), (1,), (3,), (0, 4)])
 def test_any_three_of_five_reflectors_do(picture, five, paper_camera, hidden):
     frames = picture(five, AHEAD, np.random.default_rng(4), hidden=hidden)

@@ -46,6 +46,7 @@ def test_every_edge_of_a_ring_is_found_to_a_hundredth_of_a_pixel(make, ring_came
     assert max(worst) < 0.2
 
 
+@pytest.mark.requirement("RV-RING-1")
 def test_poses_meet_the_accuracy_asked_for_and_their_covariance(make, ring_camera):
     centre, axis, odd = [], [], []
     for seed in range(25):

@@ -74,6 +74,7 @@ def test_without_a_range_and_a_pattern_the_choice_is_open():
     assert (alone.edge, alone.rivals) == (0, ())
 
 
+@pytest.mark.requirement("RV-RING-2")
 def test_an_open_circle_is_no_measurement_and_its_candidates_are_recorded():
     class Given(RingSensor):
         def read(self, prior):

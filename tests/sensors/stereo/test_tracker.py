@@ -51,6 +51,7 @@ def test_without_noise_the_pose_is_exact_in_the_first_cameras_frame(tracker, lab
     assert observation.yaw_pitch_roll == pytest.approx((0.7, 0.2, -0.1), abs=1e-6)
 
 
+@pytest.mark.requirement("RV-STEREO-1")
 def test_errors_are_those_of_the_covariance_and_of_the_bound(tracker, laboratory, read):
     rng = np.random.default_rng(1)
     currents = laboratory.currents([POSE] * 600, rng)
@@ -68,6 +69,7 @@ def test_errors_are_those_of_the_covariance_and_of_the_bound(tracker, laboratory
     assert scatter == pytest.approx(bound, rel=0.12)
 
 
+@pytest.mark.requirement("RV-STEREO-1")
 @pytest.mark.parametrize("pitch_deg", [0.0, 89.0, 90.0])
 def test_no_attitude_is_singular(laboratory, pitch_deg: float):
     # The lights turned so that the cameras still see them while eq. 3 passes its pole
