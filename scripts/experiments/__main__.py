@@ -109,6 +109,12 @@ EXPERIMENTS = {
         "simulation-picture": ("pictures:simulation", "what photographs have, option by option"),
         "stereo-picture": ("pictures:stereo", "figure 8 of Welch et al. (1991)"),
     },
+    "integrity": {
+        "integrity-draw": ("integrity.draw", "tracks sequences of every condition, in pieces"),
+        "integrity-fit": ("integrity.fit", "fits tails, odds of a wrong pose and drift to them"),
+        "integrity": ("integrity.judge", "misleading, alarmed, available; Stanford diagrams"),
+        "evidence": ("evidence", "requirements, their tests and results, from a JUnit file"),
+    },
     "benchmark": {
         "benchmark": ("benchmark.command", "everything beside its peers and floors"),
         "bop-toolkit-peer": ("peers.bop_toolkit", "our scores beside the BOP toolkit's"),

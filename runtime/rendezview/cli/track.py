@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -30,7 +30,9 @@ from rendezview.io.files import check_place, read_json
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
+from rendezview.sensors.appearance.integrity import IntegrityOptions
 from rendezview.sensors.appearance.video import video_of
+from rendezview.sensors.protection import Levels
 from rendezview.sensors.run import Line, run
 
 
@@ -75,6 +77,18 @@ def track(
             help="Where grey edges give no pose, search on a network's sketch of the frame.",
         ),
     ] = True,
+    integrity_risk: Annotated[
+        float | None,
+        typer.Option(
+            help="Protection levels: the error that is exceeded with this probability, 1e-3 … 1e-6."
+        ),
+    ] = None,
+    alarm_attitude_deg: Annotated[
+        float | None, typer.Option(help="Alarm where the level of the attitude is higher.")
+    ] = None,
+    alarm_position_m: Annotated[
+        float | None, typer.Option(help="Alarm where the level of the position is higher.")
+    ] = None,
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
     ] = None,
@@ -103,6 +117,8 @@ def track(
     first = _prior(prior, sequence, loaded)
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
+    integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
+    levels = Levels()
     tell_of_compiling()
     compile_ahead("track")
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
@@ -116,6 +132,7 @@ def track(
         sun_camera=light,
         refine=refine,
         sketch=sketch,
+        integrity=integrity,
         watch=drawn.watch if drawn else None,
     )
 
@@ -127,6 +144,7 @@ def track(
                 noted["trajectory"], words = guide.update(time_s, observation)
                 if words:
                     say(words)
+            levels.add(observation.protection)
             row = result_row(sequence.scene_id, frame, observation)
             yield Line(noted, observation.status, row, sum(observation.stage_ms.values()))
 
@@ -135,6 +153,8 @@ def track(
         summary = run(lines(), log=log, results=output, progress=progress)
     if guide is not None:
         guide.finish(oem, aem, moment, loaded.name)
+    if integrity is not None:
+        say(str(levels))
     say_summary(summary, len(summary.rows), len(sequence), what="poses", step="frame")
 
 
@@ -162,6 +182,22 @@ def _guide(
             raise RendezviewError("--chaser, --oem and --aem need a --plan or a --shape to fit")
         return None
     return Guide.of(model.centre_m, plan, shape, chaser, refine)
+
+
+def _integrity(
+    risk: float | None, attitude_deg: float | None, position_m: float | None
+) -> IntegrityOptions | None:
+    """The user's risk and limits; a limit alone takes the default risk."""
+    if risk is None and attitude_deg is None and position_m is None:
+        return None
+    given: dict[str, Any] = {}
+    if risk is not None:
+        given["risk"] = risk
+    if attitude_deg is not None:
+        given["alarm_attitude_rad"] = float(np.deg2rad(attitude_deg))
+    if position_m is not None:
+        given["alarm_position_m"] = position_m
+    return IntegrityOptions(**given)
 
 
 def _silhouette(threshold: str) -> SilhouetteOptions:

@@ -184,8 +184,10 @@ def _pose(content: Any) -> Pose:
 
 
 def _pose_of(record: Mapping[str, Any], sensor: str, _: LogContext) -> Measurement | None:
-    # A roll that may be half a turn off is no pose.
+    # A roll that may be half a turn off is no pose, and a pose with an alarm must not be used.
     if record["pose"] is None or record.get("covariance") is None or record.get("roll_ambiguous"):
+        return None
+    if record.get("protection", {}).get("alarm"):
         return None
     covariance = np.array(record["covariance"], dtype=np.float64)
     return PoseMeasurement(_time(record), sensor, _pose(record["pose"]), covariance)

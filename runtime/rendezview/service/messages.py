@@ -42,6 +42,20 @@ class CameraMessage(Message):
     )
 
 
+class IntegrityRequest(Message):
+    """Protection levels and alarms for the poses of a session."""
+
+    risk: FiniteFloat = Field(
+        default=1e-3, ge=1e-9, le=0.1, description="probability that an error exceeds its level"
+    )
+    alarm_attitude_rad: FiniteFloat | None = Field(
+        default=None, gt=0.0, description="alarm where the level of the attitude is higher"
+    )
+    alarm_position_m: FiniteFloat | None = Field(
+        default=None, gt=0.0, description="alarm where the level of the position is higher"
+    )
+
+
 class SessionRequest(Message):
     """A camera and a target to track."""
 
@@ -67,6 +81,9 @@ class SessionRequest(Message):
     )
     approach: ApproachRequest | None = Field(
         default=None, description="docking port, corridor, keep-out zone, limits"
+    )
+    integrity: IntegrityRequest | None = Field(
+        default=None, description="poses get protection levels; those with an alarm are not fused"
     )
 
 
@@ -206,6 +223,21 @@ class ObservationMessage(Message):
     stage_ms: dict[str, float]
 
 
+class ProtectionLevels(Message):
+    """Levels that the errors of a pose exceed with the session's risk, and alarms."""
+
+    risk: float
+    attitude_rad: float = Field(description="π: any attitude is possible")
+    position_m: float | None = Field(description="of the translation; null: no level")
+    axes: list[float | None] = Field(
+        description="rotation vector rad, translation m; camera frame", min_length=6, max_length=6
+    )
+    wrong: float = Field(description="probability that another answer is the truth")
+    drift: float = Field(description="largest cumulative sum of the innovations, σ")
+    alarm: bool = Field(description="the pose must not be used")
+    alarms: list[str] = Field(description="why: attitude, position, witnesses, drift")
+
+
 class State(ObservationMessage):
     """The result of one frame. Without a pose it has a status and a reason."""
 
@@ -234,6 +266,9 @@ class State(ObservationMessage):
     )
     fused: Fused | None = Field(
         default=None, description="by all sensors; absent while the camera is the only one"
+    )
+    protection: ProtectionLevels | None = Field(
+        default=None, description="of the pose; absent where the session asked for none"
     )
 
 

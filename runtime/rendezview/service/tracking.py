@@ -18,12 +18,20 @@ from rendezview.io.results import json_value
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.contour_at import contour_pixels
+from rendezview.sensors.appearance.integrity import IntegrityOptions
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.sensor import AidedSensor
 from rendezview.service.approach import ApproachMonitor
 from rendezview.service.camera_filter import CameraFilter
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
-from rendezview.service.messages import CameraMessage, Contour, Fit, Phase, SessionRequest
+from rendezview.service.messages import (
+    CameraMessage,
+    Contour,
+    Fit,
+    IntegrityRequest,
+    Phase,
+    SessionRequest,
+)
 from rendezview.service.session_filter import SessionFilter
 from rendezview.service.session_filter import warm_up as warm_up_filter
 
@@ -74,6 +82,11 @@ def pose_of(message: PoseMessage) -> Pose:
         raise RendezviewError(f"pose: {error}") from None
 
 
+def integrity_of(message: IntegrityRequest | None) -> IntegrityOptions | None:
+    """The integrity of a message."""
+    return None if message is None else IntegrityOptions(**message.model_dump(exclude_none=True))
+
+
 class SessionTracker:
     """A tracker with the session's filter, names and counters.
 
@@ -107,7 +120,7 @@ class SessionTracker:
             raise RendezviewError("sun_camera: a direction must not be zero")
         prior = None if request.prior is None else pose_of(request.prior)
         recognizer = Recognizer(model, self.camera, trees=request.trees)
-        self.tracker = Tracker(recognizer, prior)
+        self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
         self.filter = SessionFilter(request.fusion, most_sensors, forgotten)
         self._alone: CameraFilter | None = CameraFilter(request.fusion)
@@ -193,6 +206,7 @@ class SessionTracker:
             "latency_ms": 0.0,
             "drops": 0,
             "recorded": False,
+            **{name: record[name] for name in ("protection",) if name in record},
         }
 
     def _phase(self, observation: AppearanceObservation, time_s: float) -> Phase:

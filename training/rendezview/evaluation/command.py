@@ -25,6 +25,8 @@ from rendezview.evaluation.evaluation import Evaluation
 from rendezview.evaluation.nees import nees_text, normalised_errors
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.scores import scores
+from rendezview.evaluation.stanford import Judged, judged_log, stanford_dict, stanford_text
+from rendezview.evaluation.stanford_pictures import stanford_picture
 from rendezview.evaluation.surface import ModelPoints, alike_of
 from rendezview.evaluation.track_pictures import error_curves
 from rendezview.geometry.pose import Array
@@ -63,7 +65,10 @@ def evaluate(
     ] = False,
     log: Annotated[
         Path | None,
-        typer.Option(help="Log of track: errors against covariances (NEES) of the right poses."),
+        typer.Option(
+            help="Log of track: errors against covariances (NEES) of the right poses, and against "
+            "protection levels."
+        ),
     ] = None,
     plots: Annotated[Path | None, typer.Option(help="Folder for pictures of the errors.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -93,9 +98,10 @@ def evaluate(
             speed_plus=speed_plus,
             surface=reference.surface,
         )
-    if plots is not None:
-        _draw(evaluations, plots)
     nees = None if log is None else normalised_errors(sequence, log, reference.symmetries)
+    levels = None if log is None else judged_log(sequence, log, reference.symmetries)
+    if plots is not None:
+        _draw(evaluations, levels, plots)
     single = next(iter(evaluations.values())) if len(evaluations) == 1 else None
     if as_json:
         if single is None:
@@ -104,6 +110,8 @@ def evaluate(
             content = {**single.as_dict(), "scores": scores_dict(scores(single))}
         if nees is not None:
             content["nees"] = nees.tolist()
+        if levels is not None:
+            content["protection"] = stanford_dict(levels)
         typer.echo(json.dumps(content, indent=2, allow_nan=False))
         return
     console = Console()
@@ -114,6 +122,8 @@ def evaluate(
         console.print(score_table(single))
     if nees is not None:
         console.print(nees_text(nees), highlight=False, soft_wrap=True)
+    if levels is not None:
+        console.print(stanford_text(levels), highlight=False, soft_wrap=True)
     for name, part in evaluations.items():
         notes = (
             part.notes if single is None else ()
@@ -124,10 +134,12 @@ def evaluate(
         console.print(note, highlight=False, soft_wrap=True)
 
 
-def _draw(evaluations: dict[str, Evaluation], folder: Path) -> None:
-    """The share of frames below each error, and the errors of each result over the frames."""
+def _draw(evaluations: dict[str, Evaluation], levels: Judged | None, folder: Path) -> None:
+    """Shares of frames below each error, errors over the frames, errors against their levels."""
     make_folder(folder)
     figures = {"share.png": share_picture(evaluations)}
+    if levels is not None:
+        figures["stanford.png"] = stanford_picture(levels, "Errors against protection levels")
     for name, part in evaluations.items():
         figures[f"errors-{Path(name).stem}.png"] = error_curves(part)
     for name, figure in figures.items():

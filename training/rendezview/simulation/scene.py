@@ -191,7 +191,9 @@ def simulate(
         mesh = deformed(mesh, options.mesh_error, np.random.default_rng([seed, _MESH_STREAM]))
     if options.insulation > 0.0:
         if joints is not None:
-            raise RendezviewError("insulation and joints: a blanket has no joints, give one of them")
+            raise RendezviewError(
+                "insulation and joints: a blanket has no joints, give one of them"
+            )
         mesh = insulated(mesh, options.insulation, np.random.default_rng([seed, _BLANKET_STREAM]))
     meshes = [mesh] * len(poses)
     if joints is not None:

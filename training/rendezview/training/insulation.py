@@ -60,8 +60,8 @@ def _note(share: float, covered: float) -> str:
 def _subdivided(mesh: Mesh, radius_m: float) -> Mesh:
     """Consistent winding, short edges, and one vertex at each place."""
     body = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
-    trimesh.repair.fix_normals(body, multibody=True)
-    vertices_m, faces, source = trimesh.remesh.subdivide_to_size(
+    trimesh.repair.fix_normals(body, multibody=True)  # type: ignore[no-untyped-call]
+    vertices_m, faces, source = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
         body.vertices, body.faces, _EDGE_RADII * radius_m, max_iter=12, return_index=True
     )
     keys = np.round(vertices_m / (_SAME_PLACE * radius_m)).astype(np.int64)
@@ -73,6 +73,7 @@ def _subdivided(mesh: Mesh, radius_m: float) -> Mesh:
         vertices_m=np.ascontiguousarray(vertices_m[first]),
         faces=np.ascontiguousarray(joined[whole]),
         face_rgb=np.ascontiguousarray(mesh.face_rgb[source][whole]),
+        face_part=None if mesh.face_part is None else mesh.face_part[source][whole],
     )
 
 
@@ -102,5 +103,6 @@ def _cover(places: Array, areas: Array, covered: float, rng: np.random.Generator
     axis = rng.standard_normal(3)
     along = places @ (axis / np.linalg.norm(axis))
     order = np.argsort(-along)
-    border = along[order[min(np.searchsorted(np.cumsum(areas[order]), covered), len(order) - 1)]]
+    last = int(np.searchsorted(np.cumsum(areas[order]), covered))
+    border = along[order[min(last, len(order) - 1)]]
     return np.asarray(np.clip(0.5 + (along - border) / _HEM_RADII, 0.0, 1.0))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
+from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
@@ -32,6 +34,7 @@ def follow(
     sun_camera: npt.ArrayLike | None = None,
     refine: bool = True,
     sketch: bool = True,
+    integrity: IntegrityOptions | None = None,
     watch: Callable[[Frame, GreyImage | None, AppearanceObservation], None] | None = None,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
@@ -47,6 +50,7 @@ def follow(
         sun_camera: (3,) towards the Sun, camera frame, if it is known.
         refine: move poses onto the edges, if the model has contour points.
         sketch: search on a sketch of the frame where the edges give no pose, see ``Recognizer``.
+        integrity: each pose gets a protection level and alarms.
         watch: called with every frame, its picture (None: unreadable) and its observation.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
@@ -57,7 +61,7 @@ def follow(
     recognizers: dict[Camera, Recognizer] = {}
     tracker: Tracker | None = None
 
-    def look(frame: Frame, time_s: float, image: GreyImage) -> AppearanceObservation:
+    def seen_in(frame: Frame, time_s: float, image: GreyImage) -> AppearanceObservation:
         nonlocal tracker
         if frame.camera not in recognizers:
             recognizers[frame.camera] = Recognizer(
@@ -65,14 +69,19 @@ def follow(
             )
         recognizer = recognizers[frame.camera]
         if independent:
-            return recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
-        tracker = tracker or Tracker(recognizer, prior, options)
+            alone = recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
+            if integrity is None:
+                return alone
+            look = partial(recognizer.second_look, image)
+            monitor = IntegrityMonitor(integrity)
+            return monitor.protected(alone, time_s, None, model.centre_m, look)
+        tracker = tracker or Tracker(recognizer, prior, options, integrity)
         tracker.recognizer = recognizer
         sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = tracker
         return sensor.update(time_s, image, sun_camera)
 
     for frame, image, observation in observe(
-        sequence, look, AppearanceObservation, ordered=not independent
+        sequence, seen_in, AppearanceObservation, ordered=not independent
     ):
         if watch is not None:
             watch(frame, image, observation)

@@ -11,11 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
+from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation, Status
+from rendezview.sensors.protection import Protection
 
 # merit; two poses nearer to each other explain a frame equally well. Source: by hand, seeds of
 # docs/notes/refinement.md
@@ -38,6 +41,7 @@ class AppearanceObservation(Observation):
     signature: Signature | None = None
     found: Found | None = None  # the best refined pose and its rival, given or not
     joints: JointAngles | None = None  # of a target with joints, with its pose
+    protection: Protection | None = None  # of the pose, where the tracker watches its integrity
 
     @property
     def cloud(self) -> tuple[Array, Array]:
@@ -64,6 +68,14 @@ class AppearanceObservation(Observation):
         """The confidence of a refined pose; else the agreement of the trees, the sum of weights."""
         return float(self.weights.sum()) if self.confidence is None else self.confidence
 
+    def measurement(
+        self, sensor: str, *, ring: DockingRing | None = None, mount: Pose | None = None
+    ) -> Measurement | None:
+        """See ``Observation.measurement``; a pose with an alarm is none."""
+        if self.protection is not None and self.protection.alarm:
+            return None
+        return Observation.measurement(self, sensor, ring=ring, mount=mount)
+
     def record(self) -> dict[str, Any]:
         """The observation as its line of JSON."""
         line = Observation.record(self)
@@ -73,6 +85,7 @@ class AppearanceObservation(Observation):
             "confidence": self.confidence,
             "candidates": list(self.candidates),
             "refinement": self._refinement(),
+            **({} if self.protection is None else {"protection": self.protection.record()}),
             "on_nodes": self.active_nodes,
             "weights": self.weights,
             "points_m": self.points_m,

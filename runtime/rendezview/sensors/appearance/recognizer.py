@@ -10,10 +10,12 @@ import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.levels import LevelSearch
+from rendezview.sensors.appearance.evidence import Second
 from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import (
@@ -202,6 +204,21 @@ class Recognizer:
         if self._confident(seen.found):
             return self._given(seen, seen.found)
         return _refused(seen, seen.found)
+
+    def second_look(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
+        """The pose that the sketch of a frame shows, searched without a prior, beside another one.
+
+        It takes 0.1 s. ``None``: there is no sketch, or it gives no confident pose.
+        """
+        if self.sketch is None:
+            return None
+        frame = check_frame(image, self.camera.width, self.camera.height)
+        with self._lock:
+            choice = self.sketch.anywhere(frame)
+        if choice is None or choice.confidence < self.least_confidence:
+            return None
+        other = nearest_alike(choice.best.pose, pose, self.model.symmetries)
+        return Second(other.angle_to(pose), choice.confidence)
 
     def _recognize(
         self,

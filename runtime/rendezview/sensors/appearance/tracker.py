@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.joint_filter import JointFilter
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
@@ -79,6 +81,7 @@ class Tracker:
         recognizer: Recognizer,
         prior: Pose | None = None,
         options: TrackerOptions | None = None,
+        integrity: IntegrityOptions | None = None,
     ) -> None:
         """A tracker before its first frame.
 
@@ -86,6 +89,7 @@ class Tracker:
             recognizer: of the target, in the frames of the camera.
             prior: camera_from_target of the first frame; ``None``: all attitudes are searched.
             options: when to let go of the last pose.
+            integrity: each pose gets a protection level and alarms; ``None``: it gets none.
         """
         self.recognizer = recognizer
         self.options = options or TrackerOptions()
@@ -95,6 +99,7 @@ class Tracker:
         self._rivals: list[tuple[Pose, float]] = []
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
         self._joints: JointFilter | None = None  # of a target with joints, after its first pose
+        self._monitor = None if integrity is None else IntegrityMonitor(integrity)
         self._lock = threading.Lock()
 
     @property
@@ -148,6 +153,7 @@ class Tracker:
                 )
             self._last_time_s = time_s
             self._age(time_s)
+            predicted = self.predicted(time_s) if self._monitor is not None else None
             if self._motion is None and self._rivals:
                 observation = self._decide(time_s, image, sun_camera)
             else:
@@ -157,7 +163,11 @@ class Tracker:
                 self._misses += 1
             else:
                 self._follow(observation, observation.pose, time_s)
-            return observation
+            if self._monitor is None:
+                return observation
+            look = partial(self.recognizer.second_look, image)
+            centre_m = self.recognizer.model.centre_m
+            return self._monitor.protected(observation, time_s, predicted, centre_m, look)
 
     def _with_joints(
         self, observation: AppearanceObservation, time_s: float

@@ -1,0 +1,127 @@
+"""Draws sequences of every condition, tracks them and keeps what speaks for each pose."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+
+from experiments.frame import mesh_of
+from experiments.integrity.frames import CAMERA, CONDITIONS, Condition, sequence
+from rendezview.geometry import so3
+from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import nearest_alike
+from rendezview.io.files import atomic_write_text
+from rendezview.io.results import json_line
+from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance.evidence import Evidence, Second
+from rendezview.training.mesh import Mesh
+
+SECOND_EVERY = 20  # poses of a track; the sketch is asked beside the first of them
+MOST_LOST = 4  # frames in a row without a pose, after which a sequence ends
+TARGETS = ("hubble", "client", "scole")
+SHARD = 4  # sequences of a file
+
+
+def error(found: Pose, truth: Pose | None, model: ViewModel) -> list[float] | None:
+    """(6,) rotation vector and translation from the pose to the truth; None: there is none."""
+    if truth is None:
+        return None
+    near = nearest_alike(found, truth, model.symmetries)
+    turn = so3.between(truth.rotation, near.rotation)
+    return [*turn.tolist(), *(truth.translation_m - near.translation_m).tolist()]
+
+
+def line(
+    k: int, seen: AppearanceObservation, evidence: Evidence | None,
+    second: Second | None, truth: Pose | None, model: ViewModel, spent_s: float,
+) -> dict[str, Any]:  # fmt: skip
+    return {
+        "frame": k,
+        "status": str(seen.status),
+        "error": None if seen.pose is None else error(seen.pose, truth, model),
+        "spent_s": round(spent_s, 4),
+        "evidence": None if evidence is None else evidence.record(),
+        "second": second,
+    }
+
+
+def looks(
+    recognizer: Recognizer, mesh: Mesh, condition: Condition, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Every look at one sequence; every other one starts from a prior."""
+    model = recognizer.model
+    centre_m, radius_m = model.centre_m, model.target_radius_m
+    if condition.other:
+        centre_m, radius_m = mesh.bounding_sphere
+    tracker: Tracker | None = None
+    with_prior = rng.random() < 0.5
+    lines: list[dict[str, Any]] = []
+    poses = lost = 0
+    for k, (picture, shown) in enumerate(sequence(mesh, centre_m, radius_m, condition, rng)):
+        truth = None if condition.other else shown
+        if tracker is None:
+            tracker = Tracker(recognizer, prior=truth if with_prior else None)
+        predicted = tracker.predicted(float(k)) if k else None
+        began_s = time.process_time()
+        seen = tracker.update(float(k), picture)
+        spent_s = time.process_time() - began_s
+        second = None
+        if seen.pose is not None and poses % SECOND_EVERY == 0:
+            second = recognizer.second_look(picture, seen.pose)
+        poses += seen.pose is not None
+        lost = 0 if seen.pose is not None else lost + 1
+        evidence = Evidence.of(seen, float(k), predicted, model.centre_m)
+        lines.append(line(k, seen, evidence, second, truth, model, spent_s))
+        if lost > MOST_LOST:
+            break
+    return lines
+
+
+def run(
+    models: Annotated[Path, "folder of hubble.rvm, client.rvm, scole.rvm, or some of them"],
+    output: Annotated[Path, "folder of the logs"],
+    *,
+    shards: Annotated[str, "numbers of the shards of each condition, first-last"] = "0-9",
+    seed: int = 1,
+    minutes: Annotated[float, "no new shard is begun after them"] = 8.0,
+    only: Annotated[str | None, "one condition"] = None,
+) -> None:
+    """Draw and track sequences; each shard of four is a file.
+
+    A sequence ends early where the target is lost for good. A shard that is there is not drawn
+    again, so a run can be stopped and continued.
+    """
+    cv2.setNumThreads(1)
+    names = [name for name in TARGETS if (models / f"{name}.rvm").is_file()]
+    meshes = {name: mesh_of(name)[1] for name in TARGETS}
+    recognizers = {
+        name: Recognizer(ViewModel.load(models / f"{name}.rvm"), CAMERA) for name in names
+    }
+    output.mkdir(parents=True, exist_ok=True)
+    began_s = time.monotonic()
+    first, last = (int(part) for part in shards.split("-"))
+    for shard in range(first, last + 1):
+        for c, (name, condition) in enumerate(CONDITIONS.items()):
+            path = output / f"{name.replace(' ', '_').replace('_%', '')}-{shard:03d}.jsonl"
+            if path.exists() or (only is not None and name != only):
+                continue
+            if time.monotonic() - began_s > 60.0 * minutes:
+                print(f"time is up before {path.name}: run again to continue")
+                return
+            lines = []
+            for k in range(SHARD):
+                target = names[k % len(names)]
+                others = [name for name in TARGETS if name != target]
+                shown = others[k // len(names) % len(others)] if condition.other else target
+                rng = np.random.default_rng([seed, c, shard, k])
+                head = {"condition": name, "target": target, "sequence": [seed, c, shard, k]}
+                lines += [
+                    head | one for one in looks(recognizers[target], meshes[shown], condition, rng)
+                ]
+            atomic_write_text(path, "".join(json_line(one) + "\n" for one in lines))
+            print(f"{path.name}: {len(lines)} frames, {time.monotonic() - began_s:.0f} s",
+                  flush=True)  # fmt: skip

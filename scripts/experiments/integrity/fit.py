@@ -1,0 +1,235 @@
+"""Fits the numbers of protection levels to logs of integrity-draw."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import fdtri
+
+from experiments.integrity.logs import Look, tracks
+from rendezview.estimation.protection import Overbound
+from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.integrity_model import (
+    FRAME_FEATURES,
+    PACKAGED,
+    TRACK_FEATURES,
+    IntegrityModel,
+)
+
+NAMES = FRAME_FEATURES + TRACK_FEATURES
+SMOOTHING, ALLOWANCE, MOST = 0.3, 1.0, 4.0
+# Degrees of freedom of the tails that are tried; none is lighter, because no log shows their ends.
+DEGREES = (3.0, 4.0, 5.0, 6.0, 8.0)
+TURN_BIASES = tuple(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0]))  # that are tried
+MOVE_BIASES = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.03)  # of the range
+LEAST_SCALE = 0.2  # of a standard deviation; the bias does not take all of it
+RISKS = np.geomspace(2e-4, 0.3, 40)  # at which the tails must lie above the errors'
+DEFAULT_RISK = 1e-3  # the tail that gives the shortest level there is taken
+LEAST_EXCEEDING = 3  # errors; the tail beyond them is extrapolated
+DRAWS = 30  # of the tracks of a condition
+# Wrong poses are rare, so the odds of one begin with what is known without the logs: the confidence
+# is a calibrated probability of one frame; a track that its motion bears out for long is wrong less
+# often; a wrong pose and a sketch agree by chance in 5 %, a right one and one disagree in 15 %.
+PRIOR = {"constant": -3.0, "doubt": 1.0, "young": 3.0, "second_agrees": -3.0,
+         "second_disagrees": 1.8}  # fmt: skip
+PRIOR_SPREAD = 1.0  # of each weight; the logs move them from there
+LEAST_LIMIT = 8.0  # standard deviations; three large innovations in a row are a drift, one is none
+FOLDS = 5
+DRIFT_SHARE = 2e-3  # of the right poses may have a larger sum than the limit
+HALF = 0.5  # of the risk, for wrong poses of a small probability
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """All poses of the logs, one a row."""
+
+    features: np.ndarray  # (N, 20)
+    wrong: np.ndarray  # (N,)
+    at_rival: np.ndarray  # (N,) the rival is within reach of the truth
+    turn: np.ndarray  # (N, 4) length of the error, largest variance, trace over it, unit
+    move: np.ndarray  # (N, 4)
+    drift: np.ndarray  # (N,)
+    condition: np.ndarray  # (N,)
+    track: np.ndarray  # (N,) number of the track
+
+
+def gather(folder: Path) -> Poses:
+    """Replay every track through a monitor and keep what it computes from."""
+    plain = IntegrityModel(
+        attitude=Overbound(1.0, 3.0), position=Overbound(1.0, 3.0), wrong=np.zeros(len(NAMES)),
+        at_rival=0.0, smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=math.inf,
+    )  # fmt: skip
+    rows: dict[str, list] = {field.name: [] for field in dataclasses.fields(Poses)}
+    for number, track in enumerate(tracks(folder)):
+        monitor = IntegrityMonitor(IntegrityOptions(), plain)
+        for look in track:
+            if look.evidence is None:
+                continue
+            protection = monitor.judge(look.evidence, look.ask)
+            rows["features"].append(monitor.features)
+            rows["wrong"].append(look.wrong)
+            rows["at_rival"].append(_at_rival(look))
+            rows["turn"].append(_normalised(look.turn_rad, look.evidence.covariance[:3, :3], 1.0))
+            covariance, range_m = look.evidence.covariance[3:6, 3:6], look.evidence.range_m
+            rows["move"].append(_normalised(look.move_m, covariance, range_m))
+            rows["drift"].append(protection.drift)
+            rows["condition"].append(look.condition)
+            rows["track"].append(number)
+    return Poses(**{name: np.array(values) for name, values in rows.items()})
+
+
+def _at_rival(look: Look) -> bool:
+    """A wrong pose whose rival is as far from it as the truth is."""
+    evidence = look.evidence
+    assert evidence is not None
+    return look.wrong and bool(abs(look.turn_rad - evidence.rival_rad) < np.deg2rad(10.0))
+
+
+def _normalised(
+    length: float, covariance: np.ndarray, unit: float
+) -> tuple[float, float, float, float]:
+    largest = float(np.linalg.eigvalsh(covariance)[-1])
+    return length, largest, float(np.trace(covariance)) / largest, unit
+
+
+def wrong_odds(features: np.ndarray, wrong: np.ndarray) -> np.ndarray:
+    """(20,) log odds, the likeliest ones after the prior and the logs."""
+    prior = np.array([PRIOR.get(name, 0.0) for name in NAMES])
+    sign = np.where(wrong, 1.0, -1.0)
+
+    def unlikely(weights: np.ndarray) -> tuple[float, np.ndarray]:
+        odds = sign * (features @ weights)
+        away = (weights - prior) / PRIOR_SPREAD**2
+        loss = np.logaddexp(0.0, -odds).sum() + 0.5 * away @ (weights - prior)
+        slope = features.T @ (-sign / (1.0 + np.exp(np.clip(odds, -500, 500))))
+        return float(loss), slope + away
+
+    return minimize(unlikely, prior, jac=True, method="L-BFGS-B", options={"maxiter": 2000}).x
+
+
+def raised(poses: Poses) -> float:
+    """What the constant is raised by: few wrong poses have a probability below a risk.
+
+    Each track is judged by a fit to the others. At each risk, poses that are wrong and have a
+    smaller probability are at most half the risk of all poses.
+    """
+    odds = np.empty(len(poses.wrong))
+    folds = poses.track % FOLDS
+    for fold in range(FOLDS):
+        out = folds == fold
+        odds[out] = poses.features[out] @ wrong_odds(poses.features[~out], poses.wrong[~out])
+    lift = 0.0
+    for risk in (1e-2, 1e-3):
+        allowed = int(HALF * risk * len(odds))
+        lowest = np.sort(odds[poses.wrong])
+        if len(lowest) > allowed:
+            lift = max(lift, math.log(risk / (1.0 - risk)) - lowest[allowed])
+    return float(lift)
+
+
+def overbound(
+    errors: np.ndarray, conditions: np.ndarray, track: np.ndarray, biases: tuple[float, ...]
+) -> Overbound:
+    """The tail above those of every condition whose levels at 1e-3 are lowest, log mean.
+
+    The frames of a track err together. So each condition is drawn anew many times, track by track,
+    and the tail lies above all but the highest of these draws.
+
+    Args:
+        errors: (N, 4) length of each error, largest variance, trace over it, unit of the bias.
+        conditions: (N,) of each.
+        track: (N,) number of its track.
+        biases: that are tried.
+    """
+    rng = np.random.default_rng(0)
+    drawn = []
+    for name in np.unique(conditions):
+        here = np.flatnonzero(conditions == name)
+        parts = [here[track[here] == number] for number in np.unique(track[here])]
+        drawn.append([
+            np.concatenate([parts[k] for k in rng.integers(len(parts), size=len(parts))])
+            for _ in range(DRAWS)
+        ])  # fmt: skip
+    best: tuple[float, Overbound] | None = None
+    for bias, degrees in itertools.product(biases, DEGREES):
+        length, largest, axes, unit = errors.T
+        # The scale at which each error has each risk.
+        over = np.maximum(length - bias * unit, 0.0) / np.sqrt(largest * axes)
+        reach = np.sqrt(fdtri(axes[None], degrees, 1.0 - RISKS[:, None]))
+        scale = max(np.sort([_least_scale(over[one], reach[:, one]) for one in draws])[-2]
+                    for draws in drawn)  # fmt: skip
+        bound = Overbound(max(float(scale), LEAST_SCALE), degrees, bias)
+        at = np.sqrt(fdtri(axes, degrees, 1.0 - DEFAULT_RISK))
+        levels = float(np.mean(np.log(bias * unit + bound.scale * np.sqrt(largest * axes) * at)))
+        if best is None or levels < best[0]:
+            best = levels, bound
+    assert best is not None
+    return best[1]
+
+
+def _least_scale(over: np.ndarray, reach: np.ndarray) -> float:
+    """The least scale at which no risk is exceeded more often than it says.
+
+    Args:
+        over: (N,) errors over their standard deviation.
+        reach: (R, N) standard deviations of the tail at each risk, for a scale of 1.
+    """
+    needed = np.sort(over[None] / reach, axis=1)[:, ::-1]  # the largest first
+    allowed = np.maximum(RISKS * len(over), LEAST_EXCEEDING - 1).astype(int)
+    allowed = np.minimum(allowed, len(over) - 1)
+    return float(needed[np.arange(len(RISKS)), allowed].max())
+
+
+def run(
+    folder: Annotated[Path, "logs of integrity-draw"],
+    *,
+    write: Annotated[bool, "into the package"] = False,
+) -> None:
+    """Fit tails, the odds of a wrong pose and the limit of drifts to logs of integrity-draw."""
+    poses = gather(folder)
+    right = ~poses.wrong
+    weights = wrong_odds(poses.features, poses.wrong)
+    lift = raised(poses)
+    weights[0] += lift
+    names = np.unique(poses.condition)
+    model = IntegrityModel(
+        attitude=overbound(
+            poses.turn[right], poses.condition[right], poses.track[right], TURN_BIASES
+        ),
+        position=overbound(
+            poses.move[right], poses.condition[right], poses.track[right], MOVE_BIASES
+        ),
+        wrong=weights,
+        at_rival=float((poses.at_rival.sum() + 1) / (poses.wrong.sum() + 2)),  # Laplace's rule
+        smoothing=SMOOTHING,
+        allowance=ALLOWANCE,
+        most=MOST,
+        limit=max(LEAST_LIMIT, float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))),
+        provenance={
+            "experiment": "integrity-fit",
+            "logs": folder.name,
+            "poses": len(poses.wrong),
+            "tracks": int(poses.track.max()) + 1,
+            "wrong": int(poses.wrong.sum()),
+            "raised": lift,
+            "prior": PRIOR,
+        },
+    )
+    for name in names:
+        these = poses.condition == name
+        print(f"{name}: {these.sum()} poses, {poses.wrong[these].sum()} wrong")
+    print(f"attitude {model.attitude}, position {model.position}")
+    print(f"raised {lift:.2f}, at the rival {model.at_rival:.2f}, drift limit {model.limit}")
+    for name, weight in zip(NAMES, weights, strict=True):
+        print(f"  {name:20}{weight:8.2f}")
+    if write:
+        text = json.dumps(model.record(), indent=1) + "\n"
+        PACKAGED.write_text(text, encoding="utf-8")

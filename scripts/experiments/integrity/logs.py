@@ -1,0 +1,86 @@
+"""The logs of integrity-draw: looks in their order, and their errors."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from experiments.integrity.draw import SECOND_EVERY
+from rendezview.sensors.appearance.evidence import Evidence, Second
+
+# A pose is another answer than the truth where its error is larger than this and beyond its tails.
+WRONG_DEG = 5.0  # of attitude, as in the experiments of poses
+WRONG_SHARE = 0.1  # of the range
+LEAST_CONFIDENCE = 0.6  # of the second witness, as the recognizer wants it
+WRONG_SIGMA = 6.0  # standard deviations along the longest axis of the covariance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One look at one frame."""
+
+    condition: str
+    sequence: tuple[int, ...]
+    frame: int
+    evidence: Evidence | None  # None: no pose
+    second: Second | None
+    asked: bool  # whether the second witness was
+    error: np.ndarray | None  # (6,) from the pose to the truth; None: another target
+
+    @property
+    def ask(self) -> Callable[[], Second | None] | None:
+        """The second witness, where it was asked."""
+        return (lambda: self.second) if self.asked else None
+
+    @property
+    def turn_rad(self) -> float:
+        return np.inf if self.error is None else float(np.linalg.norm(self.error[:3]))
+
+    @property
+    def move_m(self) -> float:
+        return np.inf if self.error is None else float(np.linalg.norm(self.error[3:]))
+
+    @property
+    def wrong(self) -> bool:
+        """Another answer than the truth."""
+        assert self.evidence is not None
+        turned = _beyond(self.turn_rad, np.deg2rad(WRONG_DEG), self.evidence.covariance[:3, :3])
+        moved = WRONG_SHARE * self.evidence.range_m
+        return turned or _beyond(self.move_m, moved, self.evidence.covariance[3:6, 3:6])
+
+
+def _beyond(length: float, least: float, covariance: np.ndarray) -> bool:
+    spread = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return length > max(least, WRONG_SIGMA * spread)
+
+
+def tracks(folder: Path) -> Iterator[list[Look]]:
+    """The looks of each track, in order."""
+    for path in sorted(folder.glob("*.jsonl")):
+        tracked: dict[tuple[int, ...], list[Look]] = {}
+        poses: Counter[tuple[int, ...]] = Counter()
+        for text in path.read_text(encoding="utf-8").splitlines():
+            line = json.loads(text)
+            name = tuple(line["sequence"])
+            asked = line["evidence"] is not None and poses[name] % SECOND_EVERY == 0
+            poses[name] += line["evidence"] is not None
+            tracked.setdefault(name, []).append(_look(line, asked))
+        yield from tracked.values()
+
+
+def _look(line: dict, asked: bool) -> Look:
+    evidence, second, error = line["evidence"], line["second"], line["error"]
+    return Look(
+        line["condition"],
+        tuple(line["sequence"]),
+        line["frame"],
+        None if evidence is None else Evidence.of_record(evidence),
+        None if second is None or second["confidence"] < LEAST_CONFIDENCE else Second(**second),
+        asked,
+        None if error is None else np.array(error),
+    )
