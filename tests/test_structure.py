@@ -41,10 +41,8 @@ def _module(path: Path, root: Path) -> str:
 
 
 def _imports(tree: ast.AST) -> Iterator[str]:
-    """Modules that are imported at run time, wherever the import stands."""
+    """Modules that are imported, wherever the import stands, also for types only."""
     for node in ast.iter_child_nodes(tree):
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
         if isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)

@@ -136,7 +136,7 @@ def tried(number: Number, value: Any, trial: Callable[[], Figures]) -> Figures |
             answer: Figures | str = trial()
         except Exception as error:
             answer = f"{type(error).__name__}: {error}"[:80]
-        os.write(writing, json.dumps(answer).encode())
+        os.write(writing, json.dumps(answer, default=float).encode())
         os._exit(0)
     os.close(writing)
     ready, _, _ = select.select([reading], [], [], LONGEST_S)
@@ -190,5 +190,5 @@ def run(
         if log is not None:
             with log.open("a") as file:
                 line = {"number": label, "usual": usual, "halved": cells[0], "doubled": cells[1]}
-                file.write(json.dumps(line) + "\n")
+                file.write(json.dumps(line, default=float) + "\n")
     show(rows, width=160)

@@ -21,7 +21,7 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
-from rendezview.sensors.appearance.outline.voters import Voters
+from rendezview.sensors.appearance.outline.voters import Ballot, Voters
 from rendezview.sensors.appearance.sketch.views import ViewSketches
 
 _Part = TypeVar("_Part")
@@ -142,6 +142,14 @@ class ViewModel:
     def geodesic(self) -> Geodesic:
         """The sphere of nodes."""
         return Geodesic.of_order(self.order)
+
+    def ballot(self) -> Ballot | None:
+        """Of the voters; None where there are none."""
+        if self.voters is None:
+            return None
+        nodes = self.geodesic.nodes
+        rotations = self.views.centred_from_target[: len(nodes)]
+        return Ballot(self.voters, nodes, rotations, self.geodesic.mean_edge_rad)
 
     @property
     def lattice(self) -> Geodesic:

@@ -27,7 +27,7 @@ SILENT = -35  # the share of a node's views among its samples, in ODDS_UNIT
 
 
 def ballot_of(model: ViewModel) -> Ballot:
-    ballot = Ballot.of(model)
+    ballot = model.ballot()
     assert ballot is not None
     return ballot
 

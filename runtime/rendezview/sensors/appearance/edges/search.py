@@ -91,7 +91,7 @@ class PoseSearch:
     def __post_init__(self) -> None:
         self.refiner = Refiner(self.model, self.camera, self.refine_options)
         self.retrieval = Retrieval(self.model)
-        self.ballot = Ballot.of(self.model)
+        self.ballot = self.model.ballot()
         self._half_turns = half_turns(self.model)
 
     def anywhere(

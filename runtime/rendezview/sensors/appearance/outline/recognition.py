@@ -29,7 +29,6 @@ from rendezview.sensors.appearance.outline.silhouette import (
     find_silhouette,
 )
 from rendezview.sensors.appearance.outline.voted import VotedPose
-from rendezview.sensors.appearance.outline.voters import Ballot
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
 from rendezview.sensors.observation import Status
 
@@ -63,7 +62,7 @@ class OutlineRecognition:
         self.matcher = Matcher(model, match)
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
         self._foreground = Foreground()
-        self._ballot = Ballot.of(model)
+        self._ballot = model.ballot()
         self._voted = None if self._ballot is None else VotedPose(model, self._ballot)
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
 

@@ -10,7 +10,6 @@ and they are a witness beside the edges.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -19,9 +18,6 @@ from numba import njit
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
 from rendezview.sensors.appearance.outline.signature import Readings, Signature, rebinning
-
-if TYPE_CHECKING:
-    from rendezview.sensors.appearance.model import ViewModel
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -80,15 +76,6 @@ class Ballot:
         self._nodes = np.ascontiguousarray(nodes)
         self._rotations = np.ascontiguousarray(rotations)
         self._cosine = float(np.cos(_INSIDE_EDGES * edge_rad))
-
-    @classmethod
-    def of(cls, model: ViewModel) -> Ballot | None:
-        """That of a model; None where it has no voters."""
-        if model.voters is None:
-            return None
-        nodes = model.geodesic.nodes
-        rotations = model.views.centred_from_target[: len(nodes)]
-        return cls(model.voters, nodes, rotations, model.geodesic.mean_edge_rad)
 
     def scores(self, signature: Signature, rotations: Array) -> Array:
         """(K,) mean log odds of the nodes within one edge of each pose.
