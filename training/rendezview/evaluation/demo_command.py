@@ -50,7 +50,10 @@ _SUN_PHASE_DEG = 0.0  # degrees; the Sun is behind the camera, so there are no s
 _AROUND = 2.0 / 3.0  # share of the frames that fly around the target; the others end at the ring
 _RANGES = (2.4, 1.1)  # sphere radii; first and last range of the fly-around
 _LAST_M = 2.0  # m; a ring of 1.2 m still fits the picture. Source: its half angle, 17° of 20°
-_JITTER_DEG = 0.4  # degrees, one σ of each axis of the camera
+# degrees, one σ of each axis of the camera: around the target, and on the last metres, where the
+# filter predicts from frame to frame
+_JITTER_DEG = (0.4, 0.05)
+_STEP_S = 4.0  # s between frames; the craft closes in at 0.3 m/s
 _RANGER = Ranger(origin_m=(0.1, 0.0, 0.0), sigma_m=0.01)
 
 
@@ -168,12 +171,13 @@ def _approach(
 ) -> tuple[list[TimedPose], int]:
     """Half around the target, then along the ring's axis; and the first frame of that."""
     around = round(_AROUND * frames)
-    jitter = float(np.deg2rad(_JITTER_DEG))
+    jitter, last_jitter = (float(np.deg2rad(degrees)) for degrees in _JITTER_DEG)
     first, last = (radii * model.sphere_radius_m for radii in _RANGES)
     flown = trajectory(
         "flyaround",
         TrajectoryOptions(
             frames=2 * around - 1,
+            dt_s=_STEP_S,
             start_range_m=first,
             end_range_m=last,
             centre_m=_triple(model.centre_m),
@@ -187,13 +191,14 @@ def _approach(
         "vbar",
         TrajectoryOptions(
             frames=frames - around + 1,
+            dt_s=_STEP_S,
             start_range_m=float(np.linalg.norm(place - ring.centre_m)),
             end_range_m=_LAST_M,
             centre_m=_triple(ring.centre_m),
             approach_axis=_triple(ring.axis),
             hops=0,
-            pointing_jitter_rad=jitter,
-            roll_jitter_rad=jitter,
+            pointing_jitter_rad=last_jitter,
+            roll_jitter_rad=last_jitter,
             seed=seed + 1,
         ),
     )[1:]
