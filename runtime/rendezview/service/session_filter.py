@@ -165,7 +165,8 @@ class SessionFilter:
         counts.lines += 1
         try:
             measurement = observation.measurement(CAMERA)
-            assert measurement is not None  # it has a pose
+            if measurement is None:
+                raise ValueError("the pose has an alarm of its integrity")
             check_size(measurement, CAMERA)
         except (ValueError, RendezviewError) as error:
             counts.silent += 1
