@@ -15,6 +15,7 @@ from rendezview.io.grey_frame import Picture, check_frame
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.levels import LevelSearch
+from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.evidence import Second
 from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.model import ViewModel
@@ -41,6 +42,9 @@ _NEAR_RAD = np.deg2rad(8.0)
 _SHEETS = 3  # of a target with joints that are searched whole. Source: experiment pose-joints
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
+# Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
+# tells how far. Source: by construction
+_MOST_SIGMA = 0.5
 
 
 class Recognizer:
@@ -256,6 +260,8 @@ class Recognizer:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
             if sketched is not None and self._confident(sketched):
+                pose = sketched.best.pose
+                seen = self.outline.recognize(traced, prior, prior_error_rad, pose, clock)
                 return self._given(seen, sketched)
             if sketched is not None and (found is None or sketched.confidence > found.confidence):
                 found = sketched
@@ -287,7 +293,16 @@ class Recognizer:
     def _confident(self, found: Found) -> bool:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
         close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
-        return found.confidence >= self.least_confidence and not close
+        return found.confidence >= self.least_confidence and not close and _is_known(found.best)
+
+
+def _is_known(refined: Refined) -> bool:
+    """Whether the edges of the frame determine the pose at all: σ of attitude and of range."""
+    covariance, place_m = refined.covariance, refined.pose.translation_m
+    range_m = float(np.linalg.norm(place_m))
+    along_m2 = float(place_m @ covariance[3:, 3:] @ place_m) / max(range_m, 1e-9) ** 2
+    turn_rad2 = float(np.trace(covariance[:3, :3]))
+    return turn_rad2 < _MOST_SIGMA**2 and along_m2 < (_MOST_SIGMA * range_m) ** 2
 
 
 def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObservation:
