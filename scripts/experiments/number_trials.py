@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments import sensor_trials
 from experiments.frame import CLIENT, mesh_of, nees
+from experiments.sensor_trials import Figures, Trial
 from experiments.trajectory import methods
 from rendezview.fusion import (
     BeamSurface,
@@ -29,9 +30,6 @@ from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.background import Earth
 from rendezview.trajectory import Method, Nothing, fit_spin
-
-Figures = dict[str, float]
-Trial = Callable[[], Figures]
 
 
 def fusion(seed: int) -> Trial:

@@ -12,7 +12,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.edges.articulation import point_of_slope
+from rendezview.sensors.appearance.edges.edge_search import point_of_slope, points_of_slopes
 from rendezview.sensors.appearance.tracker import Tracker
 from rendezview.sensors.observation import Status
 from rendezview.simulation.joint_motion import joint_motion
@@ -241,6 +241,7 @@ def test_the_slope_of_an_edge_with_the_angle_is_that_of_the_projection(model: Vi
         q, g = np.empty(3), np.empty(3)
         point_of_slope(edge, pose.rotation, centre, q, g)
         assert q == pytest.approx(point, abs=1e-9)
+        assert np.array_equal(points_of_slopes(edge[None], pose.rotation, centre), q[None])
         joint = model.joints[0]
         turned = joint.moved([point + model.centre_m], 1e-6)[0] - model.centre_m
         slope = g @ np.cross(joint.axis, point + model.centre_m - joint.origin_m)

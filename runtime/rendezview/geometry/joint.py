@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -78,3 +79,14 @@ class Joint:
             raise ValueError("a joint's axis and origin must be of three numbers")
         low, high = record["limits_rad"]
         return cls(record["name"], axis, origin_m, low, high, record["period_rad"])
+
+
+def apart(joints: Sequence[Joint], angles_rad: Array, others_rad: Array) -> Array:
+    """(J,) signed differences of two states of some joints, see ``Joint.apart``."""
+    pairs = zip(joints, angles_rad, others_rad, strict=True)
+    return np.array([joint.apart(float(a), float(b)) for joint, a, b in pairs])
+
+
+def within(joints: Sequence[Joint], angles_rad: Array) -> Array:
+    """(J,) the angles in the ranges of some joints, see ``Joint.within``."""
+    return np.array([j.within(float(a)) for j, a in zip(joints, angles_rad, strict=True)])

@@ -61,6 +61,21 @@ _CHUNK = re.compile(
 _CHUNK_START = 49  # bytes that the pattern may need. Source: its own length
 
 
+class ChannelKinds:
+    """The name of each channel's schema, from the records before the messages."""
+
+    def __init__(self) -> None:
+        self.kinds: dict[int, str] = {}  # by channel
+        self._schemas: dict[int, str] = {}
+
+    def note(self, record: McapRecord) -> None:
+        """Take a schema or a channel over; other records change nothing."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            self.kinds[record.id] = self._schemas.get(record.schema_id, "")
+
+
 def records(path: StrPath, most: int | None = None) -> Iterator[tuple[McapRecord, int, int]]:
     """Complete records of data with offset and length, up to the end or the index.
 

@@ -16,12 +16,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema
+from mcap.records import Chunk
 
 from rendezview.errors import RendezviewError
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.frames import FrameKind, kind_of
-from rendezview.service.log_file import is_own, messages, record_at, records
+from rendezview.service.log_file import ChannelKinds, is_own, messages, record_at, records
 from rendezview.service.log_folder import notes_of, parts_from
 from rendezview.service.log_index import MAGIC
 from rendezview.service.log_repair import RECOVERED
@@ -230,13 +230,9 @@ def places_of(parts: list[Path]) -> list[tuple[Path, int, int]]:
 
 
 def _kinds_of(path: Path) -> dict[int, str]:
-    kinds: dict[int, str] = {}
-    schemas: dict[int, str] = {}
+    channels = ChannelKinds()
     for record, _, _ in records(path):
-        if isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            kinds[record.id] = schemas.get(record.schema_id, "")
-        elif isinstance(record, Chunk):
+        if isinstance(record, Chunk):
             break
-    return kinds
+        channels.note(record)
+    return channels.kinds

@@ -13,7 +13,7 @@ from typing import Any
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
+from mcap.records import Attachment, Chunk, Metadata
 from mcap.records import Message as McapMessage
 from pydantic import ValidationError
 from pydantic_core import to_json
@@ -23,7 +23,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.frames import read_frame
 from rendezview.service.fusion_messages import LoggedMeasurement
-from rendezview.service.log_file import messages, records
+from rendezview.service.log_file import ChannelKinds, messages, records
 from rendezview.service.log_folder import SESSION_METADATA, parts_from
 from rendezview.service.messages import SessionRequest
 from rendezview.service.recording import MODEL_ATTACHMENT
@@ -109,19 +109,15 @@ class Log:
 
 
 def _entries(path: Path) -> Iterator[LogEntry]:
-    kinds: dict[int, str] = {}
-    schemas: dict[int, str] = {}
+    channels = ChannelKinds()
     for record, _, _ in records(path):
-        if isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            kinds[record.id] = schemas.get(record.schema_id, "")
-        elif isinstance(record, Metadata) and record.name == SESSION_METADATA:
+        channels.note(record)
+        if isinstance(record, Metadata) and record.name == SESSION_METADATA:
             yield LoggedStart(dict(record.metadata))
         elif isinstance(record, Chunk):
             parts = messages(record) or []
-            yield from _lines(path, parts, kinds)
-            yield from frames_of(path, parts, kinds)
+            yield from _lines(path, parts, channels.kinds)
+            yield from frames_of(path, parts, channels.kinds)
 
 
 def read_log(path: Path) -> Log:

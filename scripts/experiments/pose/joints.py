@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from experiments.frame import nees
+from rendezview.estimation.motion import rates_between
 from rendezview.geometry.camera import Camera
+from rendezview.geometry.joint import apart, within
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.target import Target
@@ -75,7 +78,7 @@ def run(
             rotation = turn @ pose.rotation
             now = Pose(rotation, centre - rotation @ views.centre_m)
             turned = truth + np.deg2rad(TURN_DEG_S) * LATER_S * k
-            turned = np.array([j.within(a) for j, a in zip(views.joints, turned, strict=True)])
+            turned = within(views.joints, turned)
             image = render_frame(
                 posed(mesh, views.joints, turned), camera, now, sun,
                 SceneOptions(sky_frame="camera"), rng,
@@ -129,17 +132,10 @@ def _judge(views, seen, pose, truth, errors, angles, scores) -> None:
         return
     errors.append(np.rad2deg(angle_between(seen.pose, pose, views.symmetries)))
     if errors[-1] < RIGHT_DEG and seen.joints is not None:
-        pairs = zip(views.joints, seen.joints.angles_rad, truth, strict=True)
-        off = np.array([joint.apart(a, b) for joint, a, b in pairs])
+        off = apart(views.joints, seen.joints.angles_rad, truth)
         angles.append(np.rad2deg(np.abs(off)).max())
-        error = np.concatenate([nees_error(seen.pose, pose), off])
-        scores.append(float(error @ np.linalg.solve(seen.joints.covariance, error)))
-
-
-def nees_error(estimate: Pose, truth: Pose) -> np.ndarray:
-    """(6,) rotation vector and translation between two poses, perturbed on the left."""
-    turn = Rotation.from_matrix(estimate.rotation @ truth.rotation.T).as_rotvec()
-    return np.concatenate([turn, estimate.translation_m - truth.translation_m])
+        error = np.concatenate([rates_between(pose, seen.pose, 1.0), off])
+        scores.append(nees(error, seen.joints.covariance))
 
 
 def _tell(name: str, errors, angles, scores, spent) -> None:

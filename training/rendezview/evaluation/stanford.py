@@ -5,22 +5,20 @@ Walter, Hansen & Enge, *Validation of the WAAS MOPS integrity equation*, ION AM 
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence as Rows
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv
 from scipy.stats import genpareto
 
-from rendezview.errors import RendezviewError
-from rendezview.geometry import so3
-from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, nearest_alike
-from rendezview.io.files import read_text
+from rendezview.evaluation.logged_poses import of_logged_poses
+from rendezview.geometry.pose import Array
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.sequences import Sequence
 
 _TAIL = 0.1  # share of the largest ratios that a tail is fitted to
@@ -94,33 +92,20 @@ def judged_log(sequence: Sequence, log: Path, symmetries: Rows[Symmetry] = ()) -
     Raises:
         RendezviewError: the log cannot be read, or is none of ``track``.
     """
-    truths = {frame.im_id: frame.camera_from_target for frame in sequence}
-    rows = []
-    for number, line in enumerate(read_text(log, "log (JSON lines)").splitlines(), start=1):
-        try:
-            entry = json.loads(line)
-            truth, found = truths.get(entry["im_id"]), entry["pose"]
-            if truth is None or found is None or "protection" not in entry:
-                continue
-            pose = Pose.from_quat_wxyz(found["quat_wxyz"], found["translation_m"])
-            pose = nearest_alike(pose, truth, symmetries)
-            levels = entry["protection"]
-            turn = so3.between(truth.rotation, pose.rotation)
-            move = truth.translation_m - pose.translation_m
-            rows.append(
-                [
-                    float(np.linalg.norm(turn)),
-                    _level(levels["attitude_rad"]),
-                    float(np.linalg.norm(move)),
-                    _level(levels["position_m"]),
-                    float(levels["alarm"]),
-                ]
-            )
-        except (ValueError, KeyError, TypeError) as error:
-            raise RendezviewError(
-                f"{log}: line {number} is not of a log of track ({error}): give the file of "
-                "track --log"
-            ) from None
+
+    def row(entry: dict[str, Any], error: Array) -> list[float] | None:
+        if "protection" not in entry:
+            return None
+        levels = entry["protection"]
+        return [
+            float(np.linalg.norm(error[:3])),
+            _level(levels["attitude_rad"]),
+            float(np.linalg.norm(error[3:])),
+            _level(levels["position_m"]),
+            float(levels["alarm"]),
+        ]
+
+    rows = of_logged_poses(sequence, log, symmetries, row)
     if not rows:
         return None
     turn, turn_level, move, move_level, alarm = np.array(rows).T

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.joint import Joint
+from rendezview.geometry.joint import Joint, within
 from rendezview.geometry.pose import Array
 from rendezview.training.joints import posed
 from rendezview.training.mesh import Mesh
@@ -28,8 +28,7 @@ class JointMotion:
 
     def angles_rad(self, time_s: float) -> Array:
         """(J,) angles at a time, in the joints' ranges."""
-        later = self.start_rad + time_s * self.rate_rad_s
-        return np.array([j.within(float(a)) for j, a in zip(self.joints, later, strict=True)])
+        return within(self.joints, self.start_rad + time_s * self.rate_rad_s)
 
     def posed(self, mesh: Mesh, time_s: float) -> Mesh:
         """The mesh of ``with_parts`` at a time."""

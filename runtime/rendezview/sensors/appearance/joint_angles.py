@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,8 +32,3 @@ class JointAngles:
             "sigma_deg": np.rad2deg(self.sigma_rad),
             "covariance": self.covariance,
         }
-
-
-def farthest_apart(joints: Sequence[Joint], a: Array, b: Array) -> float:
-    """The largest difference between the angles (J,) of one state and another, rad."""
-    return max(abs(j.apart(float(x), float(y))) for j, x, y in zip(joints, a, b, strict=True))

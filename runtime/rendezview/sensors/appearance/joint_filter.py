@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from rendezview.geometry.joint import apart, within
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.joint_angles import JointAngles
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
@@ -62,15 +62,10 @@ class JointFilter:
             return observation
         angles, spread = self._ahead(passed_s)
         measured, covariance = joints.angles_rad, joints.covariance
-        apart = np.array(
-            [
-                j.apart(float(a), float(b))
-                for j, a, b in zip(self._joints, measured, angles, strict=True)
-            ]
-        )
+        off = apart(self._joints, measured, angles)
         seen = covariance[6:, 6:]
         total = seen + np.diag(spread[:, 0, 0])
-        if float(apart @ np.linalg.solve(total, apart)) > _OUTLIER**2 * len(apart):
+        if float(off @ np.linalg.solve(total, off)) > _OUTLIER**2 * len(off):
             self._outliers += 1
             if self._outliers >= _MOST_OUTLIERS or np.all(joints.sigma_rad**2 < spread[:, 0, 0]):
                 self._start(joints, time_s)
@@ -79,19 +74,14 @@ class JointFilter:
             self._outliers = 0
         # What is expected of the angles is one more measurement of the frame's unknowns.
         gain = covariance[:, 6:] @ np.linalg.inv(total)
-        step = -gain @ apart
+        step = -gain @ off
         better = covariance - gain @ covariance[6:, :]
-        self._update(time_s, angles, spread, apart, np.diag(seen))
+        self._update(time_s, angles, spread, off, np.diag(seen))
         return _moved(observation, joints, pose, step, 0.5 * (better + better.T))
 
     def _ahead(self, passed_s: float) -> tuple[Array, Array]:
         """Angles (J,) and covariances (J, 2, 2) after a time."""
-        angles = np.array(
-            [
-                joint.within(float(angle + passed_s * rate))
-                for joint, angle, rate in zip(self._joints, self._angles, self._rates, strict=True)
-            ]
-        )
+        angles = within(self._joints, self._angles + passed_s * self._rates)
         move = np.array([[1.0, passed_s], [0.0, 1.0]])
         noise = _RATE_WALK_RAD_S**2 * np.array(
             [[passed_s**3 / 3.0, passed_s**2 / 2.0], [passed_s**2 / 2.0, passed_s]]
@@ -99,15 +89,14 @@ class JointFilter:
         return angles, move @ self._spread @ move.T + noise
 
     def _update(
-        self, time_s: float, angles: Array, spread: Array, apart: Array, variance: Array
+        self, time_s: float, angles: Array, spread: Array, off: Array, variance: Array
     ) -> None:
-        """The state after measurements ``apart`` from the angles expected, (J,) each."""
+        """The state after measurements ``off`` the angles expected, (J,) each."""
         self._time_s = time_s
-        for k, joint in enumerate(self._joints):
-            gain = spread[k, :, 0] / (spread[k, 0, 0] + variance[k])
-            self._angles[k] = joint.within(float(angles[k] + gain[0] * apart[k]))
-            self._rates[k] += gain[1] * apart[k]
-            self._spread[k] = spread[k] - np.outer(gain, spread[k, 0])
+        gain = spread[:, :, 0] / (spread[:, 0, 0] + variance)[:, None]
+        self._angles = within(self._joints, angles + gain[:, 0] * off)
+        self._rates = self._rates + gain[:, 1] * off
+        self._spread = spread - gain[:, :, None] * spread[:, None, 0]
 
 
 def _moved(
@@ -118,13 +107,10 @@ def _moved(
     covariance: Array,
 ) -> AppearanceObservation:
     """The observation after a step (6 + J,) of the target's origin, its attitude and the angles."""
-    rotation = exp(np.ascontiguousarray(step[:3])) @ pose.rotation
-    better = Pose(rotation, pose.translation_m + step[3:6])
-    pairs = zip(joints.joints, joints.angles_rad, step[6:], strict=True)
-    angles = np.array([joint.within(float(a + s)) for joint, a, s in pairs])
+    angles = within(joints.joints, joints.angles_rad + step[6:])
     return replace(
         observation,
-        pose=better,
+        pose=pose.perturbed(step[:6]),
         covariance=covariance[:6, :6],
         joints=replace(joints, angles_rad=angles, covariance=covariance),
     )

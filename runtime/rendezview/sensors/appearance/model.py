@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.geodesic import Geodesic
-from rendezview.geometry.joint import Joint
+from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance.container import read_container, write_container
@@ -119,11 +119,10 @@ class ViewModel:
         if not self.joints:
             return self
 
-        def apart(sheet: ViewModel) -> float:
-            pairs = zip(self.joints, sheet.angles_rad, angles_rad, strict=True)
-            return max(abs(joint.apart(float(a), float(b))) for joint, a, b in pairs)
+        def farthest(sheet: ViewModel) -> float:
+            return float(np.abs(apart(self.joints, sheet.angles_rad, angles_rad)).max())
 
-        return min((self, *self.sheets), key=apart)
+        return min((self, *self.sheets), key=farthest)
 
     @property
     def shape_uncertainty(self) -> Array:

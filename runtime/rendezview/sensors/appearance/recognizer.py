@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +34,6 @@ from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 
-# Frame, prior, its error, direction to the Sun, inlier ratio that is enough.
-_Look = tuple[Picture, Pose | None, float | None, npt.ArrayLike | None, float]
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 # Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
@@ -45,6 +44,16 @@ _LEAST_MARGIN = 0.01
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
 # tells how far. Source: by construction
 _MOST_SIGMA = 0.5
+
+
+class _Look(NamedTuple):
+    """What ``recognize`` is asked of one frame; see there."""
+
+    frame: Picture
+    prior: Pose | None
+    prior_error_rad: float | None
+    sun_camera: npt.ArrayLike | None
+    enough_inliers: float
 
 
 class Recognizer:
@@ -135,7 +144,7 @@ class Recognizer:
         """
         frame = check_frame(image, self.camera.width, self.camera.height)
         with self._lock:
-            look = (frame, prior, prior_error_rad, sun_camera, enough_inliers)
+            look = _Look(frame, prior, prior_error_rad, sun_camera, enough_inliers)
             if self.model.joints and self.search is not None:
                 seen = self._of_sheets(look, angles_rad)
             else:
@@ -150,7 +159,7 @@ class Recognizer:
         def at(angles: Array) -> Recognizer:
             return every[models.index(self.model.sheet_at(angles))]
 
-        if look[1] is not None and angles_rad is not None:
+        if look.prior is not None and angles_rad is not None:
             angles = np.array(angles_rad, dtype=np.float64).reshape(len(self.model.joints))
             seen = at(angles)._turned_to(angles, look, tracked=True)
             if seen.found is None or seen.found.best.joint_support >= LEAST_SUPPORT:
@@ -160,24 +169,23 @@ class Recognizer:
             again = [at(other)._turned_to(other, look) for other in others]
             return best_of([seen, *again], models, self._judged)
         looks: list[AppearanceObservation] = []
-        if look[1] is None:
+        if look.prior is None:
             sheets, looks = self._likely(sheets, look)
         looks += [sheet._turned_to(sheet.model.angles_rad, look) for sheet in sheets]
         best = best_of(looks, models, self._judged)
         if best.found is None or best.found.best.angles_rad is None:
             return best
         # Edges of a part may have led to a local optimum of its angle.
-        pose = best.found.best.pose
-        again = []
-        for angles in around(self.model.joints, best.found.best.angles_rad):
-            again.append(at(angles)._turned_to(angles, (look[0], pose, _NEAR_RAD, *look[3:])))
+        near = look._replace(prior=best.found.best.pose, prior_error_rad=_NEAR_RAD)
+        others = around(self.model.joints, best.found.best.angles_rad)
+        again = [at(angles)._turned_to(angles, near) for angles in others]
         return best_of([*looks, *again], models, self._judged)
 
     def _likely(
         self, sheets: tuple[Recognizer, ...], look: _Look
     ) -> tuple[tuple[Recognizer, ...], list[AppearanceObservation]]:
         """The sheets that fit best after a brief search, and the looks of the others."""
-        frame, sky = look[0], Sky.of(look[0], look[3])
+        frame, sky = look.frame, Sky.of(look.frame, look.sun_camera)
         traced = self.outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
         merits, looks = [], []
         for sheet in sheets:

@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from rendezview.geometry.joint import Joint
+from rendezview.estimation.motion import rates_between
+from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.joint_angles import farthest_apart
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 
@@ -69,12 +68,10 @@ def _spread(
             continue
         if best.pose.angle_to(other.pose) > _OTHER_RAD:
             continue
-        turn = Rotation.from_matrix(other.pose.rotation @ best.pose.rotation.T).as_rotvec()
-        move = other.pose.translation_m - best.pose.translation_m
-        pairs = zip(joints, other.angles_rad, best.angles_rad, strict=True)
-        apart = np.concatenate([turn, move, [j.apart(float(a), float(b)) for j, a, b in pairs]])
-        if apart @ np.linalg.solve(covariance, apart) > len(apart):
-            covariance = covariance + np.outer(apart, apart)
+        moved = rates_between(best.pose, other.pose, 1.0)
+        away = np.concatenate([moved, apart(joints, other.angles_rad, best.angles_rad)])
+        if away @ np.linalg.solve(covariance, away) > len(away):
+            covariance = covariance + np.outer(away, away)
     return replace(best, joint_covariance=covariance, covariance=covariance[:6, :6])
 
 
@@ -105,4 +102,4 @@ def _another(
         return True
     if one.angles_rad is None or other.angles_rad is None:
         return False
-    return bool(farthest_apart(joints, one.angles_rad, other.angles_rad) > _OTHER_RAD)
+    return bool(np.abs(apart(joints, one.angles_rad, other.angles_rad)).max() > _OTHER_RAD)

@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     STATE,
     WEIGHT,
     measure_edges,
+    point_of_slope,
 )
 from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
@@ -195,15 +196,7 @@ def strain_covariance(
         w = _weight(edges[n], cut)
         if w == 0.0:
             continue
-        x, j = edges[n, :3], edges[n, 3:6]
-        along = -(j[0] * centre[0] + j[1] * centre[1] + j[2] * centre[2])
-        square = j[0] * j[0] + j[1] * j[1] + j[2] * j[2]
-        q0 = (j[1] * x[2] - j[2] * x[1] + j[0] * along) / square
-        q1 = (j[2] * x[0] - j[0] * x[2] + j[1] * along) / square
-        q2 = (j[0] * x[1] - j[1] * x[0] + j[2] * along) / square
-        for i in range(3):  # into target axes
-            q[i] = rotation[0, i] * q0 + rotation[1, i] * q1 + rotation[2, i] * q2
-            g[i] = rotation[0, i] * j[0] + rotation[1, i] * j[1] + rotation[2, i] * j[2]
+        point_of_slope(edges[n], rotation, centre, q, g)
         strains[0], strains[1], strains[2] = g[0] * q[0], g[1] * q[1], g[2] * q[2]
         strains[3] = (g[0] * q[1] + g[1] * q[0]) * _HALF_ROOT
         strains[4] = (g[0] * q[2] + g[2] * q[0]) * _HALF_ROOT

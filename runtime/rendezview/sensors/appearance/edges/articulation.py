@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.geometry.joint import apart, within
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.alignment import nearest_views
@@ -18,6 +19,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     RESIDUAL,
     STATE,
     WEIGHT,
+    point_of_slope,
 )
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.model import ViewModel
@@ -74,8 +76,8 @@ class Articulation:
         chosen = np.flatnonzero(stale)
         if not len(chosen):
             return
-        pairs = zip(self.joints, angles_rad, self._model.angles_rad, strict=True)
-        turns = np.stack([exp(j.axis * j.apart(float(a), float(b))) for j, a, b in pairs])
+        off = apart(self.joints, angles_rad, self._model.angles_rad)
+        turns = np.stack([exp(axis * angle) for axis, angle in zip(self._axes, off, strict=True)])
         shifts = self._origins_m - np.einsum("kij,kj->ki", turns, self._origins_m)
         unit_m = views.radius_m * POINT_UNIT
         _turn_points(
@@ -124,8 +126,7 @@ class Articulation:
         step *= min(1.0, _LONGEST_RAD / max(float(np.abs(step[6:]).max()), 1e-12))
         rotation[:] = exp(np.asarray(step[:3], dtype=np.float64)) @ rotation
         centre_m += step[3:6]
-        for k, joint in enumerate(self.joints):
-            angles_rad[k] = joint.within(float(angles_rad[k] + step[6 + k]))
+        angles_rad[:] = within(self.joints, angles_rad + step[6:])
         moved = slopes[:, 6:] @ step[6:]
         total = max(float(weight.sum()), 1e-12)
         spread = weighted.T @ weighted + np.diag(known)
@@ -147,24 +148,6 @@ class Articulation:
             self._axes, self._origins_m, views.radius_m, counted, slopes, support,
         )  # fmt: skip
         return edges[counted[:count]], slopes[:count], support
-
-
-@njit(cache=True, nogil=True)
-def point_of_slope(edge: Array, rotation: Array, centre_m: Array, q: Array, g: Array) -> None:
-    """Fill q (3,), the point of an edge from the view centre, and g (3,), its slope, target axes.
-
-    A pose slope is (x × j, j) for a point x, and j · (x + centre) = 0 as for every projection: so
-    the point follows from it.
-    """
-    x, d = edge[:3], edge[3:6]
-    along = -(d[0] * centre_m[0] + d[1] * centre_m[1] + d[2] * centre_m[2])
-    square = max(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], 1e-30)
-    x0 = (d[1] * x[2] - d[2] * x[1] + d[0] * along) / square
-    x1 = (d[2] * x[0] - d[0] * x[2] + d[1] * along) / square
-    x2 = (d[0] * x[1] - d[1] * x[0] + d[2] * along) / square
-    for i in range(3):
-        q[i] = rotation[0, i] * x0 + rotation[1, i] * x1 + rotation[2, i] * x2
-        g[i] = rotation[0, i] * d[0] + rotation[1, i] * d[1] + rotation[2, i] * d[2]
 
 
 @njit(cache=True, nogil=True)

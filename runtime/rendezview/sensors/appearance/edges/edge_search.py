@@ -324,3 +324,30 @@ def unfitted_weight(steepness: float, free: float, outline: bool, fit: bool) -> 
     if fit:
         weight *= _UNFITTED_WEIGHT
     return weight
+
+
+@njit(cache=True, nogil=True)
+def point_of_slope(edge: Array, rotation: Array, centre_m: Array, q: Array, g: Array) -> None:
+    """Fill q (3,), the point of an edge from the view centre, and g (3,), its slope, target axes.
+
+    A pose slope is (x × j, j) for a point x, and j · (x + centre) = 0 as for every projection: so
+    the point follows from it.
+    """
+    x, d = edge[:3], edge[3:6]
+    along = -(d[0] * centre_m[0] + d[1] * centre_m[1] + d[2] * centre_m[2])
+    square = max(d[0] * d[0] + d[1] * d[1] + d[2] * d[2], 1e-30)
+    x0 = (d[1] * x[2] - d[2] * x[1] + d[0] * along) / square
+    x1 = (d[2] * x[0] - d[0] * x[2] + d[1] * along) / square
+    x2 = (d[0] * x[1] - d[1] * x[0] + d[2] * along) / square
+    for i in range(3):
+        q[i] = rotation[0, i] * x0 + rotation[1, i] * x1 + rotation[2, i] * x2
+        g[i] = rotation[0, i] * d[0] + rotation[1, i] * d[1] + rotation[2, i] * d[2]
+
+
+@njit(cache=True, nogil=True)
+def points_of_slopes(slopes: Array, rotation: Array, centre_m: Array) -> Array:
+    """(N, 3) the points of N slopes, see ``point_of_slope``."""
+    points, g = np.empty((len(slopes), 3)), np.empty(3)
+    for n in range(len(slopes)):
+        point_of_slope(slopes[n], rotation, centre_m, points[n], g)
+    return points

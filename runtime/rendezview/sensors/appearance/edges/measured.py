@@ -7,7 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.edge_search import FOUND, RESIDUAL, STATE, WEIGHT
+from rendezview.sensors.appearance.edges.edge_search import (
+    FOUND,
+    RESIDUAL,
+    STATE,
+    WEIGHT,
+    points_of_slopes,
+)
 
 # Components of a symmetric strain, in the order of all arrays. Source: by construction
 STRAINS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -39,15 +45,9 @@ class MeasuredEdges:
 
     @property
     def places_m(self) -> Array:
-        """(N, 3) of the edges on the target, from the view centre, target axes.
-
-        A pose slope is (q × j, j) for a point q from the view centre, and j · (q + centre) = 0 as
-        for every projection; so q follows from the slope (see ``strain_covariance``).
-        """
-        turned, j = self.pose_slopes[:, :3], self.pose_slopes[:, 3:]
-        along = -(j @ self.centre_m)
-        q = (np.cross(j, turned) + along[:, None] * j) / np.sum(j * j, axis=1)[:, None]
-        return np.asarray(q @ self.rotation)
+        """(N, 3) of the edges on the target, from the view centre, target axes."""
+        places: Array = points_of_slopes(self.pose_slopes, self.rotation, self.centre_m)
+        return places
 
     @property
     def strain_slopes(self) -> Array:
