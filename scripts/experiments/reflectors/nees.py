@@ -68,11 +68,11 @@ def run(*, readings: int = 60, seed: int = 7, kind: str = "") -> None:
         f"mean NEES of {readings} readings (poses found), seed {seed}",
         ["condition", *(f"{r:g} m" for r in RANGES_M)],
     )
-    for kind in (one for one in KINDS if one.startswith(kind)):
+    for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells = np.random.default_rng(seed), []
-        pattern = FIVE if kind.startswith("five") else THREE
-        look = plain.Look(even=kind == "even light")
-        if kind.startswith("shade"):
+        pattern = FIVE if condition.startswith("five") else THREE
+        look = plain.Look(even=condition == "even light")
+        if condition.startswith("shade"):
             look = replace(look, peak=40.0)
         for range_m in RANGES_M:
             errors = []
@@ -86,11 +86,11 @@ def run(*, readings: int = 60, seed: int = 7, kind: str = "") -> None:
                     look,
                 )  # fmt: skip
                 sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
-                reading = sensor.update(0.0, frames_of(kind, light, look, rng))
+                reading = sensor.update(0.0, frames_of(condition, light, look, rng))
                 if reading.pose is not None and apart(reading.pose, Pose(*placed), True)[0] < 5.0:
                     errors.append(nees(off(reading.pose, Pose(*placed)), reading.covariance))
             cells.append(f"{np.mean(errors):.1f} ({len(errors)})" if errors else "– (0)")
-        table.add_row(kind, *cells)
+        table.add_row(condition, *cells)
     show(table)
 
 
