@@ -25,6 +25,7 @@ from rendezview.training.mesh_containers import (
     file_unit,
     refers_to_texture,
 )
+from rendezview.training.mesh_gltf import GLTF_SUFFIXES, check_gltf
 from rendezview.training.mesh_notes import counted
 from rendezview.training.mesh_obj import read_obj
 from rendezview.training.mesh_scenes import nodes_below, step_note, triangulate_step
@@ -69,6 +70,8 @@ def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
             return MeshFile(vertices, faces, rgb, None, tuple(notes))
         if path.suffix.lower() in USD_SUFFIXES:
             return _join(*read_usd(path, node))
+        if path.suffix.lower() in GLTF_SUFFIXES:
+            check_gltf(path)
         return _read_with_trimesh(path, node)
     except RendezviewError:
         raise
