@@ -14,7 +14,13 @@ from rendezview.sensors.appearance.edges.alignment import (
     normal_equations,
     strain_covariance,
 )
-from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE, POINT_UNIT, SURFACES
+from rendezview.sensors.appearance.edges.contours import (
+    NO_POINT,
+    OUTLINE,
+    POINT_UNIT,
+    SURFACES,
+    packed_start,
+)
 from rendezview.sensors.appearance.edges.edge_search import (
     COLUMNS,
     FOUND,
@@ -32,9 +38,18 @@ from rendezview.sensors.appearance.edges.edge_search import (
     unfitted_weight,
 )
 from rendezview.sensors.appearance.edges.lighting import facing_normals, light_strengths
+from rendezview.sensors.appearance.edges.profile import (
+    expected_profile,
+    profile_scratch,
+    view_at_pose,
+)
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.starts import second_moments
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
+from rendezview.sensors.appearance.edges.view_tables import (
+    ViewTables,
+    pose_slope_into,
+    project_edge,
+)
 
 CAMERA = Camera(400, 300, 520.0, 530.0, 199.0, 151.0, (-0.2, 0.1, 0.001, -0.002, 0.0))
 RADIUS_M = 2.0
@@ -315,3 +330,58 @@ def test_second_moments_leave_out_the_rows_without_a_point():
     kinds = np.where(rng.random(50) < 0.3, NO_POINT, OUTLINE).astype(np.uint8)
     kept = points[kinds != NO_POINT].astype(float)
     assert second_moments(points, kinds) == pytest.approx(kept.T @ kept, rel=1e-15)
+
+
+def test_an_edge_projects_as_the_camera_does_and_hides_behind_it():
+    rng = np.random.default_rng(9)
+    rotation = np.ascontiguousarray(Rotation.random(random_state=rng).as_matrix())
+    lens, centre, slope = (lens_vector(CAMERA), True), np.array([0.3, -0.2, 7.0]), np.zeros(6)
+    point, tangent = rng.normal(size=3), np.array([80, -30, 60], np.int8)
+
+    def pixel(turn: np.ndarray, move: np.ndarray) -> np.ndarray:
+        turned = Rotation.from_rotvec(turn).as_matrix() @ (rotation @ point)
+        return CAMERA.project((turned + centre + move)[None])[0]
+
+    edge = project_edge(*point, tangent, lens, rotation, centre)
+    assert edge.is_visible
+    assert [edge.u, edge.v] == pytest.approx(pixel(np.zeros(3), np.zeros(3)), abs=1e-9)
+    pose_slope_into(edge, slope)
+    for a in range(6):
+        step = 1e-6 * np.eye(6)[a]
+        rate = (pixel(step[:3], step[3:]) - pixel(-step[:3], -step[3:])) / 2e-6
+        assert slope[a] == pytest.approx(rate @ [edge.nx, edge.ny], rel=1e-3, abs=0.05)
+    assert not project_edge(*point, tangent, lens, rotation, -centre).is_visible
+    sight = np.array([0, 0, 127], np.int8)  # along the boresight
+    axial = project_edge(0.0, 0.0, 0.0, sight, lens, np.eye(3), np.array([0.0, 0.0, 7.0]))
+    assert not axial.is_visible
+
+
+def test_the_expected_profile_at_the_models_own_view_has_the_stored_places():
+    """An outline at (0, 0.5, 0) seen along z: surfaces of 100, 40, 40, 90, 90."""
+    camera = Camera(400, 300, 500.0, 500.0, 199.0, 151.0)
+    lens, centre, eye = (lens_vector(camera), False), np.array([0.0, 0.0, 10.0]), np.zeros(3)
+    eye[2] = -10.0
+    tangent = np.array([-127, 0, 0], np.int8)
+    edge = project_edge(0.0, 0.5, 0.0, tangent, lens, np.eye(3), centre)
+    inside = np.array([0.03, 0.05, 0.06, 0.08])  # of the radius
+    start = np.zeros((SURFACES - 1, 2), np.int8)
+    start[:, 0] = np.rint(packed_start(inside))
+    kept = start[:, 0].astype(float) ** 2 * 12.0 / 196.0 / 127.0**2
+    body_px = RADIUS_M * 500.0 / 10.0
+    shade = np.array([0.0, 100.0, 40.0, 90.0])
+    sun, strip = np.zeros(3), np.array([1, 2, 2, 3, 3], np.uint8)
+    view = view_at_pose(eye, RADIUS_M, np.eye(3), centre, sun, shade)
+    scratch = profile_scratch()
+    steps = expected_profile(
+        0.0, 0.5, 0.0, tangent, edge, True, strip, start, body_px, view, scratch
+    )
+    assert steps == 3
+    assert scratch.levels[:3] == pytest.approx([100.0, -60.0, 50.0])
+    assert scratch.depths[:3] == pytest.approx(
+        [0.0, kept[0] * body_px, kept[2] * body_px], abs=0.02
+    )
+    flat = view_at_pose(eye, RADIUS_M, np.eye(3), centre, sun, np.array([0.0, 3.0, 3.0, 3.0]))
+    assert (
+        expected_profile(0.0, 0.5, 0.0, tangent, edge, True, strip, start, body_px, flat, scratch)
+        == 0
+    )

@@ -9,36 +9,34 @@ slope alone lies up to half a pixel inside a darkening rim and outside a thin bo
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from rendezview.geometry.pose import Array
-from rendezview.geometry.so3 import rotate_back_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import (
-    DEPTH_UNIT,
     NO_POINT,
     OUTLINE,
     POINT_UNIT,
     RUN_UNIT,
-    SURFACES,
-    start_radii,
 )
 from rendezview.sensors.appearance.edges.profile import (
-    FAR_PX,
-    LEAST_CONTRAST,
-    SLACK_PX,
-    edge_axes,
-    in_shadow,
-    profile_steps,
-    project_start,
+    Kinds,
+    ProfileScratch,
+    expected_profile,
+    profile_scratch,
+    view_at_pose,
 )
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.view_tables import (
     Lens,
+    ProjectedEdge,
     Two,
     ViewTables,
-    through_lens,
+    pose_slope_into,
+    project_edge,
 )
 
 LONGEST_PX = 40  # px; longest search to either side. Source: by construction, of the stages
@@ -48,10 +46,8 @@ RESIDUAL, WEIGHT, STATE, U, V, NX, NY = 6, 7, 8, 9, 10, 11, 12
 COLUMNS = 13  # Source: by construction
 FOUND, NOT_FOUND, OUTSIDE, CROWDED = 1.0, 0.0, -1.0, -2.0  # STATE of a point
 
-_RUN_PER_POINT = RUN_UNIT / POINT_UNIT
-# m; a point must lie before the camera.
-_LEAST_DEPTH_M = 1e-6  # Source: by construction, no division by 0
 _BORDER_PX = 2.0  # px; the lines read stay inside the image by this. Source: by construction
+_MARGIN_PX = 2  # px; read beyond the reach and the slope. Source: by construction
 _LINES_APART_PX = 1.5  # px. Source: by hand, seeds of docs/notes/refinement.md
 # Of a pixel's noise, after bilinear reading. Source: by hand, seeds of docs/notes/refinement.md
 _BILINEAR_NOISE = 0.75
@@ -85,6 +81,33 @@ _STRAINED = 0.5
 _UNFITTED_WEIGHT = 0.1
 
 
+class EdgeLimits(NamedTuple):
+    """What the noise of a frame and the width of the slopes leave of an edge."""
+
+    noise: float  # of a pixel, one σ, grey levels
+    sky: float  # its grey level
+    dark: bool  # whether the sky is
+    slope: float  # least of an edge, grey levels a pixel
+    outline_slope: float  # least of the outline before a dark sky
+    profile_noise: float  # of a grey level of a profile, one σ
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _edge_limits(frame: Array, smooth_px: int, lines: int) -> EdgeLimits:
+    """Limits in a frame, (6,) as in ``Sky.vector``; the others as of ``measure_edges``."""
+    noise = frame[0]
+    averaged = np.sqrt(2.0 / (smooth_px * lines))
+    # Before a dark sky the outside must be sky, so a dimmer edge of the outline is enough.
+    return EdgeLimits(
+        noise,
+        frame[1],
+        frame[2] > 0.0,
+        max(_SIGMAS * noise * averaged, _LEAST_SLOPE),
+        max(_SIGMAS * noise * _BILINEAR_NOISE * averaged, _DIM_SLOPE),
+        _BILINEAR_NOISE * noise / np.sqrt(lines),
+    )
+
+
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def measure_edges(
     image: Picture, lens: Lens, frame: Array, views: ViewTables, shell: int, view: int,
@@ -94,143 +117,129 @@ def measure_edges(
     """Search for the edge of every contour point of one view; returns how many points it has.
 
     Args:
-        image: (H, W) uint8.
-        lens: ``lens_vector`` of the camera, and whether it distorts.
-        frame: (6,) as in ``Sky.vector``.
-        views: tables of the model; ``shell`` and ``view`` name the view.
+        image: (H, W) uint8; ``lens``: ``lens_vector`` of the camera, and whether it distorts.
+        frame: (6,) as in ``Sky.vector``; ``shell`` and ``view``: of the tables ``views``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
-        shade: (K,) brightness of each kind of surface, of ``fit_light``; read if ``fit``.
-        sun: (3,) direction to the Sun, camera frame, or zero.
-        reach_px: how far to search to either side.
-        spread_px: σ of the preference for near edges.
+        shade: (K,) of ``fit_light``, read if ``fit``; sun: (3,) to the Sun, camera frame, or 0.
+        reach_px: how far to search to either side; spread_px: σ of the preference for near edges.
         smooth_px: width of the two boxes whose difference is the slope.
         room_px: points with another edge nearer than this are left out.
-        lines: parallel lines read.
-        stride: every so many-th point only.
-        fit: place the edge by its profile.
-        out: (N, COLUMNS) measurements.
+        lines: parallel lines read; stride: every so many-th point only.
+        fit: place the edge by its profile; out: (N, COLUMNS) measurements.
     """
-    noise, sky, dark = frame[0], frame[1], frame[2] > 0.0
-    point, tangent = views.point[shell, view], views.tangent[shell, view]
-    kind, run = views.kind[shell, view], views.run[shell, view]
+    point, kind = views.point[shell, view], views.kind[shell, view]
+    tangent, run = views.tangent[shell, view], views.run[shell, view]
     strip, start = views.strip[shell, view], views.start[shell, view]
-    camera, radius_m = lens[0], views.radius_m
-    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    unit_m = radius_m * POINT_UNIT
-    profile = np.empty(2 * LONGEST_PX + 32)
-    averaged = np.sqrt(2.0 / (smooth_px * lines))
-    least = max(_SIGMAS * noise * averaged, _LEAST_SLOPE)
-    # Before a dark sky the outside must be sky, so a dimmer edge of the outline is enough.
-    least_outline = max(_SIGMAS * noise * _BILINEAR_NOISE * averaged, _DIM_SLOPE)
-    margin = smooth_px + 2
-    grainy = _BILINEAR_NOISE * noise / np.sqrt(lines)
-    eye = views.directions[view] * views.shells_m[shell]  # of the model's view
-    sunward = np.empty(3)
-    rotate_back_into(rotation, sun, sunward)
-    places, depths, levels = np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES)
-    axes, away, fitted = np.empty(6), np.empty(3), np.empty(2)
-    total = 0
-    for j in range(point.shape[0]):
-        if kind[j] == NO_POINT:
-            break
-        total += 1
+    unit_m, radius_px_m = views.radius_m * POINT_UNIT, views.radius_m * lens[0][0]
+    limits = _edge_limits(frame, smooth_px, lines)
+    eye = views.directions[view] * views.shells_m[shell]
+    at_pose = view_at_pose(eye, views.radius_m, rotation, centre, sun, shade)
+    scratch, fitted = profile_scratch(), np.empty(2)
+    profile, total = np.empty(2 * LONGEST_PX + 32), _point_count(kind)
+    for j in range(total):
         row = out[j]
         row[WEIGHT], row[STATE], row[NX], row[NY] = 0.0, OUTSIDE, 0.0, 0.0
         if j % stride:
             continue
         px, py, pz = point[j, 0] * unit_m, point[j, 1] * unit_m, point[j, 2] * unit_m
-        qx = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-        qy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-        qz = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-        depth = qz + centre[2]
-        if depth <= _LEAST_DEPTH_M:
+        edge = project_edge(px, py, pz, tangent[j], lens, rotation, centre)
+        if not edge.is_visible:
             continue
-        inverse = 1.0 / depth
-        x, y = (qx + centre[0]) * inverse, (qy + centre[1]) * inverse
-        t0, t1, t2 = tangent[j, 0], tangent[j, 1], tangent[j, 2]
-        tz = rotation[2, 0] * t0 + rotation[2, 1] * t1 + rotation[2, 2] * t2
-        ax = rotation[0, 0] * t0 + rotation[0, 1] * t1 + rotation[0, 2] * t2 - x * tz
-        ay = rotation[1, 0] * t0 + rotation[1, 1] * t1 + rotation[1, 2] * t2 - y * tz
-        u, v, m00, m01, m10, m11 = through_lens(x, y, lens)
-        u, v = fx * u + cx, fy * v + cy
-        row[U], row[V] = u, v
-        bx, by = fx * (m00 * ax + m01 * ay), fy * (m10 * ax + m11 * ay)
-        length = np.sqrt(bx * bx + by * by)
-        if length < 1e-9:  # the edge runs along the line of sight
-            continue
-        nx, ny = by / length, -bx / length  # outwards
-        row[NX], row[NY] = nx, ny
-        # Derivatives of a place along the normal with x and y.
-        gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11
-        scale = _RUN_PER_POINT * unit_m * fx * inverse
-        inner, outer = run[j, 0] * scale, run[j, 1] * scale
-        outline = kind[j] == OUTLINE
-        if inner < room_px or (outline and outer < room_px):
-            row[STATE] = CROWDED
-            continue
-        back = int(min(reach_px, max(inner, 2.0))) + margin
-        ahead = int(min(reach_px, max(outer, 2.0))) + margin
-        if not read_profile(image, u, v, nx, ny, back, ahead, lines, profile):
-            continue
-        row[STATE] = NOT_FOUND
-        count = back + ahead + 1
-        held = dark and outline
-        at, steepness = strongest_edge(
-            profile, count, back, smooth_px, spread_px, least_outline if held else least, held,
-            sky, noise,
+        row[U], row[V], row[NX], row[NY] = edge.u, edge.v, edge.nx, edge.ny
+        outline, body_px = kind[j] == OUTLINE, radius_px_m * edge.inverse
+        inner, outer = run[j, 0] * RUN_UNIT * body_px, run[j, 1] * RUN_UNIT * body_px
+        state, at, steepness, back, count = _search_edge(
+            image, edge, outline, inner, outer, limits, reach_px, spread_px, smooth_px, room_px,
+            lines, profile,
         )  # fmt: skip
-        if steepness == 0.0:
+        row[STATE] = state
+        if state != FOUND:
             continue
-        row[STATE] = FOUND
-        placed = False
+        steps = 0
         if fit:
-            body = radius_m * fx * inverse
-            edge_axes(eye, px, py, pz, tangent[j], axes)
-            places[0] = 0.0 if outline else -FAR_PX
-            for k in range(1, SURFACES):
-                inside = start_radii(start[j, k - 1, 0])
-                deeper = start[j, k - 1, 1] * DEPTH_UNIT
-                ex, ey = project_start(
-                    px, py, pz, inside * radius_m, deeper * radius_m, eye, axes, rotation, centre
-                )
-                projected = -(gx * (ex - x) + gy * (ey - y))
-                inside *= body
-                far = 3.0 * abs(inside) + SLACK_PX
-                places[k] = min(max(projected, inside - far), inside + far)
-            shaded = False
-            if outline:
-                away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
-                away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
-                shaded = in_shadow(
-                    start_radii(start[j, 0, 0]), -start[j, 0, 1] * DEPTH_UNIT, sunward, axes, away
-                )
-            steps = profile_steps(outline, strip[j], shade, places, shaded, depths, levels)
-            contrast = 0.0
-            for step in range(steps):
-                contrast = max(contrast, abs(levels[step]))
-            if contrast > LEAST_CONTRAST:
-                background = sky if held else profile[count - 1 - margin]
-                placed = fit_profile(
-                    profile, count, back, at, depths, levels, steps, background, held,
-                    views.blur_px, grainy, fitted,
-                )  # fmt: skip
-        if placed:
-            at = fitted[0]
-            # Where the craft may differ from its mesh, all edges are uncertain by as much.
-            strain_px = _STRAINED * views.shape_error * body
-            half_px2 = _HALF_WEIGHT_PX2 + strain_px**2
-            row[WEIGHT] = half_px2 / (half_px2 + fitted[1])
-        else:
-            free = min(inner, outer) if outline else inner
-            row[WEIGHT] = unfitted_weight(steepness, free, outline, fit)
-        row[RESIDUAL] = at
-        row[WEIGHT] *= np.exp(-0.5 * (at / spread_px) ** 2)
-        j0, j1, j2 = gx * inverse, gy * inverse, -(gx * x + gy * y) * inverse
-        row[0], row[1], row[2] = j2 * qy - j1 * qz, j0 * qz - j2 * qx, j1 * qx - j0 * qy
-        row[3], row[4], row[5] = j0, j1, j2
-    for j in range(total, out.shape[0]):
-        out[j, WEIGHT], out[j, STATE] = 0.0, OUTSIDE
+            steps = expected_profile(
+                px, py, pz, tangent[j], edge, outline, strip[j], start[j], body_px, at_pose, scratch
+            )
+        free = min(inner, outer) if outline else inner
+        place, weight = _place_edge(
+            profile, count, back, at, steepness, steps, outline, free, fit, limits, smooth_px,
+            views.blur_px, views.shape_error * body_px, scratch, fitted,
+        )  # fmt: skip
+        row[RESIDUAL], row[WEIGHT] = place, weight * np.exp(-0.5 * (place / spread_px) ** 2)
+        pose_slope_into(edge, row)
+    out[total:, WEIGHT], out[total:, STATE] = 0.0, OUTSIDE
     return total
+
+
+@njit(cache=True, nogil=True)
+def _point_count(kind: Kinds) -> int:
+    """Points of a view; rows without one stand last."""
+    for j in range(kind.shape[0]):
+        if kind[j] == NO_POINT:
+            return j
+    return kind.shape[0]  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _search_edge(
+    image: Picture, edge: ProjectedEdge, outline: bool, inner: float, outer: float,
+    limits: EdgeLimits, reach_px: int, spread_px: float, smooth_px: int, room_px: float, lines: int,
+    profile: Array,
+) -> tuple[float, float, float, int, int]:  # fmt: skip
+    """The steepest slope along the normal of one edge.
+
+    Args:
+        inner, outer: pixels to the next edge inwards and outwards.
+        reach_px, spread_px, smooth_px, room_px, lines: as of ``measure_edges``.
+        profile: gets the grey levels.
+
+    Returns:
+        The edge's state, the place of the slope, pixels outwards, the slope, the pixels of the
+        profile inside the edge, and all of its pixels.
+    """
+    if inner < room_px or (outline and outer < room_px):
+        return CROWDED, 0.0, 0.0, 0, 0
+    margin = smooth_px + _MARGIN_PX
+    back = int(min(reach_px, max(inner, 2.0))) + margin
+    ahead = int(min(reach_px, max(outer, 2.0))) + margin
+    if not read_profile(image, edge.u, edge.v, edge.nx, edge.ny, back, ahead, lines, profile):
+        return OUTSIDE, 0.0, 0.0, 0, 0
+    count = back + ahead + 1
+    held = limits.dark and outline
+    at, steepness = strongest_edge(
+        profile, count, back, smooth_px, spread_px, limits.outline_slope if held else limits.slope,
+        held, limits.sky, limits.noise,
+    )  # fmt: skip
+    return FOUND if steepness > 0.0 else NOT_FOUND, at, steepness, back, count
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _place_edge(
+    profile: Array, count: int, back: int, at: float, steepness: float, steps: int, outline: bool,
+    free_px: float, fit: bool, limits: EdgeLimits, smooth_px: int, blur_px: float, shape_px: float,
+    scratch: ProfileScratch, fitted: Array,
+) -> Two:  # fmt: skip
+    """Place of an edge, pixels outwards, and its weight.
+
+    Args:
+        profile, count, back, at, steepness: of ``_search_edge``.
+        steps: of the profile that the model expects, in ``scratch``; with 0 the steepest slope
+            is the place.
+        free_px: to the next edge.
+        shape_px: one σ of the mesh's error at the target's radius.
+        fitted: (2,) scratch.
+    """
+    if steps > 0:
+        held = limits.dark and outline
+        background = limits.sky if held else profile[count - 1 - smooth_px - _MARGIN_PX]
+        if fit_profile(
+            profile, count, back, at, scratch.depths, scratch.levels, steps, background, held,
+            blur_px, limits.profile_noise, fitted,
+        ):  # fmt: skip
+            # Where the craft may differ from its mesh, all edges are uncertain by as much.
+            half_px2 = _HALF_WEIGHT_PX2 + (_STRAINED * shape_px) ** 2
+            return fitted[0], half_px2 / (half_px2 + fitted[1])
+    return at, unfitted_weight(steepness, free_px, outline, fit)
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

@@ -6,17 +6,62 @@ At another pose a surface begins at the projection of the stored place, unless i
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
+from rendezview.geometry.so3 import rotate_back_into
 from rendezview.sensors.appearance.edges.contours import (
+    DEPTH_UNIT,
     SURFACES,
+    start_radii,
 )
-from rendezview.sensors.appearance.edges.view_tables import Two
+from rendezview.sensors.appearance.edges.view_tables import ProjectedEdge, Two
 
 Kinds = npt.NDArray[np.uint8]
+Starts = npt.NDArray[np.int8]
+
+
+class ViewAtPose(NamedTuple):
+    """One view of the model, and the pose that its edges are looked for at."""
+
+    eye: Array  # (3,) the camera of the model's view, target axes at the view centre
+    radius_m: float  # of the target
+    rotation: Array  # (3, 3) of the pose
+    centre: Array  # (3,) of the view centre, camera frame
+    sunward: Array  # (3,) to the Sun, target axes, or zero
+    shade: Array  # (K,) brightness of each kind of surface
+
+
+class ProfileScratch(NamedTuple):
+    """Arrays of one edge's expected profile, used again for the next."""
+
+    depths: Array  # (SURFACES,) where its steps lie, pixels inwards
+    levels: Array  # (SURFACES,) their heights, grey levels
+    places: Array  # (SURFACES,) where its surfaces begin, pixels inwards
+    axes: Array  # (6,) of ``edge_axes``
+    away: Array  # (3,) unit, from the camera of the model's view
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def view_at_pose(
+    eye: Array, radius_m: float, rotation: Array, centre: Array, sun: Array, shade: Array
+) -> ViewAtPose:
+    """A view of the model at a pose; ``sun``: (3,) direction to the Sun, camera frame, or zero."""
+    sunward = np.empty(3)
+    rotate_back_into(rotation, sun, sunward)
+    return ViewAtPose(eye, radius_m, rotation, centre, sunward, shade)
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def profile_scratch() -> ProfileScratch:
+    """New arrays."""
+    return ProfileScratch(
+        np.empty(SURFACES), np.empty(SURFACES), np.empty(SURFACES), np.empty(6), np.empty(3)
+    )
 
 
 _STEP_GREY = 5.0  # grey levels; smaller steps are left out. Source: commit 59eb67e
@@ -118,3 +163,60 @@ def profile_steps(
             steps += 1
             before = level
     return steps
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def _places_into(
+    px: float, py: float, pz: float, edge: ProjectedEdge, outline: bool, start: Starts,
+    body_px: float, view: ViewAtPose, axes: Array, places: Array,
+) -> None:  # fmt: skip
+    """Fill ``places`` (SURFACES,): where the surfaces beside an edge begin, pixels inwards.
+
+    Args:
+        px, py, pz: the edge's point, target axes at the view centre, m.
+        edge: its projection.
+        start: (SURFACES − 1, 2) as in ``Contours``.
+        body_px: the target's radius at the edge's depth.
+        axes: (6,) of ``edge_axes``.
+    """
+    places[0] = 0.0 if outline else -FAR_PX
+    for k in range(1, SURFACES):
+        inside = start_radii(start[k - 1, 0])
+        deeper = start[k - 1, 1] * DEPTH_UNIT
+        x, y = project_start(
+            px, py, pz, inside * view.radius_m, deeper * view.radius_m, view.eye, axes,
+            view.rotation, view.centre,
+        )  # fmt: skip
+        projected = -(edge.gx * (x - edge.x) + edge.gy * (y - edge.y))
+        inside *= body_px
+        far = 3.0 * abs(inside) + SLACK_PX
+        places[k] = min(max(projected, inside - far), inside + far)
+
+
+@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+def expected_profile(
+    px: float, py: float, pz: float, tangent: npt.NDArray[np.int8], edge: ProjectedEdge,
+    outline: bool, strip: Kinds, start: Starts, body_px: float, view: ViewAtPose,
+    scratch: ProfileScratch,
+) -> int:  # fmt: skip
+    """The steps in brightness that the model expects beside an edge, into ``scratch``; how many.
+
+    0 where none is high enough to see. The arguments are those of ``_places_into``; ``tangent``
+    and ``strip`` are as in ``Contours``.
+    """
+    eye, axes, away = view.eye, scratch.axes, scratch.away
+    edge_axes(eye, px, py, pz, tangent, axes)
+    _places_into(px, py, pz, edge, outline, start, body_px, view, axes, scratch.places)
+    shaded = False
+    if outline:
+        away[0], away[1], away[2] = px - eye[0], py - eye[1], pz - eye[2]
+        away /= np.sqrt(away[0] * away[0] + away[1] * away[1] + away[2] * away[2])
+        rise = -start[0, 1] * DEPTH_UNIT
+        shaded = in_shadow(start_radii(start[0, 0]), rise, view.sunward, axes, away)
+    steps = profile_steps(
+        outline, strip, view.shade, scratch.places, shaded, scratch.depths, scratch.levels
+    )
+    contrast = 0.0
+    for step in range(steps):
+        contrast = max(contrast, abs(scratch.levels[step]))
+    return steps if contrast > LEAST_CONTRAST else 0
