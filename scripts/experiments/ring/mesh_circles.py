@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -26,12 +26,15 @@ class MeshCircle:
     centre_m: np.ndarray
     axis: np.ndarray
     radius_m: float
+    # Others about the same axis, as `DockingRing.circles`
+    circles: tuple[tuple[float, float], ...] = ()
 
 
 def rings_of(mesh: Mesh) -> list[MeshCircle]:
     """Circular sharp edges with nothing of the vehicle before them; of several the outermost."""
     found = []
-    for circle in _circles(mesh):
+    every = _circles(mesh)
+    for circle in every:
         for axis in (circle.axis, -circle.axis):
             off = mesh.vertices_m - circle.centre_m
             height = off @ axis
@@ -46,8 +49,22 @@ def rings_of(mesh: Mesh) -> list[MeshCircle]:
             and one.axis @ other.axis > 0.99
             for other in kept
         ):
-            kept.append(one)
+            kept.append(replace(one, circles=_about(one, every)))
     return kept
+
+
+def _about(ring: MeshCircle, every: list[MeshCircle]) -> tuple[tuple[float, float], ...]:
+    """Circles about a ring's axis, not more than a radius behind it: height and radius."""
+    found = []
+    for other in every:
+        off = other.centre_m - ring.centre_m
+        height = float(off @ ring.axis)
+        beside = float(np.linalg.norm(off - height * ring.axis))
+        aligned = abs(float(other.axis @ ring.axis)) > 0.999
+        itself = abs(height) + abs(other.radius_m - ring.radius_m) < 1e-9
+        if aligned and beside < 0.01 * ring.radius_m and height > -ring.radius_m and not itself:
+            found.append((height, other.radius_m))
+    return tuple(found)
 
 
 def _circles(mesh: Mesh) -> list[MeshCircle]:

@@ -76,7 +76,7 @@ def run(
     error, or none. Of another mesh, every circular edge at the vehicle's outside is a ring. A pose
     is right within 0.5 % of the range. Every frame stands on its own.
     """
-    vehicle, rings, circles = _vehicle(mesh, unit)
+    vehicle, rings = _vehicle(mesh, unit)
     views = list(_views(vehicle, rings, seed, frames, renderer))
     detector = RingDetector(CAMERA)
     found = [detector.detect(view.image) for view in views]
@@ -88,11 +88,8 @@ def run(
     )
     lines = []
     for case, (share, known) in GIVEN.items():
-        if known and not circles:
-            continue
-        known_circles = circles if known else ()
         answers = [
-            _answer(view, detection, share, known_circles, np.random.default_rng([seed, 1, k, r]))
+            _answer(view, detection, share, known, np.random.default_rng([seed, 1, k, r]))
             for k, (view, detection) in enumerate(zip(views, found, strict=True))
             for r in range(repeats if share else 1)
         ]
@@ -102,17 +99,15 @@ def run(
     write_log(log, lines)
 
 
-def _vehicle(
-    path: Path | None, unit: str | None
-) -> tuple[Mesh, list[MeshCircle], tuple[tuple[float, float], ...]]:
+def _vehicle(path: Path | None, unit: str | None) -> tuple[Mesh, list[MeshCircle]]:
     if path is not None:
         mesh = load_mesh(path, unit or "m")
-        return mesh, rings_of(mesh), ()
+        return mesh, rings_of(mesh)
     target = Target.load(CLIENT)
     ring = target.docking_ring
     radius = ring.radius_m * mean_of_polygon(72)  # the mesh's ring has 72 sides
-    circle = MeshCircle(ring.centre_m.copy(), ring.axis.copy(), radius)
-    return load_mesh(target.mesh_path, target.unit), [circle], ring.circles
+    circle = MeshCircle(ring.centre_m.copy(), ring.axis.copy(), radius, ring.circles)
+    return load_mesh(target.mesh_path, target.unit), [circle]
 
 
 def _views(
@@ -161,7 +156,7 @@ def _answer(
     view: View,
     detection: Detection,
     share: float | None,
-    circles: tuple[tuple[float, float], ...],
+    known: bool,
     rng: np.random.Generator,
 ) -> dict:
     far = float(np.linalg.norm(view.centre))
@@ -173,7 +168,7 @@ def _answer(
     if share is not None:
         given = far * (1.0 + share * rng.standard_normal())
         prior = RingPrior(axis=axis, range_m=given, range_sigma_m=share * given)
-    sensor = _Given(CAMERA, view.ring.radius_m, circles=circles)
+    sensor = _Given(CAMERA, view.ring.radius_m, circles=view.ring.circles if known else ())
     reading = sensor.read(detection, prior)
 
     def off(pose) -> float:

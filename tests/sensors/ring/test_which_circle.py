@@ -144,3 +144,29 @@ def test_a_log_of_poses_gives_the_rings_place_axis_and_error_of_range(tmp_path):
     log.write_text(json.dumps({"pose": {"a": 1}, "covariance": [[1.0]]}) + "\n")
     with pytest.raises(RendezviewError, match="record 1"):
         priors_of_poses(log, ring)
+
+
+def test_the_rim_beside_a_hidden_ring_is_open_and_the_ring_is_among_its_candidates():
+    """Only a rim of 2.5 % more than the ring is visible; as the ring it would be 2.5 σ off."""
+    rim_m, height_m = 0.615, -0.02
+    axis = np.array([math.sin(0.3), 0.0, -math.cos(0.3)])
+    shape = shape_of_circle(CAMERA, CENTRE_M + height_m * axis, axis, rim_m)
+    found = (RingEdge(Ellipse.from_shape(shape, 1e-3 * np.eye(5)), 6.0, 0.9, 50.0, 0, 0.05),)
+    given = (float(np.linalg.norm(CENTRE_M)), 0.06)
+    alone = by_range(CAMERA, found, RADIUS_M, *given)
+    assert (alone.edge, alone.rivals, alone.others) == (0, (), ())
+    which = by_range(CAMERA, found, RADIUS_M, *given, ((height_m, rim_m),))
+    assert which.others == ((0, 0),)
+    assert "circle of 0.615 m" in which.reason
+
+    class Given(RingSensor):
+        def read(self, prior):
+            return self._read(0.0, Detection(found, 1.0, None), prior)
+
+    prior = RingPrior(axis=axis, range_m=given[0], range_sigma_m=given[1])
+    reading = Given(CAMERA, RADIUS_M, circles=((height_m, rim_m),)).read(prior)
+    assert reading.status is Status.AMBIGUOUS
+    through = min(reading.rivals[0][1], key=lambda p: float(np.linalg.norm(p.axis - axis)))
+    assert np.linalg.norm(through.centre_m - CENTRE_M) < 0.002
+    assert through.radius_m == RADIUS_M
+    assert np.linalg.eigvalsh(through.covariance).min() > 0.0

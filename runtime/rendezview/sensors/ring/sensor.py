@@ -18,7 +18,12 @@ from rendezview.sensors.ring.concentric import joint_poses
 from rendezview.sensors.ring.detector import Detection, RingDetector, RingEdge, RingOptions
 from rendezview.sensors.ring.ellipse import Ellipse
 from rendezview.sensors.ring.observation import RingObservation
-from rendezview.sensors.ring.which_circle import Which, by_range, without_range
+from rendezview.sensors.ring.which_circle import (
+    Which,
+    by_range,
+    ring_of_circle,
+    without_range,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -127,12 +132,13 @@ class RingSensor:
         circles, misfits = self._poses(detection, edge, which.by_score)
         if not circles:
             return self._nothing(time_s, detection, "the ellipse is no circle's picture")
-        if which.rivals:
+        if which.rivals or which.others:
             return RingObservation(
                 Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
                 circles=circles, choice=Choice(None, which.reason),
-                rivals=tuple(
-                    (k, self._poses(detection, k, which.by_score)[0]) for k in which.rivals
+                rivals=(
+                    *((k, self._poses(detection, k, which.by_score)[0]) for k in which.rivals),
+                    *((k, self._through(detection, k, j)) for k, j in which.others),
                 ),
                 stage_ms=detection.stage_ms,
             )  # fmt: skip
@@ -157,6 +163,17 @@ class RingSensor:
         )
         sigma_px = _SYSTEMATIC * detection.edges[edge].systematic_px
         return tuple(self._widened(pose, sigma_px) for pose in poses), misfits
+
+    def _through(self, detection: Detection, edge: int, circle: int) -> tuple[CirclePose, ...]:
+        """The ring's poses if an ellipse is another of the target's circles."""
+        assert self.radius_m is not None
+        height_m, radius_m = self.circles[circle]
+        found = detection.edges[edge]
+        poses, _ = joint_poses(self.camera, [found.ellipse], radius_m)
+        sigma_px = _SYSTEMATIC * found.systematic_px
+        return tuple(
+            ring_of_circle(self._widened(pose, sigma_px), height_m, self.radius_m) for pose in poses
+        )
 
     def _widened(self, pose: CirclePose, sigma_px: float) -> CirclePose:
         """A pose whose covariance has the systematic error of its edge as well."""

@@ -11,13 +11,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.sensors.ring.circle_pose import CirclePose, circle_poses, shape_of_circle
+from rendezview.sensors.ring.circle_pose import (
+    CirclePose,
+    circle_poses,
+    shape_of_circle,
+    tangent_basis,
+)
 from rendezview.sensors.ring.detector import RingEdge
 
 Array = npt.NDArray[np.float64]
@@ -52,6 +57,9 @@ class Which:
     rivals: tuple[int, ...]  # best first, without ``edge``
     reason: str  # why there is none, or what the rivals are
     by_score: bool = False  # nothing but the scores chose it: it may be an inner edge
+    # Ellipses that may be another known circle: (ellipse, index of the circle). The ring then lies
+    # elsewhere. Best first.
+    others: tuple[tuple[int, int], ...] = ()
 
 
 def by_range(
@@ -88,7 +96,61 @@ def by_range(
     for k in np.flatnonzero(near).tolist():
         cost[k] -= _WORTH * math.log(max(edges[k].score, 1e-3))
         cost[k] += _cost_of_known(camera, edges, k, poses[k], radius_m, circles)
-    return _decided(cost, ranges, f"the range of {range_m:.3f} ± {sigma_m:.3f} m")
+    by = f"the range of {range_m:.3f} ± {sigma_m:.3f} m"
+    which = _decided(cost, ranges, by)
+    assert which.edge is not None
+    known = [float(ranges[k]) for k in (which.edge, *which.rivals)]
+    others, words = [], []
+    limit = float(cost[which.edge]) + _RIVAL_COST
+    for found in _as_others(camera, edges, radius_m, circles, range_m, spread, possible):
+        own, at_m, k, j = found
+        if own < limit and all(abs(at_m / r - 1.0) > _SAME_RANGE for r in known):
+            known.append(at_m)
+            others.append((k, j))
+            words.append(f"{k} as the circle of {circles[j][1]:g} m (then at {at_m:.2f} m)")
+    if not others:
+        return which
+    reason = which.reason or _words(which.edge, [which.edge], ranges, f"{by} does not tell")
+    if not which.reason:
+        reason = reason.rsplit(" or ", 1)[0]
+    return replace(which, others=tuple(others), reason=" or ".join([reason, *words]))
+
+
+def _as_others(
+    camera: Camera,
+    edges: Sequence[RingEdge],
+    radius_m: float,
+    circles: Sequence[tuple[float, float]],
+    range_m: float,
+    spread_m: float,
+    possible: npt.NDArray[np.bool_] | None,
+) -> list[tuple[float, float, int, int]]:
+    """Ellipses as known circles other than the ring: cost, range of the ring, ellipse, circle."""
+    found = []
+    for j, (height_m, circle_m) in enumerate(circles):
+        rest = [(h - height_m, r) for i, (h, r) in enumerate(circles) if i != j]
+        rest.append((-height_m, radius_m))
+        for k, edge in enumerate(edges):
+            poses = circle_poses(camera, edge.ellipse, circle_m)
+            if not poses or (possible is not None and not possible[k]):
+                continue
+            at_m = float(np.linalg.norm(poses[0].centre_m - height_m * poses[0].axis))
+            off = (at_m - range_m) / spread_m
+            if abs(off) < _FARTHEST_SIGMAS:
+                cost = off**2 - _WORTH * math.log(max(edge.score, 1e-3))
+                cost += _cost_of_known(camera, edges, k, poses, circle_m, rest)
+                found.append((cost, at_m, k, j))
+    return sorted(found)
+
+
+def ring_of_circle(pose: CirclePose, height_m: float, radius_m: float) -> CirclePose:
+    """The ring's pose from that of a circle about its axis, ``height_m`` over the ring's plane."""
+    covariance = pose.covariance
+    if covariance is not None:
+        carry = np.eye(5)
+        carry[:3, 3:] = -height_m * tangent_basis(pose.axis)
+        covariance = carry @ covariance @ carry.T
+    return CirclePose(pose.centre_m - height_m * pose.axis, pose.axis, radius_m, covariance)
 
 
 def without_range(
