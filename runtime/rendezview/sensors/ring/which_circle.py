@@ -104,7 +104,14 @@ def by_range(
     limit = float(cost[which.edge]) + _RIVAL_COST
     for found in _as_others(camera, edges, radius_m, circles, range_m, spread, possible):
         own, at_m, k, j = found
-        if own < limit and all(abs(at_m / r - 1.0) > _SAME_RANGE for r in known):
+        if own > limit or any(abs(at_m / r - 1.0) < _SAME_RANGE for r in known):
+            continue
+        # Where it should lie if the best is the ring: the same reading of the frame, less exact.
+        same = k != which.edge and any(
+            _miss(camera, pose, circles[j], edges[k].ellipse.shape) < 1.0
+            for pose in poses[which.edge]
+        )
+        if not same:
             known.append(at_m)
             others.append((k, j))
             words.append(f"{k} as the circle of {circles[j][1]:g} m (then at {at_m:.2f} m)")
@@ -238,6 +245,15 @@ def _cost_of_known(
             cost += -_KNOWN_FOUND if found else _KNOWN_MISSED
         best = min(best, cost)
     return best
+
+
+def _miss(camera: Camera, pose: CirclePose, circle: tuple[float, float], shape: Array) -> float:
+    """How far an ellipse is from where a circle about a ring's axis should be; 1 is the limit."""
+    expected = shape_of_circle(camera, pose.centre_m + circle[0] * pose.axis, pose.axis, circle[1])
+    if expected is None:
+        return math.inf
+    size = 0.5 * (expected[2] + expected[4])
+    return float(np.abs(shape - expected).max()) / (_KNOWN_SHARE * size + _KNOWN_PX)
 
 
 def _inside(camera: Camera, shape: Array) -> bool:
