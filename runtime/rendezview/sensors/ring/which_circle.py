@@ -252,7 +252,7 @@ def _miss(camera: Camera, pose: CirclePose, circle: tuple[float, float], shape: 
     expected = shape_of_circle(camera, pose.centre_m + circle[0] * pose.axis, pose.axis, circle[1])
     if expected is None:
         return math.inf
-    size = 0.5 * (expected[2] + expected[4])
+    size = float(0.5 * (expected[2] + expected[4]))
     return float(np.abs(shape - expected).max()) / (_KNOWN_SHARE * size + _KNOWN_PX)
 
 
