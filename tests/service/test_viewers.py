@@ -66,4 +66,7 @@ def test_rerun_receives_a_stream(tmp_path, start_service, camera, tour) -> None:
         with socket.create_connection(("127.0.0.1", port), 5.0) as peer:  # it speaks HTTP/2
             peer.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
             assert peer.recv(9)[3] == 4  # a SETTINGS frame
+        # Without tokens: this machine's other addresses do not reach it.
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port), 5.0)
     assert not [line for line in served.lines if "live stream failed" in line]

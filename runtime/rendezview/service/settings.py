@@ -47,8 +47,8 @@ class Settings(BaseSettings):
     logs_s: float = Field(default=0.0, ge=0.0)  # logs that are older are removed; 0: keep all
 
     foxglove_port: int | None = Field(default=None, ge=0, le=65535)  # live stream; none by default
-    rerun_port: int | None = Field(default=None, ge=1, le=65535)  # the same; reachable by others
-    viewer_host: str = "127.0.0.1"  # where Foxglove's stream listens; it has no tokens
+    rerun_port: int | None = Field(default=None, ge=1, le=65535)  # the same
+    viewer_host: str = "127.0.0.1"  # where these streams listen; they have no tokens
 
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
     spare_worker: bool = True  # one more process, ready to take over

@@ -9,6 +9,12 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
 from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
@@ -19,6 +25,7 @@ from rendezview.service.watching import Watcher
 
 log = logging.getLogger("rendezview.service")
 
+_SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a chosen limit
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
 _CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
 _NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
@@ -50,12 +57,12 @@ class Viewers:
             if settings.foxglove_port is not None:
                 self._viewers.append(FoxgloveViewer(settings.viewer_host, settings.foxglove_port))
             if settings.rerun_port is not None:
-                self._viewers.append(RerunViewer(settings.rerun_port))
+                self._viewers.append(RerunViewer(settings.viewer_host, settings.rerun_port))
         except ModuleNotFoundError as error:
             raise RendezviewError(
                 f"a live stream needs {error.name}: pip install 'rendezview[viewers]'"
             ) from None
-        except (OSError, RuntimeError) as error:
+        except (OSError, RuntimeError, subprocess.SubprocessError) as error:
             self.close()
             raise RendezviewError(f"a live stream does not start: {error}") from None
 
@@ -188,14 +195,34 @@ def _foxglove_points(parts: Any, stamp: Any, message: Json, scale: float) -> lis
 
 
 class RerunViewer:
-    """A gRPC server for the Rerun viewer; each session is an entity at the root."""
+    """A gRPC server for the Rerun viewer; each session is an entity at the root.
 
-    def __init__(self, port: int) -> None:
+    The server is the package's program: its function for a server in this process listens on all
+    addresses, the program on the one that it is given.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
         import rerun as rr
 
         self._rr = rr
+        program = [sys.executable, "-m", "rerun"]
+        # The program reports its use to its makers, unless its own settings forbid it.
+        self._home = tempfile.TemporaryDirectory(prefix="rendezview-rerun-")
+        quiet: Any = {
+            "env": os.environ | {"XDG_CONFIG_HOME": self._home.name},
+            "stdin": subprocess.DEVNULL,
+            "stdout": subprocess.DEVNULL,
+            "stderr": subprocess.DEVNULL,
+        }
+        subprocess.run([*program, "analytics", "disable"], check=True, **quiet)
+        self._server = subprocess.Popen(
+            [*program, "--serve-grpc", "--bind", host, "--port", str(port)], **quiet
+        )
         self._stream = rr.RecordingStream("rendezview")
-        self.address = self._stream.serve_grpc(grpc_port=port)
+        at = "127.0.0.1" if host == "0.0.0.0" else "[::1]" if host == "::" else host
+        self.address = f"rerun+http://{at}:{port}/proxy"
+        _await_listener(self._server, at.strip("[]"), port)
+        self._stream.connect_grpc(self.address)
         self._begun: set[str] = set()
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
@@ -237,3 +264,25 @@ class RerunViewer:
     def close(self) -> None:
         """End the server."""
         self._stream.disconnect()
+        self._server.terminate()
+        self._server.wait()
+        self._home.cleanup()
+
+
+def _await_listener(server: subprocess.Popen[bytes], host: str, port: int) -> None:
+    """Wait until the server listens.
+
+    Raises:
+        OSError: it ended, or does not listen in time.
+    """
+    until_s = time.monotonic() + _SERVER_START_S
+    while server.poll() is None and time.monotonic() < until_s:
+        try:
+            socket.create_connection((host, port), 1.0).close()
+        except OSError:
+            time.sleep(0.05)
+        else:
+            return
+    server.kill()
+    server.wait()
+    raise OSError(f"Rerun's server does not listen on {host}:{port}: is the port taken?")
