@@ -9,10 +9,11 @@ from numba import njit
 from rendezview.io.grey_frame import Picture
 
 # Blobs of a mask that are traced; all others are specks. Photographs of spacecraft under a useful
-# threshold have 1 to 40. Source: the 20 photographs of docs/refinement.md, "Time of any frame"
+# threshold have 1 to 40. Source: the 20 photographs of docs/notes/refinement.md,
+# "Time of any picture"
 MOST_BLOBS = 300
 # Starts of blobs in a mask; with more of them it is searched for specks. Tracing so many blobs
-# takes 15 ms. Source: frames of even noise, docs/refinement.md, "Time of any frame"
+# takes 15 ms. Source: frames of even noise, docs/notes/refinement.md, "Time of any picture"
 SPECKLED = 5000
 _EVERY_ROW = 8  # rows; one in so many is a sample, 0.1 ms for 2.3 Mpx. Source: by construction
 
