@@ -91,21 +91,30 @@ class Sketcher:
         return sketch if better is not None else None
 
     def near(self, frame: Picture, box: Box, side_px: int = SIDE_PX) -> Sketch | None:
-        """The sketch of a target whose box is known roughly; None where it is out of the frame."""
+        """The sketch of a target whose box is known roughly; None where it is out of the frame.
+
+        A finer sketch is the mean of two, the other one drawn of the mirrored picture: the
+        network's errors differ in the two.
+        """
         height, width = frame.shape
         left, top, right, bottom = box
         if right < 0.0 or bottom < 0.0 or left > width - 1.0 or top > height - 1.0:
             return None
-        sketch = self.look(frame, _around(box), (side_px, side_px))
+        finer = side_px > SIDE_PX
+        sketch = self.look(frame, _around(box), (side_px, side_px), mirrored=finer)
         better = _box_of(sketch)
-        if side_px == SIDE_PX and better is not None and _differ(box, better):
+        if not finer and better is not None and _differ(box, better):
             sketch = self.look(frame, _around(better))
         return sketch
 
     def look(
-        self, frame: Picture, box: Box, most_px: tuple[int, int] = (SIDE_PX, SIDE_PX)
-    ) -> Sketch:
-        """The sketch of a box of the frame, as far as it lies within, at most ``most_px`` large."""
+        self, frame: Picture, box: Box, most_px: tuple[int, int] = (SIDE_PX, SIDE_PX), *,
+        mirrored: bool = False,
+    ) -> Sketch:  # fmt: skip
+        """The sketch of a box of the frame, as far as it lies within, at most ``most_px`` large.
+
+        ``mirrored``: the mean with that of the mirrored picture.
+        """
         height, width = frame.shape
         left, top = max(0, round(box[0] + 0.5)), max(0, round(box[1] + 0.5))
         right, bottom = min(width, round(box[2] + 0.5)), min(height, round(box[3] + 0.5))
@@ -116,7 +125,11 @@ class Sketcher:
         columns = max(1, round(scale * (right - left)))
         rows = max(1, round(scale * (bottom - top)))
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
-        maps = self._drawn(np.asarray(cv2.resize(part, (columns, rows), interpolation=how)))
+        grey = np.asarray(cv2.resize(part, (columns, rows), interpolation=how))
+        odds = self._log_odds(grey)
+        if mirrored:
+            odds = 0.5 * (odds + self._log_odds(grey[:, ::-1])[:, :, ::-1])
+        maps = np.ascontiguousarray(1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0))))
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
         cover = maps[COVER] > _COVERED
@@ -130,7 +143,7 @@ class Sketcher:
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
         return Sketch(maps, scale, scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5, cut)
 
-    def _drawn(self, grey: Float32s) -> Float32s:
+    def _log_odds(self, grey: Float32s) -> Float32s:
         """(MAPS, h, w) of a picture (h, w) of grey levels."""
         rows, columns = grey.shape
         below, right = -rows % _MULTIPLE_PX, -columns % _MULTIPLE_PX
@@ -139,8 +152,7 @@ class Sketcher:
             if self._session is None:
                 self._session = _session()
             drawn = self._session.run(None, {"squares": to_squares(padded)[None]})[0][0]
-        maps = from_squares(np.asarray(drawn))[:, :rows, :columns]
-        return np.ascontiguousarray(1.0 / (1.0 + np.exp(-np.clip(maps, -30.0, 30.0))))
+        return from_squares(np.asarray(drawn))[:, :rows, :columns]
 
 
 def _session() -> InferenceSession:
