@@ -125,11 +125,13 @@ class Sketcher:
         columns = max(1, round(scale * (right - left)))
         rows = max(1, round(scale * (bottom - top)))
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
-        grey = np.asarray(cv2.resize(part, (columns, rows), interpolation=how))
+        grey = cv2.resize(part, (columns, rows), interpolation=how).astype(np.float32, copy=False)
         odds = self._log_odds(grey)
         if mirrored:
-            odds = 0.5 * (odds + self._log_odds(grey[:, ::-1])[:, :, ::-1])
-        maps = np.ascontiguousarray(1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0))))
+            other = self._log_odds(grey[:, ::-1])[:, :, ::-1]
+            odds = np.asarray(0.5 * (odds + other), np.float32)
+        likely = 1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))
+        maps = np.ascontiguousarray(likely, dtype=np.float32)
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
         cover = maps[COVER] > _COVERED
