@@ -141,8 +141,8 @@ def demo(
         more=[
             _film(output / "approach.mp4", "The approach", "Edges of the model and the axes at "
                   "each pose; the ellipse is the uncertainty of the centre, 3 σ."),
-            _film(output / "ring.mp4", "The docking ring", "Ellipses found; orange: the ring. "
-                  "Green: its axis."),
+            _film(output / "ring.mp4", "The docking ring", "Ellipses found; orange: the ring, "
+                  "purple: a circle that may be it, no pose is given. Green: the axis."),
             Card("contact", "To the docking ring", "Errors of the ring's centre on the last "
                  "metres. The ring takes over where the picture no longer holds the target.",
                  png(contact_picture(contact))),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 
 import cv2
 import numpy as np
@@ -15,18 +16,24 @@ from rendezview.sensors.ring.observation import RingObservation
 
 Picture = npt.NDArray[np.uint8]
 
+_LETTER_PX = 8  # px; the widest of the font as it is written. Source: by looking at it
+
 _BEST, _OTHER = (0, 165, 255), (170, 140, 90)  # blue green red
+_UNSURE = (167, 121, 204)  # purple, of an ellipse that is no reading. Source: Okabe and Ito, 2008
 _CHOSEN, _REFUSED, _WORDS = (80, 220, 80), (120, 120, 120), (230, 230, 230)
 
 
 def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera) -> Picture:
     """(H, W, 3) blue-green-red: all ellipses, the ring's in orange, and the axes of its poses.
 
+    Where no pose is given, the likeliest ellipse is purple: it may be another circle.
+
     The chosen pose's axis is green, the other's grey; both are as long as the ring's radius.
     """
     canvas = np.asarray(cv2.cvtColor(np.asarray(image, np.uint8), cv2.COLOR_GRAY2BGR), np.uint8)
+    best = _UNSURE if reading.circle is None else _BEST
     for k, edge in reversed(list(enumerate(reading.edges))):
-        _ellipse(canvas, edge.ellipse, camera, _BEST if k == reading.edge else _OTHER)
+        _ellipse(canvas, edge.ellipse, camera, best if k == reading.edge else _OTHER)
     for k, circle in enumerate(reading.circles):
         chosen = reading.choice is not None and reading.choice.index == k
         _axis(canvas, circle, camera, _CHOSEN if chosen else _REFUSED)
@@ -35,7 +42,8 @@ def draw_reading(image: npt.ArrayLike, reading: RingObservation, camera: Camera)
         far = float(np.linalg.norm(reading.circle.centre_m))
         lines = [f"range {far:.3f} m   tilt {math.degrees(reading.circle.tilt_rad):.2f} deg"]
     elif reading.reason:
-        lines.append(reading.reason[:90].encode("ascii", "replace").decode())
+        words = reading.reason.encode("ascii", "replace").decode()
+        lines += textwrap.wrap(words, max(canvas.shape[1] // _LETTER_PX, 1))
     for number, line in enumerate(lines):
         cv2.putText(
             canvas, line, (8, 18 + 18 * number), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WORDS, 1,
