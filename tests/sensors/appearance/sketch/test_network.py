@@ -64,6 +64,14 @@ def test_a_body_that_leaves_the_frame_is_said_to_be_cut(sketcher):
     sketch = sketcher.find(grey.astype(np.uint8))
     assert sketch is not None
     assert sketch.cut.tolist() == [-1.0, 0.0]
+    assert not sketch.overflows
+
+
+def test_a_body_that_is_larger_than_the_frame_overflows_it(sketcher):
+    grey = 20.0 + 180.0 * disc(300, 640, 320.0, 150.0, 200.0)
+    sketch = sketcher.look(grey.astype(np.uint8), (-0.5, -0.5, 639.5, 299.5))
+    assert sketch.cut.tolist() == [0.0, 0.0]
+    assert sketch.overflows
 
 
 def test_a_sketch_is_no_larger_than_asked_and_as_sharp_as_the_frame(sketcher):

@@ -91,6 +91,7 @@ class SketchChoice:
     looks: Looks
     prior: bool  # found near a prior
     cut: bool  # the target leaves the frame
+    overflows: bool = False  # … on two opposite sides: what is seen does not tell poses apart
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
     residual_px: float = float("nan")  # root mean square over the edges found
 
@@ -109,7 +110,12 @@ class SketchChoice:
 
     @property
     def confidence(self) -> float:
-        """Probability that the best pose is right, 0 … 1."""
+        """Probability that the best pose is right, 0 … 1; 0 where the target overflows the frame.
+
+        The regression has hardly seen such frames, and is sure of wrong poses there.
+        """
+        if self.overflows:
+            return 0.0
         model = packaged()
         odds = float(self.features @ (model.near if self.prior else model.anywhere))
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))

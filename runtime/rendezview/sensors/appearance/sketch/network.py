@@ -57,6 +57,7 @@ class Sketch:
     left_px: float  # sketch px
     top_px: float  # sketch px
     cut: Array  # (2,) −1, 0 or 1: the target leaves the frame to the left or right, up or down
+    overflows: bool = False  # the target leaves the frame on two opposite sides
 
     @property
     def place(self) -> Array:
@@ -135,15 +136,14 @@ class Sketcher:
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
         cover = maps[COVER] > _COVERED
-        cut = np.array(
-            [
-                float(right == width and cover[:, -1].any())
-                - float(left == 0 and cover[:, 0].any()),
-                float(bottom == height and cover[-1].any()) - float(top == 0 and cover[0].any()),
-            ]
+        before = np.array([left == 0 and cover[:, 0].any(), top == 0 and cover[0].any()])
+        after = np.array(
+            [right == width and cover[:, -1].any(), bottom == height and cover[-1].any()]
         )
+        cut = after.astype(float) - before
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
-        return Sketch(maps, scale, scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5, cut)
+        shift_x, shift_y = scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5
+        return Sketch(maps, scale, shift_x, shift_y, cut, bool((before & after).any()))
 
     def _log_odds(self, grey: Float32s) -> Float32s:
         """(MAPS, h, w) of a picture (h, w) of grey levels."""

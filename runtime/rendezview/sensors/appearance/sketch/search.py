@@ -9,6 +9,7 @@ gives the probability that the best of them is right (``choice``).
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -177,6 +178,7 @@ class SketchSearch:
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
         if choice is None:
             return None
+        choice = replace(choice, overflows=sketch.overflows)
         pose = choice.best.pose
         covariance, strained, residual_px = pose_covariance(
             maps, self._lens, self._views, _FINE[-1], pose.rotation,
