@@ -5,10 +5,16 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import subprocess
+import tempfile
 import time
 
 import pytest
 from websockets.sync.client import connect
+
+from rendezview.errors import RendezviewError
+from rendezview.service import viewers
+from rendezview.service.settings import Settings
 
 
 def _free_port() -> int:
@@ -70,3 +76,33 @@ def test_rerun_receives_a_stream(tmp_path, start_service, camera, tour) -> None:
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", port), 5.0)
     assert not [line for line in served.lines if "live stream failed" in line]
+
+
+def test_a_rerun_program_that_does_not_start_leaves_nothing(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("rerun")
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Noted(subprocess.Popen):
+        def __init__(self, command, **options) -> None:
+            # Its first run writes its settings, its second is the server.
+            super().__init__(command if not started else ["sleep", "60"], **options)
+            started.append(self)
+
+    monkeypatch.setattr(viewers.subprocess, "Popen", Noted)
+    monkeypatch.setattr(viewers, "_SERVER_START_S", 5.0)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with pytest.raises(RendezviewError, match="does not listen on"):
+        viewers.Viewers(Settings(rerun_port=_free_port())).start()
+    assert len(started) == 2
+    assert all(program.poll() is not None for program in started)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_taken_port_of_rerun_is_reported(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("rerun")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        taken = viewers.Viewers(Settings(rerun_port=other.getsockname()[1]))
+        with pytest.raises(RendezviewError, match="in use"):
+            taken.start()
+    assert list(tmp_path.iterdir()) == []

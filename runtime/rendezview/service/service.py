@@ -132,7 +132,9 @@ class Service:
     async def _begin(self) -> None:
         start_s = time.monotonic()
         model = self.given or await asyncio.to_thread(self.models.first_readable)
-        await self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
+        viewers = asyncio.to_thread(self._viewers.start)
+        workers = self._workers.start(self.settings.workers or os.cpu_count() or 1, model)
+        await asyncio.gather(viewers, workers)
         for number, source in enumerate(self._sources):
             name = "main" if number == 0 else f"source-{number + 1}"
             if source.camera is None:
@@ -167,7 +169,7 @@ class Service:
             await asyncio.to_thread(source.close)
         await self.jobs.stop()
         await self._workers.stop()
-        self._viewers.close()
+        await asyncio.to_thread(self._viewers.close)
         self.models.close()
         if self._temporary is not None:
             self._temporary.cleanup()

@@ -7,6 +7,7 @@ setting says otherwise.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import os
@@ -14,6 +15,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from typing import Any, Protocol
 
@@ -47,23 +49,29 @@ class Viewers:
     """The servers that the settings ask for."""
 
     def __init__(self, settings: Settings) -> None:
-        """Start them.
+        """None runs yet: see `start`."""
+        self._settings = settings
+        self._viewers: list[Viewer] = []
+        self._lock = threading.Lock()  # a close waits for the start
+
+    def start(self) -> None:
+        """Start them, which takes seconds.
 
         Raises:
             RendezviewError: a package is missing, or a port is taken.
         """
-        self._viewers: list[Viewer] = []
+        host, settings = self._settings.viewer_host, self._settings
         try:
-            if settings.foxglove_port is not None:
-                self._viewers.append(FoxgloveViewer(settings.viewer_host, settings.foxglove_port))
-            if settings.rerun_port is not None:
-                self._viewers.append(RerunViewer(settings.viewer_host, settings.rerun_port))
+            with self._lock:
+                if settings.foxglove_port is not None:
+                    self._viewers.append(FoxgloveViewer(host, settings.foxglove_port))
+                if settings.rerun_port is not None:
+                    self._viewers.append(RerunViewer(host, settings.rerun_port))
         except ModuleNotFoundError as error:
             raise RendezviewError(
                 f"a live stream needs {error.name}: pip install 'rendezview[viewers]'"
             ) from None
         except (OSError, RuntimeError, subprocess.SubprocessError) as error:
-            self.close()
             raise RendezviewError(f"a live stream does not start: {error}") from None
 
     @property
@@ -96,9 +104,9 @@ class Viewers:
 
     def close(self) -> None:
         """End the servers."""
-        for viewer in self._viewers:
-            viewer.close()
-        self._viewers.clear()
+        with self._lock:
+            while self._viewers:
+                self._viewers.pop().close()
 
 
 class FoxgloveViewer:
@@ -202,27 +210,42 @@ class RerunViewer:
     """
 
     def __init__(self, host: str, port: int) -> None:
-        import rerun as rr
+        self._open = contextlib.ExitStack()
+        with self._open:  # ends it all, unless it starts
+            self._start(host, port)
+            self._open = self._open.pop_all()
 
-        self._rr = rr
+    def _start(self, host: str, port: int) -> None:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        with socket.socket(family) as trial:  # another program's listener would pass for it
+            trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            trial.bind((host, port))
         program = [sys.executable, "-m", "rerun"]
         # The program reports its use to its makers, unless its own settings forbid it.
-        self._home = tempfile.TemporaryDirectory(prefix="rendezview-rerun-")
+        home = self._open.enter_context(tempfile.TemporaryDirectory(prefix="rendezview-rerun-"))
         quiet: Any = {
-            "env": os.environ | {"XDG_CONFIG_HOME": self._home.name},
+            "env": os.environ | {"XDG_CONFIG_HOME": home},
             "stdin": subprocess.DEVNULL,
             "stdout": subprocess.DEVNULL,
             "stderr": subprocess.DEVNULL,
         }
-        subprocess.run([*program, "analytics", "disable"], check=True, **quiet)
-        self._server = subprocess.Popen(
-            [*program, "--serve-grpc", "--bind", host, "--port", str(port)], **quiet
-        )
-        self._stream = rr.RecordingStream("rendezview")
+        forbid = subprocess.Popen([*program, "analytics", "disable"], **quiet)
+        self._open.callback(_end, forbid)
+        import rerun as rr  # takes as long as the program does
+
+        self._rr = rr
+        if forbid.wait(_SERVER_START_S):
+            raise OSError("Rerun's program fails: is its package whole?")
         at = "127.0.0.1" if host == "0.0.0.0" else "[::1]" if host == "::" else host
         self.address = f"rerun+http://{at}:{port}/proxy"
-        _await_listener(self._server, at.strip("[]"), port)
+        server = subprocess.Popen(
+            [*program, "--serve-grpc", "--bind", host, "--port", str(port)], **quiet
+        )
+        self._open.callback(_end, server)
+        self._stream = rr.RecordingStream("rendezview")
+        _await_listener(server, at.strip("[]"), port)
         self._stream.connect_grpc(self.address)
+        self._open.callback(self._stream.disconnect)
         self._begun: set[str] = set()
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
@@ -263,10 +286,12 @@ class RerunViewer:
 
     def close(self) -> None:
         """End the server."""
-        self._stream.disconnect()
-        self._server.terminate()
-        self._server.wait()
-        self._home.cleanup()
+        self._open.close()
+
+
+def _end(program: subprocess.Popen[bytes]) -> None:
+    program.terminate()
+    program.wait()
 
 
 def _await_listener(server: subprocess.Popen[bytes], host: str, port: int) -> None:
@@ -283,6 +308,4 @@ def _await_listener(server: subprocess.Popen[bytes], host: str, port: int) -> No
             time.sleep(0.05)
         else:
             return
-    server.kill()
-    server.wait()
     raise OSError(f"Rerun's server does not listen on {host}:{port}: is the port taken?")
