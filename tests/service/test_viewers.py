@@ -88,7 +88,7 @@ def test_a_rerun_program_that_does_not_start_leaves_nothing(tmp_path, monkeypatc
             super().__init__(command if not started else ["sleep", "60"], **options)
             started.append(self)
 
-    monkeypatch.setattr(viewers.subprocess, "Popen", Noted)
+    monkeypatch.setattr(subprocess, "Popen", Noted)
     monkeypatch.setattr(viewers, "_SERVER_START_S", 5.0)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with pytest.raises(RendezviewError, match="does not listen on"):

@@ -38,7 +38,7 @@ from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
 log = logging.getLogger("rendezview.service")
 
 _CLOSE_S = 30.0  # s, for a worker to complete a log. Source: chosen
-_MOST_ENDED_PROCESSES = 3  # by frames of one session; then it ends. Source: a chosen limit
+_MOST_ENDED_PROCESSES = 3  # by frames of one session within `ENDED_S`. Source: a chosen limit
 _START_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _IDLE_CHECK_S = 5.0  # s, between checks for idle sessions. Source: chosen
 
@@ -349,7 +349,7 @@ class Service:
         for session in orphans:
             if session.id not in self.sessions:
                 continue
-            if session.ended_processes >= _MOST_ENDED_PROCESSES:
+            if len(session.ended_at_s) >= _MOST_ENDED_PROCESSES:
                 await self.close(session, "its frames ended the tracker's process repeatedly")
                 continue
             session.reopened()

@@ -39,6 +39,7 @@ from rendezview.service.worker_handle import WorkerHandle
 log = logging.getLogger("rendezview.service")
 
 _PRIOR_S = 10.0  # s, for which a pose is the prior of another worker's tracker. Source: chosen
+ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 _STALE_S = 3.0  # s; a camera without frames for longer is not healthy. Source: chosen
 
 
@@ -65,7 +66,7 @@ class Session:
         self.model = stored.name
         self.request = request
         self.request_now = request  # of the present worker: its prior is the last pose
-        self.ended_processes = 0  # by its frames
+        self.ended_at_s: list[float] = []  # worker processes that its frames ended, monotonic
         self.settings = settings
         self.source = source
         self.worker: WorkerHandle[Session] | None = None
@@ -284,7 +285,8 @@ class Session:
     def lost(self, waiting: SessionInput) -> None:
         """The worker ended over a frame or sensor lines."""
         error = "the tracker's process ended over it: another one continues with the next frame"
-        self.ended_processes += 1
+        now_s = time.monotonic()
+        self.ended_at_s = [*(at_s for at_s in self.ended_at_s if now_s - at_s < ENDED_S), now_s]
         self.events.add("worker", Level.ALARM, error)
         if waiting.sensor is None:
             self._last_fault = error
@@ -372,7 +374,7 @@ class Session:
         """The session as a message."""
         assert self.request.camera is not None
         last: dict[str, Any] = self.last_header
-        time_s = last.get("time_s")
+        time_s, at_s = last.get("time_s"), self._last_pose_s
         return SessionInfo(
             id=self.id,
             model=self.model,
@@ -387,9 +389,7 @@ class Session:
             watchers=len(self.watchers),
             last_frame=last.get("frame"),
             last_time_s=time_s,
-            since_pose_s=None
-            if self._last_pose_s is None or time_s is None
-            else time_s - self._last_pose_s,
+            since_pose_s=None if at_s is None or time_s is None else time_s - at_s,
             age_s=None if self._last_at_s is None else time.monotonic() - self._last_at_s,
             alarms=self.events.alarms,
             sensors=self.sensors(),

@@ -12,152 +12,38 @@ from collections import Counter
 from collections.abc import Callable
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 from urllib.parse import quote, urlsplit
 
-import cv2
 import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from experiments.service.fuzz_cases import CAMERA, RING, Cases
 from experiments.service.fuzz_routes import Routes, raw_bytes, send_raw
 from experiments.service.serving import Processes, Served
 from rendezview.client import Client, ServiceError
-from rendezview.geometry.camera import Camera
 
-CAMERA = Camera.from_fov(160, 120, np.deg2rad(40.0))
 SLOW_S = 10.0
 MOST_PROCESSOR_S = 1.0  # of the service and its workers, for one case
 MOST_MB = 200.0  # that their memory may grow
 MOST_HELD = 500  # half-open connections
+SESSION = "fuzzed"  # most cases go there
 
 
-RING = {"centre_m": [0.0, 0.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
-_POSE = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 9.0]}
-LINES: dict[str, dict[str, Any]] = {
-    "mirrors": {"pose": _POSE, "covariance": (1e-4 * np.eye(6)).tolist(), "roll_ambiguous": False,
-     "spots": [{"x_px": 10.0, "y_px": 20.0}]},
-    "ring": {"ellipses": [{"centre_px": [80.0, 60.0], "semi_axes_px": [9.0, 8.0],
-                           "angle_rad": 0.1}], "ellipse": 0,
-             "poses": [{"centre_m": [0.0, 0.0, 9.0], "axis": [0.0, 0.0, -1.0],
-                        "covariance": (1e-4 * np.eye(5)).tolist()}]},
-    "laser": {"range_m": 9.0, "sigma_m": 0.02,
-              "origin_m": [0.0, 0.0, 0.0], "direction": [0.0, 0.0, 1.0]},
-}  # fmt: skip
-
-
-class Fuzz:
-    """Cases drawn from one generator, so that a seed repeats them."""
+class Fuzz(Cases):
+    """Sends the cases and notes what must not be."""
 
     def __init__(self, served: Processes, seed: int) -> None:
+        super().__init__(seed)
         self.served = served
-        self.rng = np.random.default_rng(seed)
         self.outcomes: Counter[str] = Counter()
         self.failures: list[str] = []
         self.place = urlsplit(served.url)
         self.held: list[socket.socket] = []
-        self.worst_s = 0.0
+        self.part = ""  # what it does, for the progress
+        self.worst_s, self.worst = 0.0, ""
         self.start_mb = self.most_mb = 0.0
-        noise = self.rng.integers(0, 255, (120, 160), dtype=np.uint8)
-        blob = noise // 16
-        blob[30:90, 40:110] |= 128
-        self.good = [
-            blob.tobytes(),
-            *(cv2.imencode(s, i)[1].tobytes() for s in (".png", ".jpg") for i in (blob, noise)),
-            cv2.imencode(".png", np.zeros((120, 160, 3), np.uint8))[1].tobytes(),
-            cv2.imencode(".png", np.zeros((120, 160), np.uint16))[1].tobytes(),
-            cv2.imencode(".png", np.zeros((50, 60), np.uint8))[1].tobytes(),
-        ]
-
-    def frame(self) -> bytes:
-        """A frame that was good before something happened to it."""
-        rng = self.rng
-        content = bytearray(self.good[rng.integers(len(self.good))])
-        for _ in range(rng.integers(1, 4)):
-            how = rng.integers(7)
-            if how == 0:
-                content = content[: rng.integers(0, len(content) + 1)]
-            elif how == 1 and content:
-                for place in rng.integers(0, len(content), rng.integers(1, 30)):
-                    content[place] = rng.integers(256)
-            elif how == 2 and len(content) > 40:  # in the header
-                content[rng.integers(0, 40)] = rng.integers(256)
-            elif how == 3:
-                place = rng.integers(0, len(content) + 1)
-                content[place:place] = rng.bytes(rng.integers(1, 50))
-            elif how == 4 and len(content) > 24:  # another size than it has
-                size = struct.pack(">II", *rng.integers(0, 2**31, 2))
-                content[16:24] = size
-            elif how == 5:
-                content = bytearray(rng.bytes(rng.integers(0, 3000)))
-            else:
-                other = self.good[rng.integers(len(self.good))]
-                content[len(content) // 2 :] = other[len(other) // 2 :]
-        return bytes(content)
-
-    def value(self, depth: int = 0) -> object:
-        """Some JSON."""
-        rng = self.rng
-        simple = [
-            None, True, 0, -1, 1.5, 1e308, -1e308, 2**63, 10**30, "", "x" * 300, "\u0000", "..",
-            "../../etc/passwd", "bumpy", [], {}, [1, 2, 3], [[]], "nan", "\ud7ff", 640, 480, 1e-320,
-        ]  # fmt: skip
-        if depth < 3 and rng.random() < 0.3:
-            if rng.random() < 0.5:
-                return [self.value(depth + 1) for _ in range(rng.integers(0, 5))]
-            return {str(self.value(3))[:20]: self.value(depth + 1) for _ in range(3)}
-        return simple[rng.integers(len(simple))]
-
-    def request_of_session(self) -> bytes:
-        """A request that is almost right."""
-        rng = self.rng
-        names = ("width", "height", "fx", "fy", "cx", "cy")
-        request: dict[str, object] = {
-            "camera": {name: getattr(CAMERA, name) for name in names} | {"distortion": []},
-            "id": None,
-            "prior": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, 9]},
-            "sun_camera": [0, 0, -1],
-            "fusion": {"ring": dict(RING), "surfaces": [], "options": {"history_s": 5.0}},
-        }
-        place: dict[str, object] = request
-        if rng.random() < 0.5:
-            place = request[str(rng.choice(["camera", "prior", "fusion"]))]  # type: ignore[assignment]
-        place[str(rng.choice([*place, "more"]))] = self.value()
-        text = json.dumps(request, allow_nan=True).encode()
-        if rng.random() < 0.2:
-            text = text[: rng.integers(len(text))] + rng.bytes(rng.integers(0, 4))
-        return text
-
-    def lines(self) -> tuple[str, bytes]:
-        """A sensor, and lines of it that are almost right, at times that rise or do not."""
-        rng = self.rng
-        lines = []
-        sensor = str(rng.choice(list(LINES)))
-        for _ in range(rng.integers(1, 4)):
-            line = json.loads(json.dumps(LINES[sensor]))
-            line["time_s"] = time.time() + rng.normal()
-            for _ in range(rng.choice([0, 0, 1, 2])):
-                place = line
-                while True:
-                    keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-                    if not keys:
-                        break
-                    key = keys[rng.integers(len(keys))]
-                    if isinstance(place[key], dict | list) and rng.random() < 0.7:
-                        place = place[key]
-                        continue
-                    place[key] = self.value()
-                    break
-            lines.append(json.dumps(line, allow_nan=True).encode())
-        text = bytearray(b"\n".join(lines))
-        if rng.random() < 0.2:
-            for at in rng.integers(0, len(text), rng.integers(1, 5)):
-                text[at] = rng.integers(256)
-        if rng.random() < 0.1:
-            text = text[: rng.integers(len(text))]
-        if rng.random() < 0.1:
-            sensor = str(rng.choice(["ring", "laser", "camera", "x", "a b"]))
-        return sensor, bytes(text)
 
     def ask(
         self,
@@ -186,9 +72,9 @@ class Fuzz:
             self.failures.append(f"{method} {path}: took {time.monotonic() - start:.1f} s")
         return content
 
-    def by_http(self, count: int, session: str) -> None:
+    def by_http(self, count: int) -> None:
         """Frames and requests, some good ones between."""
-        rng = self.rng
+        rng, session = self.rng, SESSION
         http = HTTPConnection(self.place.hostname or "", self.place.port, timeout=30.0)
         paths = (
             "/v1/sessions", "/v1/sessions/{}", "/v1/sessions/{}/state?as={}", "/v1/models/{}",
@@ -223,9 +109,15 @@ class Fuzz:
             else:
                 self.raw(raw_bytes(rng))
             if k % 1000 == 999:
+                self.progress(k + 1)
                 self.still_tracks()
         self.let_go()
         http.close()
+
+    def progress(self, count: int) -> None:
+        """Say how far it is."""
+        told = f"{count} cases, {len(self.failures)} failures, {self.served.resident_mb():.0f} MB"
+        print(f"{self.part}: {told}", file=sys.stderr, flush=True)
 
     def raw(self, content: bytes) -> None:
         """Bytes to the socket; connections that wait for more stay open for a while."""
@@ -245,7 +137,8 @@ class Fuzz:
         before_s = self.served.processor_s()
         case()
         spent_s = self.served.processor_s() - before_s
-        self.worst_s = max(self.worst_s, spent_s)
+        if spent_s > self.worst_s:
+            self.worst_s, self.worst = spent_s, what
         if spent_s > MOST_PROCESSOR_S:
             self.failures.append(f"{what}: {spent_s:.1f} s of processor time")
         now_mb = self.served.resident_mb()
@@ -254,7 +147,7 @@ class Fuzz:
             if now_mb - self.start_mb > MOST_MB:
                 self.failures.append(f"{what}: memory grew by {now_mb - self.start_mb:.0f} MB")
 
-    def by_routes(self, count: int, session: str) -> None:
+    def by_routes(self, count: int) -> None:
         """Every route with every method, and bytes that are no request."""
         http = HTTPConnection(self.place.hostname or "", self.place.port, timeout=30.0)
         http.request("GET", "/openapi.json")
@@ -266,21 +159,23 @@ class Fuzz:
                 content = raw_bytes(self.rng)
                 self.measured(repr(content[:80]), lambda: self.raw(content))  # noqa: B023
             else:
-                asked = routes.request(session, self.frame)
+                asked = routes.request(SESSION, self.frame)
                 self.measured(
                     f"{asked[0]} {asked[1][:200]}",
                     lambda: void(self.ask(http, *asked)),  # noqa: B023
                 )
             if k % 1000 == 999:
+                self.progress(k + 1)
                 self.still_tracks()
         self.let_go()
         http.close()
 
-    def by_stream(self, count: int, session: str) -> None:
+    def by_stream(self, count: int) -> None:
         """Messages into a stream; each has an answer, or was dropped for the next one."""
-        url = self.served.url.replace("http", "ws") + f"v1/sessions/{session}/stream"
+        url = self.served.url.replace("http", "ws") + f"v1/sessions/{SESSION}/stream"
         left = count
         while left:
+            before = left
             try:
                 with connect(url, compression=None, max_size=None) as stream:
                     for _ in range(min(left, 500)):
@@ -312,10 +207,20 @@ class Fuzz:
                 self.failures.append("stream: no answer")
             except (WebSocketException, OSError) as error:
                 self.outcomes[f"stream {type(error).__name__}"] += 1
+            if left // 1000 != before // 1000:
+                self.progress(count - left)
+                self.still_tracks()
+
+    def open(self, client: Client) -> None:
+        """The session that the cases go to."""
+        client.open(CAMERA, name=SESSION, fusion={"ring": RING}, idle_s=3600.0)
 
     def still_tracks(self) -> None:
-        """A good frame in a new session, and none that stays."""
+        """A good frame in a new session, and none that stays; the session of the cases is open."""
         with Client(self.served.url) as client:
+            if SESSION not in [session["id"] for session in client.sessions()]:
+                self.failures.append("the session of the cases has ended")
+                self.open(client)
             session = client.open(CAMERA)
             try:
                 session.track(np.frombuffer(self.good[0], np.uint8).reshape(120, 160), 1.0)
@@ -343,15 +248,18 @@ def run(
     (installed apart) adds cases made from the OpenAPI description.
     """
     served = Served(model, spare_worker="false")
+    served.await_ready()
     fuzz = Fuzz(served, seed)
     with Client(served.url) as client:
-        session = client.open(CAMERA, name="fuzzed", fusion={"ring": RING}, idle_s=3600.0)
+        fuzz.open(client)
         before = served.resident_mb()
         start = time.monotonic()
-        if count:
-            fuzz.by_routes(count // 2, "fuzzed")
-            fuzz.by_http(count // 4, "fuzzed")
-            fuzz.by_stream(count - count // 2 - count // 4, "fuzzed")
+        parts = {fuzz.by_routes: count // 2, fuzz.by_http: count // 4}
+        parts[fuzz.by_stream] = count - sum(parts.values())
+        for part, share in parts.items():
+            if share:
+                fuzz.part = part.__name__
+                part(share)
         fuzz.still_tracks()
         spent = time.monotonic() - start
         sessions = [s["id"] for s in client.sessions()]
@@ -362,7 +270,6 @@ def run(
             if line.startswith("rendezview_worker_restarts_total")
         )
         after = served.resident_mb()
-        session.close()
     code = 0
     if schemathesis:
         code = subprocess.run(
@@ -374,7 +281,7 @@ def run(
             check=False,
         ).returncode  # fmt: skip
     served.stop()
-    if sessions != ["fuzzed"]:
+    if sessions != [SESSION]:
         fuzz.failures.append(f"sessions stay: {sessions}")
     if restarts:
         fuzz.failures.append(f"{restarts:.0f} workers ended")
@@ -382,7 +289,10 @@ def run(
     print(f"{cases}, {len(fuzz.failures)} failures")
     print(", ".join(f"{name}: {count}" for name, count in fuzz.outcomes.most_common()))
     print(f"memory {before:.0f} MB before, {after:.0f} MB after; {restarts:.0f} workers ended")
-    print(f"most for one case of the routes: {fuzz.worst_s:.2f} s of processor time")
+    print(f"most for one case of the routes: {fuzz.worst_s:.2f} s of processor time ({fuzz.worst})")
+    print(f"most memory during the routes: {fuzz.most_mb - fuzz.start_mb:.0f} MB over their start")
     for failure in fuzz.failures[:20]:
         print(failure)
+    if fuzz.failures:
+        print("\n".join(["the service's last lines:", *served.log[-40:]]))
     sys.exit(bool(fuzz.failures or code))

@@ -8,10 +8,13 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
 
+from rendezview.client import Client
+from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
 
 
@@ -78,7 +81,27 @@ class Served(Processes):
                 break
         else:
             raise SystemExit("the service does not start")
-        threading.Thread(target=self.process.stderr.read, daemon=True).start()
+        self.log: list[str] = []  # its last lines
+        threading.Thread(target=self._drain, daemon=True).start()
+
+    def _drain(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            if '"audit"' not in line:
+                self.log = [*self.log[-199:], line.rstrip()]
+
+    def await_ready(self, within_s: float = 600.0) -> None:
+        """Wait until it can track; a first start on a machine compiles for minutes."""
+        until_s = time.monotonic() + within_s
+        while True:
+            try:
+                with Client(self.url) as client:
+                    client.request("GET", "/readyz")
+                return
+            except RendezviewError as error:
+                if time.monotonic() > until_s or self.process.poll() is not None:
+                    raise SystemExit(f"the service is not ready: {error}") from None
+            time.sleep(0.2)
 
     def kill(self) -> None:
         """`kill -9` of the whole group at once."""
