@@ -82,6 +82,11 @@ EXPERIMENTS = {
         "service-page": ("service.page", "load time and update rate of the page"),
         "service-memory": ("service.memory", "memory over many frames"),
         "service-kill": ("service.kill", "poses lost when the recording service is killed"),
+        "service-cluster": (
+            "service.cluster",
+            "nodes and gateways of a cluster killed while it tracks",
+        ),
+        "service-cluster-rate": ("service.cluster_rate", "what a frame costs on a cluster"),
         "service-fuzz": ("service.fuzz", "malformed frames and messages"),
     },
     "flight code": {

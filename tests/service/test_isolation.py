@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -15,6 +18,8 @@ from rendezview.client import Client, ServiceError
 from rendezview.service.clock import SessionClock
 from rendezview.service.lease import Lease, Taken
 from rendezview.service.replay import model_of, read_log
+from rendezview.service.sessions import Session
+from rendezview.service.worker_handle import WorkerHandle
 
 # Runs before the service: `time.time` is off by what the file says.
 CLOCK = """
@@ -214,3 +219,26 @@ def test_a_session_whose_frames_end_processes_is_ended(start_service, camera, tm
                 session.track(b"\xff\xd8\xffslow")
             time.sleep(0.2)
     served.stop()
+
+
+async def _killed_after_s(program: str, limit_s: float) -> float:
+    """When a worker's process is killed that is late with an input; its own processor time."""
+    handle: WorkerHandle[Session] = WorkerHandle(4096, limit_s)
+    process = handle._process = subprocess.Popen([sys.executable, "-c", program])
+    await asyncio.sleep(0.5)  # it is past its start
+    handle._sent_at_s, handle._spent_before_s = time.monotonic(), handle._processor_s()
+    spent_s = 0.0
+    handle._late(limit_s)
+    while process.poll() is None:
+        await asyncio.sleep(0.01)
+        spent_s = max(spent_s, handle._processor_s() - handle._spent_before_s)
+    return spent_s
+
+
+def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it() -> None:
+    """On a busy machine seconds pass; its own processor time counts. One that sleeps is killed."""
+    busy, asleep = "while True: pass", "import time; time.sleep(60)"
+    assert asyncio.run(_killed_after_s(busy, 0.5)) >= 0.4
+    start_s = time.monotonic()
+    assert asyncio.run(_killed_after_s(asleep, 5.0)) < 0.1
+    assert time.monotonic() - start_s < 4.0

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
 from rendezview.errors import RendezviewError
+
+if TYPE_CHECKING:
+    from rendezview.service.settings import Settings
 
 
 def serve(
@@ -68,6 +73,13 @@ def serve(
     models: Annotated[
         Path | None, typer.Option(help="Folder of the models that are sent or trained.")
     ] = None,
+    cluster: Annotated[
+        str | None,
+        typer.Option(help="Address of a Ray cluster that tracks: be one of its gateways."),
+    ] = None,
+    cluster_folder: Annotated[
+        Path | None, typer.Option(help="With --cluster: folder of open sessions, on all nodes.")
+    ] = None,
     settings: Annotated[
         Path | None, typer.Option(help="Any of these and more, in a TOML file; see the docs.")
     ] = None,
@@ -107,14 +119,38 @@ def serve(
         "tls_key": tls_key,
         "workers": workers,
         "models_folder": models,
+        "cluster": cluster,
+        "cluster_folder": cluster_folder,
     }
     loaded = load_settings(settings, flags)
+    console = Console(stderr=True)
+
+    def tell(address: str) -> None:
+        console.print(f"rendezview serves at {address}", highlight=False, soft_wrap=True)
+
+    if loaded.cluster is not None:
+        _be_gateway(loaded, bool(model or source), tell)
+        return
     service = Service(loaded, model, source, speed)
     set_up_logging(loaded.log_level)
-    console = Console(stderr=True)
-    run(
-        service,
-        lambda address: console.print(
-            f"rendezview serves at {address}", highlight=False, soft_wrap=True
-        ),
-    )
+    run(service, tell)
+
+
+def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) -> None:
+    from rendezview.service.json_logging import set_up_logging
+    from rendezview.service.server import run_gateway
+
+    if has_own or None in (settings.models_folder, settings.cluster_folder):
+        raise RendezviewError(
+            "a gateway has no model or source of its own: give --models and --cluster-folder, "
+            "folders that all nodes share"
+        )
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
+    os.environ.setdefault("RAY_timeout_ms_task_wait_for_death_info", "100")
+    try:
+        import ray  # noqa: F401
+    except ModuleNotFoundError:
+        raise RendezviewError("--cluster needs ray: pip install 'rendezview[ray]'") from None
+    set_up_logging(settings.log_level)
+    paths = {name: value.resolve() for name, value in settings if isinstance(value, Path)}
+    run_gateway(settings.model_copy(update=paths), tell)

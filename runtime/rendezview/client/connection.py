@@ -67,6 +67,7 @@ class Client:
         timeout_s: float = 30.0,
         certificate: Path | str | None = None,
         reconnect_s: float = 10.0,
+        sender: str | None = None,
     ) -> None:
         """A client; it connects with the first request.
 
@@ -74,6 +75,7 @@ class Client:
             certificate: PEM file of the authority to trust, if the system does not trust the
                 service's certificate (``https``).
             reconnect_s: for how long a service that was reached before is tried again.
+            sender: who sends frames; a client that takes over from another one gives its name.
 
         Raises:
             RendezviewError: the address is wrong, or the certificate cannot be read.
@@ -97,7 +99,7 @@ class Client:
             else HTTPSConnection(parts.hostname, parts.port, timeout=timeout_s, context=self._tls)
         )
         self._used_s = 0.0
-        self._headers = {"X-Sender": secrets.token_hex(8)}  # frames of two would mix
+        self._headers = {"X-Sender": sender or secrets.token_hex(8)}  # frames of two would mix
         if token is not None:
             self._headers["Authorization"] = f"Bearer {token}"
 

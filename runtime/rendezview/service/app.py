@@ -35,8 +35,18 @@ class _Page(StaticFiles):
         return response
 
 
+def page_files() -> StaticFiles:
+    """The page."""
+    return _Page(directory=PAGE, html=True)
+
+
 def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
-    """The application of a service that is not started yet."""
+    """The application of a service that is not started yet, behind its guard."""
+    return Guard(make_routes(service), service.settings, tokens, service.metrics)
+
+
+def make_routes(service: Service) -> FastAPI:
+    """The application without a guard: for callers that have passed one."""
 
     @contextlib.asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -83,8 +93,8 @@ def make_app(service: Service, tokens: list[Token]) -> ASGIApp:
         return Response(service_of(request).metrics.text(), 200, None, "text/plain; version=0.0.4")
 
     if PAGE.is_dir():
-        app.mount("/", _Page(directory=PAGE, html=True), name="page")
-    return Guard(app, service.settings, tokens, service.metrics)
+        app.mount("/", page_files(), name="page")
+    return app
 
 
-__all__ = ["JSON", "PAGE", "make_app"]
+__all__ = ["JSON", "PAGE", "make_app", "make_routes", "page_files"]

@@ -28,6 +28,7 @@ from rendezview.service.model_messages import ModelInfo
 log = logging.getLogger("rendezview.service")
 
 SUFFIX = ".rvm"
+BY_HASH = "by-hash"  # folder of copies that several services share
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -117,16 +118,25 @@ class StoredModel:
 class ModelStore:
     """Models by name. Uploads may come from several threads."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, copies: Path | None = None) -> None:
         """The models in a folder.
+
+        Args:
+            copies: folder of the files named by their hash, which several services share and
+                nobody empties; None: a temporary one.
 
         Raises:
             RendezviewError: the folder cannot be made.
         """
         make_folder(folder)
         self.folder = folder
-        self._copies = Path(tempfile.mkdtemp(prefix="rendezview-by-hash-"))
-        self._remove_copies = weakref.finalize(self, shutil.rmtree, self._copies, True)
+        self._keeps_copies = copies is not None
+        if copies is None:
+            self._copies = Path(tempfile.mkdtemp(prefix="rendezview-by-hash-"))
+            self._remove_copies = weakref.finalize(self, shutil.rmtree, self._copies, True)
+        else:
+            make_folder(copies)
+            self._copies = copies
         self._models: dict[str, StoredModel] = {}
         self._lock = threading.Lock()  # of a name's check and its insertion
         for path in sorted(folder.glob(f"*{SUFFIX}")):
@@ -137,8 +147,16 @@ class ModelStore:
         return StoredModel(name, path.resolve(), own, self._copies)
 
     def close(self) -> None:
-        """Remove the copies."""
-        self._remove_copies()
+        """Remove the copies, unless others share them."""
+        if not self._keeps_copies:
+            self._remove_copies()
+
+    def know(self, name: str, copy: Path) -> StoredModel:
+        """A model that another service has stored, by its file named by its hash."""
+        stored = self._models.get(name)
+        if stored is None or not stored.is_read or stored.copy != copy:
+            stored = self._models[name] = StoredModel(name, copy, False, copy.parent)
+        return stored
 
     def give(self, path: Path) -> StoredModel:
         """Add a model file from elsewhere under its file name; it is read at once.
@@ -247,6 +265,8 @@ class ModelStore:
         Args:
             used: hashes of the models of the sessions.
         """
+        if self._keeps_copies:
+            return
         named = {other.sha256 for other in list(self._models.values()) if other.is_read}
         if stored.is_read and stored.sha256 not in named | used:
             stored.copy.unlink(missing_ok=True)

@@ -16,8 +16,9 @@ import uvicorn
 from rendezview.errors import RendezviewError
 from rendezview.service.app import make_app
 from rendezview.service.connections import bounded
-from rendezview.service.security import read_tokens
+from rendezview.service.security import Token, read_tokens
 from rendezview.service.service import Service
+from rendezview.service.settings import Settings
 
 _OTHER_FILES = 200  # files that are open beside connections. Source: a chosen limit
 _SHUTDOWN_S = 10  # s, for open requests. Source: chosen
@@ -57,9 +58,34 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
         RendezviewError: the address is taken, or the service cannot start.
     """
     settings = service.settings
-    tokens = [] if settings.tokens_file is None else read_tokens(settings.tokens_file)
-    app = _Watched(make_app(service, tokens))
-    config = uvicorn.Config(
+    app = _Watched(make_app(service, tokens_of(settings)))
+    server = _Server(_config(app, settings))
+    service.on_failure = server.stop
+    _serve(server, settings, on_ready)
+    failure = app.failure or service.failure
+    if isinstance(failure, RendezviewError):
+        raise failure
+    if failure is not None:
+        raise RendezviewError(f"the service cannot start: {failure}") from failure
+
+
+def run_gateway(settings: Settings, on_ready: Callable[[str], None]) -> None:
+    """Serve as a gateway of a Ray cluster. Errors as in `run`."""
+    from rendezview.service.cluster.gateway import make_gateway
+
+    app = _Watched(make_gateway(settings, tokens_of(settings)))
+    _serve(_Server(_config(app, settings)), settings, on_ready)
+    if app.failure is not None:
+        raise app.failure
+
+
+def tokens_of(settings: Settings) -> list[Token]:
+    """The tokens of the settings' file. Errors as in `read_tokens`."""
+    return [] if settings.tokens_file is None else read_tokens(settings.tokens_file)
+
+
+def _config(app: _Watched, settings: Settings) -> uvicorn.Config:
+    return uvicorn.Config(
         app,
         http=bounded(_connections(settings.connections)),
         ws="websockets-sansio",
@@ -78,9 +104,10 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
         ssl_certfile=settings.tls_certificate,
         ssl_keyfile=settings.tls_key,
     )
-    server = _Server(config)
+
+
+def _serve(server: _Server, settings: Settings, on_ready: Callable[[str], None]) -> None:
     server.on_ready = on_ready
-    service.on_failure = server.stop
     listener = _listen(settings.host, settings.port)
     try:
         with contextlib.suppress(KeyboardInterrupt):
@@ -91,11 +118,6 @@ def run(service: Service, on_ready: Callable[[str], None]) -> None:
         raise RendezviewError(f"the service cannot start: {error}") from None
     finally:
         listener.close()
-    failure = app.failure or service.failure
-    if isinstance(failure, RendezviewError):
-        raise failure
-    if failure is not None:
-        raise RendezviewError(f"the service cannot start: {failure}") from failure
 
 
 def _connections(wanted: int) -> int:

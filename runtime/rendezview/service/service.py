@@ -17,13 +17,14 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import make_folder
+from rendezview.service.checkpoint import Checkpoint, resume
 from rendezview.service.feeder import Feeder
 from rendezview.service.inputs import Full
 from rendezview.service.jobs import Jobs
 from rendezview.service.log_folder import keep_logs
 from rendezview.service.messages import Health, Recording, RecordingState, SessionRequest
 from rendezview.service.metrics import Metrics
-from rendezview.service.model_store import ModelStore, StoredModel
+from rendezview.service.model_store import BY_HASH, ModelStore, StoredModel
 from rendezview.service.recordings import Recordings
 from rendezview.service.session_defaults import SessionDefaults
 from rendezview.service.sessions import Session
@@ -34,6 +35,7 @@ from rendezview.service.tracking import camera_message
 from rendezview.service.viewers import Viewers
 from rendezview.service.worker_handle import WorkerGone
 from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
+from rendezview.service.worker_requests import open_request
 
 log = logging.getLogger("rendezview.service")
 
@@ -52,12 +54,15 @@ class Service:
         model: Path | None = None,
         sources: list[str] | None = None,
         speed: float = 1.0,
+        *,
+        shares_models: bool = False,
     ) -> None:
         """A service that is not started yet.
 
         Args:
             model: a model file; clients can upload others.
             sources: each has its own session.
+            shares_models: other services use the folder of the models too.
             speed: of sources that are files, as a multiple of their own rate; 0: no pauses.
 
         Raises:
@@ -77,7 +82,7 @@ class Service:
             self._temporary = tempfile.TemporaryDirectory(prefix="rendezview-models-")
             folder = Path(self._temporary.name)
         try:
-            self.models = ModelStore(folder)
+            self.models = ModelStore(folder, folder / BY_HASH if shares_models else None)
             self.given: StoredModel | None = None if model is None else self.models.give(model)
             self.defaults = SessionDefaults(settings)
             camera = self.defaults.camera
@@ -201,8 +206,17 @@ class Service:
 
     # Sessions
 
-    async def open(self, request: SessionRequest) -> Session:
+    async def open(
+        self,
+        request: SessionRequest,
+        resumed: Checkpoint | None = None,
+        keep: Callable[[Session], None] = lambda session: None,
+    ) -> Session:
         """Open a session; while the service starts, wait a moment for that.
+
+        Args:
+            resumed: of a session that another service had.
+            keep: receives the session at its begin, and before each state is acknowledged.
 
         Raises:
             RendezviewError: the request is wrong.
@@ -214,15 +228,21 @@ class Service:
                 await asyncio.wait_for(asyncio.shield(self._begun), _START_WAIT_S)
             except TimeoutError:
                 raise NotReady(f"starting: {self._workers.progress}") from None
-        return await self._open(request)
+        return await self._open(request, resumed=resumed, keep=keep)
 
-    async def _open(self, request: SessionRequest, source: Source | None = None) -> Session:
+    async def _open(
+        self,
+        request: SessionRequest,
+        source: Source | None = None,
+        resumed: Checkpoint | None = None,
+        keep: Callable[[Session], None] = lambda session: None,
+    ) -> Session:
         if len(self.sessions) + len(self._opening) >= self.settings.sessions or self.stopping:
             raise Full
         name = request.id or f"s-{secrets.token_hex(4)}"
         if name in self.sessions or name in self._opening:
             raise RendezviewError(f"session {name}: there is one already: choose another id")
-        stored = self._model(request.model)
+        stored = self.model_named(request.model)
         request = self.defaults.filled(request, name, stored.name)
         self._opening.add(name)
         try:
@@ -236,8 +256,12 @@ class Service:
                 self.metrics,
                 None if source is None else source.name,
             )
+            if resumed is not None:
+                resume(session, resumed)
             try:
                 await self._place(session)
+                keep(session)
+                session.keep = lambda: keep(session)
             except BaseException:
                 session.end("it could not be opened")
                 raise
@@ -250,6 +274,10 @@ class Service:
             self._spawn(self._viewers.follow(session))
         log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
         return session
+
+    def has(self, name: str) -> bool:
+        """Whether a session is open, or being opened."""
+        return name in self.sessions or name in self._opening
 
     async def close(self, session: Session, reason: str) -> None:
         """End a session and complete its log."""
@@ -270,6 +298,10 @@ class Service:
         self.release(session.stored)
         log.info("session", extra={"session": session.id, "state": "closed", "reason": reason})
 
+    async def warm(self, stored: StoredModel) -> None:
+        """Have the workers read a model before a session uses it."""
+        await self._workers.read(stored)
+
     def release(self, stored: StoredModel) -> None:
         """A session, or a name, does not need a model any more."""
         used = {session.stored.sha256 for session in self.sessions.values()}
@@ -280,7 +312,12 @@ class Service:
         """Whether a session uses a model."""
         return any(session.stored is stored for session in self.sessions.values())
 
-    def _model(self, name: str | None) -> StoredModel:
+    def model_named(self, name: str | None) -> StoredModel:
+        """A model; None: the only one.
+
+        Raises:
+            RendezviewError: there is none, or several.
+        """
         stored = self.given or self.models.only() if name is None else self.models.get(name)
         if stored is None:
             known = ", ".join(self.models.names()) or "none"
@@ -295,33 +332,10 @@ class Service:
         """Give a session to the worker with the fewest sessions."""
         worker = self._workers.least_busy()
         worker.sessions.add(session)
-        request = session.request_now
-        if request.record and session.log.base is None:
+        if session.request_now.record and session.log.base is None:
             session.log.base = self._log_path(session)
-        log_path = session.log.base
         try:
-            answer = await worker.ask(
-                {
-                    "kind": "open",
-                    "session": session.id,
-                    "request": request.model_dump(mode="json"),
-                    "model_path": str(session.stored.copy),
-                    "model_file": session.stored.path.name,
-                    "sensors": self.settings.sensors,
-                    "forgotten": session.is_fused,
-                    "first_frame": session.frame_base,
-                    "log": session.log.id,
-                    "log_path": None if log_path is None else str(log_path),
-                    "log_model": self.settings.record_model,
-                    "recording": {
-                        "images": self.settings.record_images,
-                        "sync": self.settings.sync,
-                        "compression": self.settings.compression,
-                        "part_bytes": self.settings.log_part_bytes,
-                        "part_s": self.settings.log_part_s,
-                    },
-                }
-            )
+            answer = await worker.ask(open_request(session, self.settings))
         except WorkerGone:
             worker.sessions.discard(session)
             raise NotReady from None

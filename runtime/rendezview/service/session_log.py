@@ -23,6 +23,10 @@ class SessionLog:
         self._session = session
         self._paths: list[Path] = []
 
+    def resume(self, log_id: str, base: Path | None, paths: list[Path]) -> None:
+        """Continue a log whose parts another service has written."""
+        self.id, self.base, self._paths = log_id, base, list(paths)
+
     def update(self, path: str | None, recording: Recording) -> None:
         """The file that a worker writes, and how that goes."""
         changed = recording.state is not self.recording.state

@@ -86,11 +86,9 @@ class Session:
         self._metrics = metrics.of_session(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
-        self._frames = 0
-        self._found = 0
+        self._frames = self._found = self._drops = 0
         self._last_found: bytes | None = None  # the last state with a pose, JSON
         self._found_at_s = -math.inf  # monotonic
-        self._drops = 0
         self._last_pose_s: float | None = None
         self._phase = Phase.WAITING
         self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
@@ -99,7 +97,9 @@ class Session:
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
         self._last_fault: str | None = None
-        self._refused_since_s: float | None = None  # since when no frame has been usable
+        self._refused_since_s: float | None = None  # no frame has been usable since
+        self.was_fused = False  # at another service
+        self.keep: Callable[[], None] = lambda: None  # before a state is acknowledged
 
     # Inputs
 
@@ -246,6 +246,7 @@ class Session:
             self._recorded(header)
         self._others.update(header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
+        self.keep()
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
 

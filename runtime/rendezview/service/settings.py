@@ -50,6 +50,10 @@ class Settings(BaseSettings):
     rerun_port: int | None = Field(default=None, ge=1, le=65535)  # the same
     viewer_host: str = "127.0.0.1"  # where these streams listen; they have no tokens
 
+    cluster: str | None = None  # address of a Ray cluster that tracks; this is then a gateway
+    cluster_folder: Path | None = None  # of the sessions' checkpoints; all nodes share it
+    spare_seats: int = Field(default=1, ge=0)  # of the cluster, kept free for sessions that move
+
     workers: int = Field(default=0, ge=0, le=256)  # worker processes; 0: one per core
     spare_worker: bool = True  # one more process, ready to take over
     sessions: int = Field(default=16, ge=1, le=1024)

@@ -8,8 +8,10 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Generic, Protocol, TypeVar
 
 from rendezview.service.inputs import SessionInput
@@ -17,6 +19,7 @@ from rendezview.service.wire import Header, Unpacker, mapped, pack, shared_memor
 
 log = logging.getLogger("rendezview.service")
 
+_PATIENCE = 6.0  # × the limit of an input: for a process that waits for a processor. Source: chosen
 _START_S = 120.0  # s; the first start on a machine compiles. Source: a chosen limit
 
 
@@ -73,6 +76,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         self._current: tuple[ClientT, SessionInput] | None = None
         self._answers: deque[tuple[str, asyncio.Future[Header]]] = deque()
         self._timer: asyncio.TimerHandle | None = None
+        self._sent_at_s = self._spent_before_s = 0.0  # of the input, its own processor's clock
         self._process: subprocess.Popen[bytes] | None = None
         self._transport: asyncio.Transport | None = None
         self._started: asyncio.Future[None] | None = None
@@ -171,10 +175,12 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
                 self._memory[place : place + len(piece)] = piece
                 place += len(piece)
             self._transport.write(pack(session.header_of(waiting)))
-            loop = asyncio.get_running_loop()
             # Every late line makes the filter repeat what came after it.
             count = 1 if waiting.sensor is None else session.most_lines_of(waiting)
-            self._timer = loop.call_later(count * self._frame_timeout_s, self._hung)
+            limit_s = count * self._frame_timeout_s
+            self._sent_at_s, self._spent_before_s = time.monotonic(), self._processor_s()
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(limit_s, self._late, limit_s)
 
     def _done(self) -> None:
         self._current = None
@@ -183,12 +189,34 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
             self._timer = None
         self._next()
 
-    def _hung(self) -> None:
-        log.error(
-            "a worker does not answer and is killed", extra={"timeout_s": self._frame_timeout_s}
-        )
+    def _late(self, limit_s: float) -> None:
+        """An input takes long: kill the process, unless it only waits for a processor."""
+        left_s = limit_s - (self._processor_s() - self._spent_before_s)
+        waited_s = time.monotonic() - self._sent_at_s
+        if left_s > 0.01 and waited_s < _PATIENCE * limit_s and self._wants_processor:
+            self._timer = asyncio.get_running_loop().call_later(left_s, self._late, limit_s)
+            return
+        log.error("a worker does not answer and is killed", extra={"waited_s": round(waited_s, 1)})
         if self._process is not None:
             self._process.kill()
+
+    def _processor_s(self) -> float:
+        """Processor time of the process so far; 0 where the system does not tell."""
+        if self._process is None or sys.platform != "linux":
+            return 0.0
+        try:  # the clock of a process. Source: MAKE_PROCESS_CPUCLOCK of the kernel, kind 2
+            return time.clock_gettime((~self._process.pid << 3) | 2)
+        except OSError:
+            return 0.0
+
+    @property
+    def _wants_processor(self) -> bool:
+        """Whether the process could run, if it had a processor."""
+        try:
+            stat = Path(f"/proc/{0 if self._process is None else self._process.pid}/stat")
+            return stat.read_text().rpartition(")")[2].split()[0] == "R"
+        except OSError:
+            return False
 
     # asyncio.Protocol
 

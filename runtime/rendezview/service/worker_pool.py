@@ -13,8 +13,8 @@ from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
-from rendezview.service.wire import Header
 from rendezview.service.worker_handle import WorkerGone, WorkerHandle
+from rendezview.service.worker_requests import warm_request
 
 log = logging.getLogger("rendezview.service")
 
@@ -122,7 +122,15 @@ class WorkerPool:
         self._models[model.sha256] = model
         if self._spare is not None and self._spare.ready:
             with contextlib.suppress(WorkerGone):
-                await self._spare.ask(_warm_request(model))
+                await self._spare.ask(warm_request(model))
+
+    async def read(self, model: StoredModel) -> None:
+        """Have all workers read a model."""
+        await self.warmed(model)
+        for worker in self._workers:
+            if worker.ready:
+                with contextlib.suppress(WorkerGone):
+                    await worker.ask(warm_request(model))
 
     def forget(self, used: set[str]) -> None:
         """Sessions use only these models, by hash, from now on."""
@@ -164,7 +172,7 @@ class WorkerPool:
 
     async def _warm(self, worker: Worker, model: StoredModel) -> None:
         """Have a worker compile its loops; if it did, restart it to read them from the cache."""
-        request = _warm_request(model)
+        request = warm_request(model)
         answer = await worker.ask(request)
         if answer["kind"] == "fault":
             raise RendezviewError(answer["error"])
@@ -231,7 +239,7 @@ class WorkerPool:
             return
         with contextlib.suppress(WorkerGone):
             for model in list(self._models.values()):
-                await fresh.ask(_warm_request(model))
+                await fresh.ask(warm_request(model))
             self._spare = fresh
             log.info("a spare worker is ready")
 
@@ -239,7 +247,3 @@ class WorkerPool:
         task = asyncio.create_task(work)
         self._replacing.add(task)
         task.add_done_callback(self._replacing.discard)
-
-
-def _warm_request(model: StoredModel) -> Header:
-    return {"kind": "warm", "session": "", "model_path": str(model.copy)}

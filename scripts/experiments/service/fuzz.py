@@ -39,6 +39,7 @@ class Fuzz(Cases):
         self.served = served
         self.outcomes: Counter[str] = Counter()
         self.failures: list[str] = []
+        self.told = 0  # of them
         self.place = urlsplit(served.url)
         self.held: list[socket.socket] = []
         self.part = ""  # what it does, for the progress
@@ -118,6 +119,9 @@ class Fuzz(Cases):
         """Say how far it is."""
         told = f"{count} cases, {len(self.failures)} failures, {self.served.resident_mb():.0f} MB"
         print(f"{self.part}: {told}", file=sys.stderr, flush=True)
+        for failure in self.failures[self.told :]:
+            print(failure[:300], file=sys.stderr, flush=True)
+        self.told = len(self.failures)
 
     def raw(self, content: bytes) -> None:
         """Bytes to the socket; connections that wait for more stay open for a while."""

@@ -1,0 +1,63 @@
+"""A connection to each seat that only says when the seat's process ends.
+
+Ray reports the end of an actor up to seconds later: it waits for news of the cause. The system
+closes a connection at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from typing import Any
+
+import ray
+
+_CONNECT_S = 2.0  # s, for the connection. Source: chosen
+
+
+class Beacon:
+    """The end at the seat."""
+
+    def __init__(self) -> None:
+        self._server: asyncio.Server | None = None
+
+    async def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        host = ray.util.get_node_ip_address()
+        if self._server is None:
+            self._server = await asyncio.start_server(_stay, host, 0)
+        return host, self._server.sockets[0].getsockname()[1]
+
+
+async def _stay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Until the other end closes it, or is gone; nothing is sent."""
+    with contextlib.suppress(OSError):
+        await reader.read()
+    writer.close()
+
+
+class Lifelines:
+    """The ends at a gateway, one for each seat that it uses."""
+
+    def __init__(self) -> None:
+        self._ends: dict[str, asyncio.Task[None]] = {}
+
+    async def end_of(self, seat: str, actor: Any) -> asyncio.Task[None]:
+        """A task that is done when the seat has ended.
+
+        Raises:
+            OSError: it has ended already, or cannot be reached.
+        """
+        known = self._ends.get(seat)
+        if known is None:
+            host, port = await asyncio.wait_for(actor.beacon.remote(), _CONNECT_S)
+            reader, writer = await asyncio.wait_for(asyncio.open_connection(host, port), _CONNECT_S)
+            known = self._ends[seat] = asyncio.create_task(_stay(reader, writer))
+        if known.done():
+            raise ConnectionError("the seat has ended")
+        return known
+
+    def renew(self, seat: str) -> None:
+        """The steward says that the seat is there, perhaps again."""
+        if seat in self._ends and self._ends[seat].done():
+            del self._ends[seat]

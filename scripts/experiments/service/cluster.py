@@ -1,0 +1,237 @@
+"""The service on a Ray cluster of several nodes on this machine: kills, hops, nodes, a model."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from experiments.service.kill import states_of
+from experiments.service.serving import Loop
+from rendezview.client import Client
+from rendezview.client.messages import ServiceError
+from rendezview.errors import RendezviewError
+from rendezview.service.log_repair import mend
+
+_ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_worker_niceness": "0",
+    "RAY_timeout_ms_task_wait_for_death_info": "100",
+}
+_STORE = 100_000_000  # bytes, a node's object store
+
+
+class Nodes:
+    """Ray nodes as processes, each with one core; the head has none."""
+
+    def __init__(self, count: int) -> None:
+        os.environ.update(_ENVIRONMENT)
+        from ray.cluster_utils import Cluster
+
+        head = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": _STORE}
+        self.cluster = Cluster(initialize_head=True, head_node_args=head)
+        self.nodes = [self.add() for _ in range(count)]
+
+    def add(self):
+        return self.cluster.add_node(num_cpus=1, object_store_memory=_STORE)
+
+    def kill_only(self, place: int) -> None:
+        """kill -9 of a node and all its processes."""
+        kill_tree(self.nodes[place].all_processes["raylet"][0].process.pid)
+
+    def replace(self, place: int) -> None:
+        """A new node takes the place of one that was killed."""
+        node = self.nodes[place]
+        with contextlib.suppress(Exception):
+            self.cluster.remove_node(node, allow_graceful=False)
+        self.nodes[place] = self.add()
+
+
+def kill_tree(pid: int) -> None:
+    pids = [pid]
+    for known in pids:
+        with contextlib.suppress(OSError):
+            tasks = Path(f"/proc/{known}/task")
+            for task in tasks.iterdir():
+                pids += map(int, (task / "children").read_text().split())
+    for known in pids:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(known, signal.SIGKILL)
+
+
+class Gateway:
+    def __init__(self, address: str, work: Path) -> None:
+        flags = ["--cluster", address, "--cluster-folder", str(work / "open")]
+        flags += ["--models", str(work / "models"), "--record", str(work / "logs"), "--port", "0"]
+        command = [sys.executable, "-c", "from rendezview.cli.main import main; main()", "serve"]
+        settings = {"RENDEZVIEW_SERVE_RECORD_MODEL": "false", "RENDEZVIEW_SERVE_SPARE_SEATS": "0"}
+        self.process = subprocess.Popen(
+            [*command, *flags], stderr=subprocess.PIPE, text=True, env=os.environ | settings
+        )
+        assert self.process.stderr is not None
+        said = []
+        for line in self.process.stderr:
+            said.append(line)
+            if "serves at" in line:
+                self.url = line.split("serves at")[1].strip()
+                break
+        else:
+            raise SystemExit("the gateway does not start: " + "".join(said))
+        self._reader = threading.Thread(target=self._pass_on, daemon=True)
+        self._reader.start()
+
+    def _pass_on(self) -> None:
+        assert self.process.stderr is not None
+        for line in self.process.stderr:
+            if "seat" in line and "audit" not in line:
+                print(line, end="", file=sys.stderr, flush=True)
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        assert self.process.stderr is not None
+        self.process.stderr.close()
+
+
+class Sender:
+    """Sends frames as fast as they are answered, to another gateway if one is gone."""
+
+    def __init__(self, gateways: list[Gateway], name: str, loop: Loop) -> None:
+        self.gateways, self.name, self.loop = gateways, name, loop
+        self.states: list[dict] = []
+        self.at_s: list[float] = []
+        self.errors: list[str] = []
+        self.stop = False
+        with Client(gateways[0].url) as client:
+            client.open(loop.camera, name=name, prior=loop.prior, model="client", idle_s=600.0)
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self) -> None:
+        k = turn = 0
+        while not self.stop:
+            with Client(
+                self.gateways[turn % len(self.gateways)].url, reconnect_s=0.0, sender="one"
+            ) as client:
+                session = client.session(self.name)
+                try:
+                    while not self.stop:
+                        self.send(session, k)
+                        k += 1
+                except ServiceError as error:
+                    self.errors.append(str(error))
+                    time.sleep(0.05)
+                    # Tracked by the gateway that ended before it answered: go on.
+                    k += "not later" in str(error)
+                    turn += error.status == 409
+                except (RendezviewError, OSError):
+                    turn += 1
+
+    def send(self, session, k: int) -> None:
+        time_s, image = self.loop(k)
+        state = session.track(image, time_s)
+        self.at_s.append(time.monotonic())
+        if state["recorded"]:
+            self.states.append(state)
+
+    def gap_s(self, since_s: float) -> float:
+        """Longest time between two answers since then."""
+        times = [since_s, *(t for t in self.at_s if t > since_s), time.monotonic()]
+        return float(np.diff(times).max())
+
+    def lost(self, folder: Path) -> int:
+        """Acknowledged states that are not in the session's logs, number for number."""
+        found: dict[int, list[dict]] = {}
+        for path in folder.glob(f"{self.name}-*.mcap"):
+            mend(path)
+            for frame, state in states_of(path).items():
+                found.setdefault(frame, []).append(state)
+        return sum(state not in found.get(state["frame"], []) for state in self.states)
+
+
+def seats_of(gateway: Gateway) -> list[dict]:
+    with Client(gateway.url) as client:
+        return client.request("GET", "/readyz")["seats"]
+
+
+def wait_for(gateway: Gateway, seats: int) -> None:
+    """Until so many seats have a session, or are ready to continue one."""
+    until_s = time.monotonic() + 900.0
+    while time.monotonic() < until_s:
+        with contextlib.suppress(RendezviewError):
+            if sum(s["warm"] or bool(s["session"]) for s in seats_of(gateway)) >= seats:
+                return
+        time.sleep(0.2)
+    raise SystemExit("the seats are not ready in time")
+
+
+def run(model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int = 0) -> None:
+    """Kill nodes and gateways in turn while one session tracks; then hops, nodes and a model.
+
+    Nodes are processes on this machine, one core each, all of them killed with kill -9 together
+    with their children. One client sends frames over two gateways. Every answer with
+    "recorded": true must be in the logs; a gap is the longest time between two answers around a
+    kill.
+    """
+    rng = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        for name in ("open", "models", "logs"):
+            (work / name).mkdir()
+        shutil.copy(model, work / "models" / "client.rvm")
+        ray_nodes = Nodes(nodes)
+        address = ray_nodes.cluster.address
+        gateways = [Gateway(address, work) for _ in range(2)]
+        try:
+            wait_for(gateways[0], nodes)
+            sender = Sender(gateways, "run", Loop(scene))
+            wait_for(gateways[0], nodes)
+            gaps: dict[str, list[float]] = {"node": [], "gateway": []}
+            for number in range(kills):
+                time.sleep(float(rng.uniform(0.5, 1.5)))
+                kind = "gateway" if number % 2 else "node"
+                since_s = time.monotonic()
+                if kind == "gateway":
+                    place = int(rng.integers(2))
+                    gateways[place].kill()
+                else:
+                    node = next(s["node"] for s in seats_of(gateways[0]) if s["session"])
+                    place = [n.node_id for n in ray_nodes.nodes].index(node)
+                    since_s = time.monotonic()
+                    ray_nodes.kill_only(place)
+                while sender.at_s[-1] < since_s + 0.05 and time.monotonic() < since_s + 20.0:
+                    time.sleep(0.02)
+                time.sleep(1.0)
+                gaps[kind].append(sender.gap_s(since_s))
+                if kind == "gateway":
+                    gateways[place] = Gateway(address, work)
+                else:
+                    ray_nodes.replace(place)
+                    wait_for(gateways[0], nodes)
+                print(f"{number + 1} {kind}: gap {gaps[kind][-1]:.2f} s", flush=True)
+            sender.stop = True
+            sender.thread.join()
+            with Client(gateways[0].url) as client:
+                client.session("run").close()
+            lost = sender.lost(work / "logs")
+            for kind, all_s in gaps.items():
+                if all_s:
+                    print(f"{kind}: {len(all_s)} kills, gap median {np.median(all_s):.2f} s, "
+                          f"longest {max(all_s):.2f} s")  # fmt: skip
+            print(f"seed {seed}: {len(sender.states)} acknowledged poses, {lost} lost, "
+                  f"{len(sender.errors)} frames refused")  # fmt: skip
+        finally:
+            for gateway in gateways:
+                gateway.kill()
+            ray_nodes.cluster.shutdown()
+    sys.exit(bool(lost))

@@ -1,0 +1,146 @@
+"""The service on a Ray cluster: another node or gateway goes on, nothing is lost."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from websockets.sync.client import connect
+
+from experiments.service.cluster import Gateway, Nodes, seats_of, wait_for
+from experiments.service.kill import states_of
+from rendezview.client import Client
+from rendezview.client.messages import ServiceError
+from rendezview.errors import RendezviewError
+from rendezview.service.log_repair import mend
+
+pytest.importorskip("ray", reason="needs ray: pip install 'rendezview[ray]'")
+
+_SENDER = "the only one"
+_MOST_S = 60.0
+
+
+class Cluster:
+    """Two nodes and two gateways on this machine."""
+
+    def __init__(self, work: Path, model: Path) -> None:
+        self.work = work
+        for name in ("open", "models", "logs"):
+            (work / name).mkdir()
+        shutil.copy(model, work / "models" / "bumpy.rvm")
+        self.nodes = Nodes(2)
+        address = self.nodes.cluster.address
+        self.gateways = [Gateway(address, work) for _ in range(2)]
+        wait_for(self.gateways[0], 2)
+
+    def client(self, gateway: int = 0) -> Client:
+        return Client(self.gateways[gateway].url, sender=_SENDER, reconnect_s=0.0)
+
+    def node_of(self, session: str) -> int:
+        seat = next(s for s in seats_of(self.gateways[0]) if s["session"] == session)
+        return [node.node_id for node in self.nodes.nodes].index(seat["node"])
+
+    def logged(self, session: str) -> dict[int, list[dict[str, Any]]]:
+        """The states in the parts of a session's log, by frame."""
+        found: dict[int, list[dict[str, Any]]] = {}
+        for path in self.work.glob(f"logs/{session}-*.mcap"):
+            mend(path)
+            for frame, state in states_of(path).items():
+                found.setdefault(frame, []).append(state)
+        return found
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory, model_path: Path) -> Iterator[Cluster]:
+    made = Cluster(tmp_path_factory.mktemp("cluster"), model_path)
+    yield made
+    for gateway in made.gateways:
+        gateway.kill()
+    made.nodes.cluster.shutdown()
+
+
+def _patient(cluster: Cluster, gateway: int, image: np.ndarray, time_s: float) -> dict[str, Any]:
+    """The state of a frame that is sent until it is tracked."""
+    until_s = time.monotonic() + _MOST_S
+    while True:
+        try:
+            with cluster.client(gateway) as client:
+                return client.session("run").track(image, time_s)
+        except (RendezviewError, ServiceError):
+            assert time.monotonic() < until_s
+            time.sleep(0.1)
+
+
+def test_nodes_gateways_and_models_change_under_a_session(
+    cluster, camera, tour, refining_model, tmp_path
+) -> None:
+    states = []
+    with cluster.client() as client:
+        client.open(camera, name="run", prior=tour[0][1], idle_s=600.0)
+        with pytest.raises(ServiceError, match="there is one already"):
+            client.open(camera, name="run")
+        with pytest.raises(ServiceError, match="there is none with this id"):
+            client.session("other").track(tour[0][2], 0.0)
+        session = client.session("run")
+        states += [session.track(image, time_s) for time_s, _, image in tour[:4]]
+        first_model = states[0]["model_sha256"]
+
+        # A new file of its model: the session takes it along to the free seat.
+        replace(refining_model, provenance={"why": "newer"}).save(tmp_path / "new.rvm")
+        answer = httpx.put(
+            f"{cluster.gateways[1].url}v1/models/bumpy?replace=true",
+            content=(tmp_path / "new.rvm").read_bytes(),
+            timeout=_MOST_S,
+        )
+        assert answer.status_code == 201, answer.text
+        assert session.track(tour[4][2], tour[4][0])["model_sha256"] == first_model
+        before = cluster.node_of("run")
+        assert client.request("POST", "/v1/models/bumpy/roll") == {"moved": 1}
+        assert cluster.node_of("run") != before
+        states.append(session.track(tour[5][2], tour[5][0]))
+        assert states[-1]["model_sha256"] == answer.json()["sha256"] != first_model
+
+    # The other gateway knows nothing of it yet, and answers; a watcher and a stream too.
+    url = cluster.gateways[1].url.replace("http", "ws") + "v1/sessions/run"
+    with connect(f"{url}/watch?contour=true") as watcher:
+        states.append(_patient(cluster, 1, tour[6][2], tour[6][0]))
+        assert f'"frame":{states[-1]["frame"]}' in str(watcher.recv(_MOST_S))
+    with connect(f"{url}/stream", additional_headers={"X-Sender": _SENDER}) as stream:
+        stream.send(struct.pack("<d", tour[7][0]) + tour[7][2].tobytes())
+        assert '"status":"ok"' in str(stream.recv(_MOST_S))
+
+    # kill -9 of its node, while a frame is sent.
+    wait_for(cluster.gateways[0], 2)
+    place = cluster.node_of("run")
+    ended = threading.Thread(target=cluster.nodes.kill_only, args=(place,))
+    ended.start()
+    states += [_patient(cluster, 0, image, time_s) for time_s, _, image in tour[8:12]]
+    ended.join()
+    assert cluster.node_of("run") != place
+    cluster.gateways[0].kill()
+    states += [_patient(cluster, 1, image, time_s) for time_s, _, image in tour[12:16]]
+    frames = [state["frame"] for state in states]
+    assert frames == sorted(set(frames))
+    assert all(state["recorded"] and state["pose"] is not None for state in states)
+    with cluster.client(1) as client:
+        kinds = [
+            event["kind"] for event in client.request("GET", "/v1/sessions/run/events")["events"]
+        ]
+        assert "node" in kinds
+        assert [one["id"] for one in client.sessions()] == ["run"]
+        client.request("DELETE", "/v1/sessions/run")
+    until_s = time.monotonic() + _MOST_S
+    while list(cluster.work.glob("open/*")):
+        assert time.monotonic() < until_s
+        time.sleep(0.1)
+    logged = cluster.logged("run")
+    assert all(state in logged[state["frame"]] for state in states)
