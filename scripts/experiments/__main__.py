@@ -48,7 +48,10 @@ EXPERIMENTS = {
         "reflector-handover": ("reflectors.handover", "from the far to the near group, by roll"),
         "reflector-larger": ("reflectors.handover:larger", "one outer reflector larger"),
         "reflector-nees": ("reflectors.nees", "errors against covariances, by condition"),
-        "reflector-rates": ("reflectors.nees:rates", "rates beside a line of eight readings"),
+        "reflector-rates": (
+            "reflectors.rates",
+            "rates beside a line of eight readings and the bound",
+        ),
         "reflector-tolerance": ("reflectors.nees:tolerance", "dots of another diameter or blur"),
         "reflector-real-spots": ("reflectors.real_spots", "centroids in a real star picture"),
         "reflector-solvers": ("reflectors.solvers", "a million P3P problems, beside peers"),

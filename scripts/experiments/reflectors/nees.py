@@ -1,4 +1,4 @@
-"""Normalised errors of poses and rates against their covariances; dots of another size."""
+"""Normalised errors of poses against their covariances; dots of another size."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from experiments.frame import nees, show, table_of
 from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, THREE, apart, plain
-from rendezview.estimation.acceleration import AccelerationBank
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.reflectors import LitDark, ReflectorSensor, TrackingOptions
@@ -91,52 +90,6 @@ def run(*, readings: int = 60, seed: int = 7, kind: str = "") -> None:
                     errors.append(nees(off(reading.pose, Pose(*placed)), reading.covariance))
             cells.append(f"{np.mean(errors):.1f} ({len(errors)})" if errors else "– (0)")
         table.add_row(condition, *cells)
-    show(table)
-
-
-def rates(*, runs: int = 10, seed: int = 8) -> None:
-    """Rates of a swinging target: the filters beside a line through eight readings, same poses.
-
-    Poses with the errors of reflectors at 5 m; the target swings at up to 10°/s, turns about
-    itself or rests. NEES: 6 is right.
-    """
-    sigma = np.array([3e-3, 3e-3, 3e-4, 1e-3, 1e-3, 5e-3])
-    table = table_of(
-        f"{runs} runs of 20 s, seed {seed}",
-        "motion | readings/s | rms °/s, line | filters | rms mm/s, line | filters | NEES", left=1,
-    )  # fmt: skip
-    for motion, (swing, spin, speed) in {
-        "swings, 10°/s": (0.25, 0.0, 0.3), "turns, 8°/s": (0.0, 0.14, 0.1), "rests": (0.0, 0.0, 0.0)
-    }.items():  # fmt: skip
-        for hertz in (2.0, 5.0, 10.0, 30.0):
-            rng, ours, line, errors = np.random.default_rng(seed), [], [], []
-            for _ in range(runs):
-                bank, kept = AccelerationBank(), []
-                axis = rng.normal(size=3)
-                axis /= np.linalg.norm(axis)
-                for t in np.arange(0.0, 20.0, 1.0 / hertz):
-                    angle = swing * math.sin(0.7 * t) + spin * t
-                    rate = 0.7 * swing * math.cos(0.7 * t) + spin
-                    place = np.array([speed * math.sin(0.6 * t), 0.0, 5.0 - 0.2 * speed * t])
-                    velocity = np.array([0.6 * speed * math.cos(0.6 * t), 0.0, -0.2 * speed])
-                    truth = np.append(rate * axis, velocity)
-                    pose = Pose(plain.turn(axis, angle), place).perturbed(rng.normal(0.0, sigma))
-                    found = bank.add(float(t), pose, np.diag(sigma**2))
-                    kept = [*kept, (float(t), pose)][-8:]
-                    if found is None or t < 4.0:
-                        continue
-                    times = np.array([k[0] for k in kept])
-                    turns = [between(k[1].rotation, pose.rotation) for k in kept]
-                    moves = [k[1].translation_m for k in kept]
-                    line.append(np.polyfit(times, np.hstack([turns, moves]), 1)[0] - truth)
-                    ours.append(found.rates - truth)
-                    errors.append(nees(ours[-1], found.covariance))
-            cells = []
-            for part, unit in ((slice(0, 3), math.degrees(1.0)), (slice(3, 6), 1e3)):
-                for values in (line, ours):
-                    rms = math.sqrt(float(np.mean(np.square(np.array(values)[:, part]))))
-                    cells.append(f"{unit * rms:.3f}")
-            table.add_row(motion, f"{hertz:g}", *cells, f"{np.mean(errors):.1f}")
     show(table)
 
 

@@ -1,11 +1,11 @@
-"""Rates of all six numbers, from filters of constant acceleration over the readings."""
+"""Rates of all six numbers, from filters over the readings."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-from rendezview.estimation.acceleration import AccelerationBank, AccelerationOptions
+from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.reflectors.pattern import Face
 
@@ -30,10 +30,10 @@ class Rates:
 
 
 class RateEstimator:
-    """Follows the poses of one target; see `rendezview.estimation.acceleration`."""
+    """Follows the poses of one target; see `rendezview.estimation.rates`."""
 
-    def __init__(self, options: AccelerationOptions | None = None) -> None:
-        self._bank = AccelerationBank(options)
+    def __init__(self, options: RateOptions | None = None) -> None:
+        self._bank = RateBank(options)
         self._first_s = self._last_s = math.nan
         self._readings = 0
 

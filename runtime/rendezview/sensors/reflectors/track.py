@@ -8,7 +8,7 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.estimation.acceleration import AccelerationOptions
+from rendezview.estimation.rates import RateOptions
 from rendezview.geometry.pose import Array, Pose
 
 
@@ -41,7 +41,7 @@ class TrackingOptions:
     # error of a centroid beside the noise: pixels, lens, reflector edge. Source: by hand; doubled,
     # NEES falls from 0.53 to 0.29 (number-effects)
     floor_px: float = 0.01
-    rates: AccelerationOptions = field(default_factory=AccelerationOptions)
+    rates: RateOptions = field(default_factory=RateOptions)
 
 
 class Branch(StrEnum):

@@ -1,8 +1,8 @@
 """Lights that shine one after the other: the target moves between the first and the last of a scan.
 
 Six lights 1/60 s apart turn by 1.7° at 20°/s while they are read. Each spot is moved back to the
-time of the reading by the rates of a filter of constant acceleration over the poses before. What
-the rates' error adds goes into the spots' errors and into the pose's covariance.
+time of the reading by the rates of filters over the poses before. What the rates' error adds goes
+into the spots' errors and into the pose's covariance.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from rendezview.estimation.acceleration import AccelerationBank
 from rendezview.estimation.motion import extrapolate
+from rendezview.estimation.rates import RateBank
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
@@ -49,7 +49,7 @@ class MultiplexedTracker:
             )
         self._middle_s = float(self.times_s.mean())
         self._rig_from_first = tracker.rig.cameras[0].camera_from_rig.inverse()
-        self._bank = AccelerationBank()
+        self._bank = RateBank()
         self._forget()
 
     def _forget(self) -> None:

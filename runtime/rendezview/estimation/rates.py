@@ -1,0 +1,400 @@
+"""Rates of a pose, by filters that each know one kind of motion.
+
+How a target moves is unknown. Filters of three kinds run side by side: steady rates;
+accelerations that change at random; and rates that swing about a mean, with one unknown period for
+all three axes. The last is the exact motion of a pendulum, of a point of a turning body, and of the
+angular rate of a free body with an axis of symmetry. Other free bodies come near to it.
+
+Turns and moves are filtered apart, with 13 states for three numbers: attitude or place, mean rate,
+swing about it, the swing's derivative, and the logarithm of its angular frequency k:
+ω = mean + swing, d²swing/dt² = −k² swing. Where k is 0 the swing is a rate that the derivative
+changes. White jerks disturb the derivative and white accelerations the mean. A wrong k is a jerk,
+too: the covariance's part of second order is added to the jerks' density.
+
+Each filter counts as much as it foretold the readings of the last seconds (a multiple-model
+estimator; Bar-Shalom, Li & Kirubarajan, *Estimation with applications to tracking and navigation*,
+2001, section 11.6). One that falls far behind restarts from the best.
+Frames and perturbations are those of `rendezview.estimation.motion`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from rendezview.estimation.linear_algebra import invert
+from rendezview.geometry import so3
+from rendezview.geometry.pose import Array, Pose
+
+_STATES = 13  # Source: by construction
+_MEAN, _SWING, _CHANGE, _LOG_K = 3, 6, 9, 12  # first state of each, after attitude or place
+# Columns of the kinds of motion: rad/s³ √s, rad/s² √s, rad/s (0: none), and σ of the first mean
+# (rad/s), swing (rad/s), derivative (rad/s²) and logarithm of k.
+JERK, WALK, FREQUENCY, FIRST_MEAN, FIRST_SWING, FIRST_CHANGE, FIRST_LOG_K = range(7)
+_SERIES = 1e-3  # rad of a swing in a step; below it the series. Source: by construction, 1e-13 off
+# 1/k: time for which a wrong frequency's jerk keeps its sign. Source: experiment reflector-rates
+_PERSISTS = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateOptions:
+    """How freely the target may move; the numbers of turns, and for moves times a length."""
+
+    # rad/s² √s of white accelerations. Source: experiment reflector-rates, a free body, a drive
+    steady_walks: tuple[float, ...] = (1e-4, 1e-3)
+    # rad/s³ √s of white jerks. Source: experiment reflector-rates, a robot's arm to a hand
+    jerks: tuple[float, ...] = (1e-2, 1e-1, 1.0)
+    # rad/s of swings, periods of 42 to 2.6 s; each estimates its own. Source: reflector-rates
+    frequencies: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2, 2.4)
+    frequency_spread: float = 0.35  # of the logarithm: half the step. Source: by construction
+    swing_jerk: float = 1e-4  # rad/s³ √s of the swings. Source: reflector-rates
+    swing_walk: float = 3e-5  # rad/s² √s of their means. Source: reflector-rates
+    frequency_walk: float = 1e-3  # of the logarithm, a √s. Source: reflector-rates
+    linear_per_angular_m: float = 0.3  # m/rad. Source: by construction, an arm's length
+    first_rate: float = 0.5  # rad/s, σ before the first reading. Source: by construction
+    first_acceleration: float = 0.3  # rad/s², likewise. Source: by construction
+    memory_s: float = 10.0  # s, of the likelihoods. Source: experiment reflector-rates
+    # of the logarithm of a likelihood: that far behind, a filter restarts. Source: reflector-rates
+    behind: float = 12.0
+
+    def kinds(self) -> Array:
+        """(B, 7) the filters, a row each."""
+        rate, change = self.first_rate, self.first_acceleration
+        steady = [(0.0, walk, 0.0, rate, 0.0, 0.0, 0.0) for walk in self.steady_walks]
+        pushed = [(jerk, 0.0, 0.0, 0.0, rate, change, 0.0) for jerk in self.jerks]
+        half = math.sqrt(0.5) * rate
+        swinging = [
+            (self.swing_jerk, self.swing_walk, k, half, half, change, self.frequency_spread)
+            for k in self.frequencies
+        ]
+        return np.array(steady + pushed + swinging)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionRates:
+    """Angular rate and velocity (6,), rad/s and m/s, camera frame, with covariance (6, 6).
+
+    Errors of the angular rate and of the velocity are taken as uncorrelated.
+    """
+
+    rates: Array
+    covariance: Array
+
+
+class RateBank:
+    """The filters of one target over poses with covariances, in order of time."""
+
+    def __init__(self, options: RateOptions | None = None) -> None:
+        self.options = options or RateOptions()
+        turns = self.options.kinds()
+        moves = turns.copy()
+        moves[:, [JERK, WALK, FIRST_MEAN, FIRST_SWING, FIRST_CHANGE]] *= (
+            self.options.linear_per_angular_m
+        )
+        self._kinds = turns, moves
+        count = len(turns)
+        self._rotations, self._places = np.empty((count, 3, 3)), np.empty((count, 3))
+        self._states = np.zeros((2, count, _STATES))
+        self._covariances = np.zeros((2, count, _STATES, _STATES))
+        self._scores = np.zeros((2, count))  # logarithms of likelihoods
+        self._time_s: float | None = None
+
+    def clear(self) -> None:
+        """Forget all readings."""
+        self._time_s = None
+
+    def add(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:
+        """Take a reading in; None for the first."""
+        if self._time_s is None:
+            self._begin(time_s, pose, covariance)
+            return None
+        dt, self._time_s = time_s - self._time_s, time_s
+        options, rates, spread = self.options, np.zeros(6), np.zeros((6, 6))
+        kept = math.exp(-max(dt, 0.0) / options.memory_s)
+        sound = step_bank(
+            dt, self._kinds[0], self._kinds[1], self._rotations, self._places, self._states,
+            self._covariances, self._scores, np.ascontiguousarray(pose.rotation),
+            np.ascontiguousarray(pose.translation_m), np.ascontiguousarray(covariance),
+            kept, options.frequency_walk, options.behind, rates, spread,
+        )  # fmt: skip
+        if not sound:
+            self._begin(time_s, pose, covariance)
+            return None
+        return MotionRates(rates, spread)
+
+    def _begin(self, time_s: float, pose: Pose, covariance: Array) -> None:
+        self._time_s = time_s
+        self._rotations[:], self._places[:] = pose.rotation, pose.translation_m
+        self._scores[:] = 0.0
+        for part, kinds in enumerate(self._kinds):
+            own = slice(3 * part, 3 * part + 3)
+            for b in range(len(kinds)):
+                begin(kinds[b], self._states[part, b], self._covariances[part, b])
+                self._covariances[part, b, :3, :3] = covariance[own, own]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def begin(kind: Array, state: Array, covariance: Array) -> None:
+    """Fill state (13,) and covariance (13, 13) of a filter that knows nothing."""
+    state[:], covariance[:] = 0.0, 0.0
+    for first, column in ((_MEAN, FIRST_MEAN), (_SWING, FIRST_SWING), (_CHANGE, FIRST_CHANGE)):
+        for i in range(first, first + 3):
+            covariance[i, i] = kind[column] ** 2
+    if kind[FREQUENCY] > 0.0:
+        state[_LOG_K] = math.log(kind[FREQUENCY])
+        covariance[_LOG_K, _LOG_K] = kind[FIRST_LOG_K] ** 2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def step_bank(
+    dt: float, turns: Array, moves: Array, rotations: Array, places: Array, states: Array,
+    covariances: Array, scores: Array, rotation: Array, place: Array, measured: Array,
+    kept: float, frequency_walk: float, behind: float, mean: Array, spread: Array,
+) -> bool:  # fmt: skip
+    """Predict all filters by ``dt``, update them with a pose, mix their rates.
+
+    Args:
+        turns, moves: (B, 7) kinds of the filters.
+        rotations (B, 3, 3), places (B, 3), states (2, B, 13), covariances (2, B, 13, 13), scores
+            (2, B): of turns and of moves; they change in place.
+        rotation, place, measured: the reading's pose and its covariance (6, 6).
+        kept: share of the scores that is kept.
+        frequency_walk: of the logarithm of k, a √s.
+        behind: a filter whose score is that far below the best restarts.
+        mean, spread: out, (6,) and (6, 6) of angular rate and velocity.
+
+    Returns:
+        False where a covariance is singular or a number is not finite: nothing is known.
+    """
+    step, off = np.empty(3), np.empty(3)
+    for part in range(2):
+        kinds = moves if part else turns
+        error = np.ascontiguousarray(measured[3 * part : 3 * part + 3, 3 * part : 3 * part + 3])
+        for b in range(len(kinds)):
+            state, covariance = states[part, b], covariances[part, b]
+            predict(dt, kinds[b], frequency_walk, state, covariance, step)
+            if part:
+                places[b] += step
+                off[:] = place - places[b]
+            else:
+                turn = so3.exp(step)
+                rotations[b] = turn @ rotations[b]
+                carry_attitude(turn, covariance)
+                off[:] = so3.between(rotation, rotations[b])
+            likely = update(off, error, state, covariance, step)
+            scores[part, b] = kept * scores[part, b] + likely
+            if part:
+                places[b] += step
+            else:
+                rotations[b] = so3.exp(step) @ rotations[b]
+        best = int(scores[part].argmax())
+        if not np.isfinite(scores[part]).all():
+            return False
+        own = slice(3 * part, 3 * part + 3)
+        mix(scores[part], states[part], covariances[part], mean[own], spread[own, own])
+        for b in range(len(kinds)):
+            if scores[part, b] < scores[part, best] - behind:
+                restart(kinds[b], best, b, states[part], covariances[part])
+                scores[part, b] = scores[part, best] - 0.7 * behind
+                rotations[b] = rotations[b] if part else rotations[best]
+                places[b] = places[best] if part else places[b]
+    return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def transition(dt: float, k: float, carry: Array, slope: Array) -> None:
+    """Fill how a swing and its derivative act on place, swing and derivative after ``dt``.
+
+    ``carry`` (3, 2), and its derivative ``slope`` (3, 2) by the logarithm of k. The swing's
+    equation has the solution swing cos kt + derivative sin kt / k.
+    """
+    w = k * dt
+    if w > _SERIES:
+        c, s, half = math.cos(w), math.sin(w), math.sin(0.5 * w)
+        less = 2.0 * half * half  # 1 − cos
+        carry[0, 0], carry[0, 1] = s / k, less / (k * k)
+        carry[1, 0], carry[1, 1] = c, s / k
+        carry[2, 0], carry[2, 1] = -k * s, c
+        slope[0, 0], slope[0, 1] = dt * c - s / k, (w * s - 2.0 * less) / (k * k)
+        slope[1, 0], slope[1, 1] = -w * s, dt * c - s / k
+        slope[2, 0], slope[2, 1] = -k * s - k * w * c, -w * s
+    else:
+        carry[0, 0], carry[0, 1] = dt, 0.5 * dt * dt
+        carry[1, 0], carry[1, 1] = 1.0 - 0.5 * w * w, dt
+        carry[2, 0], carry[2, 1] = -k * w, 1.0 - 0.5 * w * w
+        slope[0, 0], slope[0, 1] = -w * w * dt / 3.0, -w * w * dt * dt / 12.0
+        slope[1, 0], slope[1, 1] = -w * w, -w * w * dt / 3.0
+        slope[2, 0], slope[2, 1] = -2.0 * k * w, -w * w
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def predict(
+    dt: float, kind: Array, frequency_walk: float, state: Array, covariance: Array, step: Array
+) -> None:
+    """Predict one filter; ``step`` (3,): the turn or the move, which the caller applies."""
+    swings = kind[FREQUENCY] > 0.0
+    k = math.exp(state[_LOG_K]) if swings else 0.0
+    jerks = kind[JERK] ** 2
+    if swings:  # of second order in the errors of swing and frequency
+        unsure, size, doubt = covariance[_LOG_K, _LOG_K], 0.0, 0.0
+        for i in range(_SWING, _SWING + 3):
+            size += state[i] ** 2 / 3.0
+            doubt += covariance[i, i] / 3.0
+        jerks += _PERSISTS * 4.0 * k**3 * unsure * (doubt + unsure * size)
+    carry, slope = np.empty((3, 2)), np.empty((3, 2))
+    transition(dt, k, carry, slope)
+    turned = np.zeros((3, 3))  # derivatives of place, swing and derivative by the frequency
+    moved = np.empty((3, 3))
+    for r in range(3):
+        for i in range(3):
+            h, a = state[_SWING + i], state[_CHANGE + i]
+            moved[r, i] = carry[r, 0] * h + carry[r, 1] * a
+            if swings:
+                turned[r, i] = slope[r, 0] * h + slope[r, 1] * a
+    for i in range(3):
+        step[i] = dt * state[_MEAN + i] + moved[0, i]
+        state[_SWING + i], state[_CHANGE + i] = moved[1, i], moved[2, i]
+    for j in range(_STATES):  # rows: F P
+        _carry(dt, carry, turned, covariance[:, j])
+    for j in range(_STATES):  # columns: (F P) Fᵀ
+        _carry(dt, carry, turned, covariance[j])
+    walks = kind[WALK] ** 2
+    for i in range(3):
+        for r, c, power, share in (
+            (0, 0, 5, 20.0), (0, 2, 4, 8.0), (0, 3, 3, 6.0), (2, 2, 3, 3.0), (2, 3, 2, 2.0),
+            (3, 3, 1, 1.0),
+        ):  # fmt: skip
+            _disturb(covariance, 3 * r + i, 3 * c + i, jerks * dt**power / share)
+        for r, c, power, share in ((0, 0, 3, 3.0), (0, 1, 2, 2.0), (1, 1, 1, 1.0)):
+            _disturb(covariance, 3 * r + i, 3 * c + i, walks * dt**power / share)
+    if swings:
+        covariance[_LOG_K, _LOG_K] += frequency_walk**2 * dt
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _disturb(covariance: Array, i: int, j: int, more: float) -> None:
+    covariance[i, j] += more
+    if i != j:
+        covariance[j, i] += more
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _carry(dt: float, carry: Array, turned: Array, v: Array) -> None:
+    """Apply the transition to one vector (13,) of errors, in place."""
+    f = v[_LOG_K]
+    for i in range(3):
+        h, a = v[_SWING + i], v[_CHANGE + i]
+        v[i] += dt * v[_MEAN + i] + carry[0, 0] * h + carry[0, 1] * a + turned[0, i] * f
+        v[_SWING + i] = carry[1, 0] * h + carry[1, 1] * a + turned[1, i] * f
+        v[_CHANGE + i] = carry[2, 0] * h + carry[2, 1] * a + turned[2, i] * f
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def carry_attitude(turn: Array, covariance: Array) -> None:
+    """Turn the errors of the attitude by the rotation (3, 3) of a step.
+
+    The transition has added what the rates' errors do: they are those of the camera frame, and the
+    turn within a step is small beside them.
+    """
+    for j in range(_STATES):
+        a, b, c = covariance[0, j], covariance[1, j], covariance[2, j]
+        for i in range(3):
+            covariance[i, j] = turn[i, 0] * a + turn[i, 1] * b + turn[i, 2] * c
+    for j in range(_STATES):
+        a, b, c = covariance[j, 0], covariance[j, 1], covariance[j, 2]
+        for i in range(3):
+            covariance[j, i] = turn[i, 0] * a + turn[i, 1] * b + turn[i, 2] * c
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def update(off: Array, error: Array, state: Array, covariance: Array, step: Array) -> float:
+    """Update one filter with a reading that is ``off`` (3,); logarithm of its likelihood.
+
+    ``error`` (3, 3): covariance of the reading. ``step`` (3,): correction of attitude or place,
+    which the caller applies. NaN where a covariance is singular.
+    """
+    lower, inverse, spread = np.zeros((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            spread[i, j] = covariance[i, j] + error[i, j]
+    if not invert(spread, lower, inverse):
+        return np.nan
+    likely = 0.0
+    for i in range(3):  # `invert` leaves the factor's own inverse there
+        likely += math.log(lower[i, i])
+        for j in range(3):
+            likely -= 0.5 * off[i] * inverse[i, j] * off[j]
+    gain, before = np.zeros((_STATES, 3)), covariance[:3].copy()
+    for i in range(_STATES):
+        change = 0.0
+        for j in range(3):
+            for m in range(3):
+                gain[i, j] += before[m, i] * inverse[m, j]
+            change += gain[i, j] * off[j]
+        if i < 3:
+            step[i] = change
+        else:
+            state[i] += change
+    for i in range(_STATES):
+        for j in range(i + 1):
+            less = gain[i, 0] * before[0, j] + gain[i, 1] * before[1, j] + gain[i, 2] * before[2, j]
+            covariance[i, j] = covariance[j, i] = covariance[i, j] - less
+    return likely
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mix(scores: Array, states: Array, covariances: Array, mean: Array, spread: Array) -> None:
+    """Fill mean (3,) and covariance (3, 3) of the rates of B filters, weighted by their scores."""
+    count, total, best = len(scores), 0.0, scores.max()
+    weights, rates = np.empty(count), np.empty((count, 3))
+    for b in range(count):
+        weights[b] = math.exp(scores[b] - best)
+        total += weights[b]
+    for b in range(count):
+        weights[b] /= total
+        for i in range(3):
+            rates[b, i] = states[b, _MEAN + i] + states[b, _SWING + i]
+            mean[i] += weights[b] * rates[b, i]
+    for b in range(count):
+        for i in range(3):
+            for j in range(3):
+                own = (rates[b, i] - mean[i]) * (rates[b, j] - mean[j])
+                spread[i, j] += weights[b] * (own + rate_error(covariances[b], i, j))
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def rate_error(covariance: Array, i: int, j: int) -> float:
+    """Covariance of the rates about two axes, mean and swing together."""
+    m, s = _MEAN, _SWING
+    own = covariance[m + i, m + j] + covariance[s + i, s + j]
+    return float(own + covariance[m + i, s + j] + covariance[s + i, m + j])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def restart(kind: Array, best: int, b: int, states: Array, covariances: Array) -> None:
+    """Start filter ``b`` anew from the best one's attitude or place, rate and acceleration.
+
+    How a rate is shared between mean and swing is not known of the new one.
+    """
+    source, known = states[best], covariances[best]
+    state, covariance = states[b], covariances[b]
+    begin(kind, state, covariance)
+    steady, mean = kind[FIRST_SWING] == 0.0, kind[FIRST_MEAN] > 0.0
+    for i in range(3):
+        state[(_MEAN if mean else _SWING) + i] = source[_MEAN + i] + source[_SWING + i]
+        if not steady:
+            state[_CHANGE + i] = source[_CHANGE + i]
+        for j in range(3):
+            covariance[i, j] = known[i, j]
+            rate = rate_error(known, i, j)
+            apart = covariance[_SWING + i, _SWING + j] if mean else 0.0
+            if mean:
+                covariance[_MEAN + i, _MEAN + j] = rate + apart
+                covariance[_MEAN + i, _SWING + j] = covariance[_SWING + i, _MEAN + j] = -apart
+            else:
+                covariance[_SWING + i, _SWING + j] = rate
+            if not steady:
+                covariance[_CHANGE + i, _CHANGE + j] = known[_CHANGE + i, _CHANGE + j]
