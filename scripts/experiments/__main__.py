@@ -53,7 +53,11 @@ EXPERIMENTS = {
             "rates beside a line of eight readings and the bound",
         ),
         "reflector-tolerance": ("reflectors.nees:tolerance", "dots of another diameter or blur"),
-        "reflector-real-spots": ("reflectors.real_spots", "centroids in a real star picture"),
+        "reflector-real-spots": ("reflectors.real_spots", "centroids in real pictures of stars"),
+        "reflector-s-curve": (
+            "reflectors.real_spots:s_curve",
+            "centroids over the place in a pixel",
+        ),
         "reflector-solvers": ("reflectors.solvers", "a million P3P problems, beside peers"),
         "reflector-speed": ("reflectors.speed", "time of a reading beside OpenCV's moments"),
         "reflector-run": ("reflectors.run", "writes a simulated run as files"),

@@ -2,7 +2,7 @@
 
 It is the point about which a Gaussian window of the spot's own size finds no first moment. For
 a Gaussian spot in white noise this is the least-squares place: its error σ_noise √(2/π) / peak an
-axis is the Cramér–Rao bound for any spot size. A window narrower than 1.2 px would follow the
+axis is the Cramér–Rao bound for any spot size. A window narrower than 1 px would follow the
 noise and the pixels' grid. It stays that wide for a smaller spot, and what the grid makes of
 both moments is taken from a Gaussian of the spot's size, integrated over the pixels.
 
@@ -22,7 +22,7 @@ from rendezview.geometry.pose import Array
 
 Grey = npt.NDArray[np.uint8]
 
-LEAST_WINDOW_PX = 1.2  # σ. Source: experiment reflector-real-spots, stars of 2 px FWHM
+LEAST_WINDOW_PX = 1.0  # σ. Source: experiment reflector-real-spots, stars of 2 px FWHM
 LARGEST_WINDOW_PX = 40.0  # σ: a disc of 125 px. Source: by construction
 _CLIPS = 6  # rounds without what is far off. Source: by construction, two neighbouring spots
 _REACH = 3.0  # of the window, in its σ: the weight there is 1 %. Source: by construction
