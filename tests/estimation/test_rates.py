@@ -140,6 +140,36 @@ def test_mixed_rates_are_those_of_plain_numpy():
 
 
 @pytest.mark.parametrize("row", range(10))
+def test_a_bank_of_one_filter_is_that_filter(row):
+    rng, dt = np.random.default_rng(5), 0.3
+    kinds = RateOptions().kinds()[row : row + 1]
+    states, covariances = np.zeros((2, 1, 13)), np.empty((2, 1, 13, 13))
+    for part in range(2):
+        bank_module.begin(kinds[0], states[part, 0], covariances[part, 0])
+        covariances[part, 0, :3, :3] = np.diag(SIGMA[:3] ** 2)
+    assert np.diag(covariances[0, 0])[3:] == pytest.approx(np.repeat(kinds[0, 3:7], 3)[:10] ** 2)
+    first = states[1, 0].copy(), covariances[1, 0].copy()
+    place, measured = rng.normal(0.0, 0.1, 3), np.diag(SIGMA**2)
+    rotations, places, scores = np.eye(3)[None].copy(), np.zeros((1, 3)), np.full((2, 1), 4.0)
+    mean, spread = np.zeros(6), np.zeros((6, 6))
+    assert bank_module.step_bank(
+        dt, kinds, kinds, rotations, places, states, covariances, scores, np.eye(3), place,
+        measured, 0.5, 1e-3, 12.0, mean, spread,
+    )  # fmt: skip
+    step, state, change, covariance, likely = plain_filter(
+        dt, kinds[0], 1e-3, *first, place, measured[3:, 3:]
+    )
+    assert places[0] == pytest.approx(step + change, abs=1e-9)
+    np.testing.assert_allclose(states[1, 0], state, atol=1e-8)
+    np.testing.assert_allclose(covariances[1, 0], covariance, atol=1e-8)
+    assert scores[1, 0] == pytest.approx(2.0 + likely)
+    assert mean[3:] == pytest.approx(state[3:6] + state[6:9])
+    assert rotations[0] == pytest.approx(np.eye(3))
+    both = np.hstack([np.zeros((3, 3)), np.eye(3), np.eye(3), np.zeros((3, 4))])
+    np.testing.assert_allclose(spread[3:, 3:], both @ covariance @ both.T, atol=1e-8)
+
+
+@pytest.mark.parametrize("row", range(10))
 def test_a_restarted_filter_has_the_rate_of_the_best_and_its_error(row):
     rng, kinds = np.random.default_rng(4), RateOptions().kinds()
     root = rng.normal(0.0, 0.1, (2, 13, 13))

@@ -362,11 +362,11 @@ def mix(scores: Array, states: Array, covariances: Array, mean: Array, spread: A
         for i in range(3):
             for j in range(3):
                 own = (rates[b, i] - mean[i]) * (rates[b, j] - mean[j])
-                spread[i, j] += weights[b] * (own + rate_error(covariances[b], i, j))
+                spread[i, j] += weights[b] * (own + _rate_error(covariances[b], i, j))
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def rate_error(covariance: Array, i: int, j: int) -> float:
+def _rate_error(covariance: Array, i: int, j: int) -> float:
     """Covariance of the rates about two axes, mean and swing together."""
     m, s = _MEAN, _SWING
     own = covariance[m + i, m + j] + covariance[s + i, s + j]
@@ -389,7 +389,7 @@ def restart(kind: Array, best: int, b: int, states: Array, covariances: Array) -
             state[_CHANGE + i] = source[_CHANGE + i]
         for j in range(3):
             covariance[i, j] = known[i, j]
-            rate = rate_error(known, i, j)
+            rate = _rate_error(known, i, j)
             apart = covariance[_SWING + i, _SWING + j] if mean else 0.0
             if mean:
                 covariance[_MEAN + i, _MEAN + j] = rate + apart
