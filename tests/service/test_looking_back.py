@@ -26,13 +26,13 @@ def taped(service, camera, tour):
     asked = {"port": PORT, "limits": [{"quantity": "range_m", "least": 9.5}]}
     with (
         service.client() as client,
-        client.open(camera, name="back", prior=tour[0][1], approach=asked) as session,
+        client.open(camera, name="taped", prior=tour[0][1], approach=asked) as session,
     ):
         states = [session.track(image, 5.0 * k) for k, (_, _, image) in enumerate(tour[:12])]
         dark = np.zeros_like(tour[0][2])
         states.append(session.track(dark, 5.0 * 12))
-        events = client.request("GET", "/v1/sessions/back/events")
-        later = client.request("GET", "/v1/sessions/back/events?since=2")
+        events = client.request("GET", "/v1/sessions/taped/events")
+        later = client.request("GET", "/v1/sessions/taped/events?since=2")
     return states, events, later
 
 
@@ -79,7 +79,7 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
     names = [one.name for one in recordings]
     assert other.name not in names
     # A busy machine may answer the first request late; the client then opens once more.
-    one = max((r for r in recordings if r.session == "back"), key=lambda r: r.frames)
+    one = max((r for r in recordings if r.session == "taped"), key=lambda r: r.frames)
     assert one.frames == len(states)
     assert one.model_sha256 == states[0]["model_sha256"]
     at = f"/v1/recordings/{one.name}"
@@ -109,7 +109,7 @@ def test_recordings_are_listed_and_looked_through(taped, service, client) -> Non
 
 
 def test_a_log_with_motion_and_approach_is_repeated_bit_for_bit(taped, service) -> None:
-    path = max(service.folder.glob("back-*.mcap"), key=lambda log: log.stat().st_size)
+    path = max(service.folder.glob("taped-*.mcap"), key=lambda log: log.stat().st_size)
     log = read_log(path)
     compared = [so_far for _, so_far in repeat(log, model_of(log, None))]
     assert (compared[-1].frames, compared[-1].first_difference) == (13, None)
