@@ -36,6 +36,7 @@ def _primitives_of_mode(mode: int) -> dict[str, Any]:
         ({"extensionsRequired": ["EXT_meshopt_compression"]}, "without compression"),
         (_primitives_of_mode(6), "plain triangles"),
         ({"buffers": [{"uri": "body%201.bin", "byteLength": 4}]}, "body 1.bin, which is not there"),
+        ({"buffers": [{"uri": "../body.bin", "byteLength": 4}]}, "outside the folder of the mesh"),
     ],
 )
 def test_a_gltf_file_that_cannot_be_read_says_why(

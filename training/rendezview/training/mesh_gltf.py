@@ -24,7 +24,8 @@ def check_gltf(path: Path) -> None:
     What is damaged in other ways is left to the reader of the file.
 
     Raises:
-        RendezviewError: glTF 1, compressed geometry, triangle fans, or a file beside it is missing.
+        RendezviewError: glTF 1, compressed geometry, triangle fans, or a file of its geometry is
+            missing or lies outside its folder.
     """
     header = _header(path)
     version = str(_entry(header, "asset").get("version", "2.0"))
@@ -45,6 +46,11 @@ def check_gltf(path: Path) -> None:
         uri = buffer.get("uri")
         if isinstance(uri, str) and not uri.startswith("data:"):
             beside = path.parent / unquote(uri)
+            if not beside.resolve().is_relative_to(path.parent.resolve()):
+                raise RendezviewError(
+                    f"{path}: its geometry is in {uri}, outside the folder of the mesh, where "
+                    "nothing is read: put that file beside it, or export one GLB file"
+                )
             if not beside.is_file():
                 raise RendezviewError(
                     f"{path}: its geometry is in {beside}, which is not there: put that file "

@@ -45,7 +45,7 @@ def test_the_cover_lies_where_the_frame_shows_the_body(sketcher, x, y, radius):
     grey = 20.0 + 150.0 * disc(800, 1200, x, y, radius) + rng.normal(0.0, 3.0, (800, 1200))
     sketch = sketcher.find(np.clip(grey, 0, 255).astype(np.uint8))
     assert sketch is not None
-    assert not sketch.cut.any()
+    assert not sketch.is_cut
     assert sketch.maps.shape[0] == MAPS
     rows, columns = np.mgrid[0 : sketch.maps.shape[1], 0 : sketch.maps.shape[2]]
     u = (columns - sketch.left_px) / sketch.scale
@@ -63,14 +63,14 @@ def test_a_body_that_leaves_the_frame_is_said_to_be_cut(sketcher):
     grey = 20.0 + 180.0 * disc(480, 640, 40.0, 240.0, 90.0)
     sketch = sketcher.find(grey.astype(np.uint8))
     assert sketch is not None
-    assert sketch.cut.tolist() == [-1.0, 0.0]
+    assert sketch.rest.tolist() == [-1.0, 0.0]
     assert not sketch.overflows
 
 
 def test_a_body_that_is_larger_than_the_frame_overflows_it(sketcher):
     grey = 20.0 + 180.0 * disc(300, 640, 320.0, 150.0, 200.0)
     sketch = sketcher.look(grey.astype(np.uint8), (-0.5, -0.5, 639.5, 299.5))
-    assert sketch.cut.tolist() == [0.0, 0.0]
+    assert sketch.crossed.tolist() == [[False, False], [True, True]]
     assert sketch.overflows
 
 

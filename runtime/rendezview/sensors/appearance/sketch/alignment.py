@@ -36,7 +36,12 @@ from rendezview.sensors.appearance.edges.edge_search import (
     U,
     V,
 )
-from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables, through_lens
+from rendezview.sensors.appearance.edges.view_tables import (
+    Lens,
+    ViewTables,
+    pose_slope_into,
+    project_edge,
+)
 
 Float32s = npt.NDArray[np.float32]
 
@@ -69,7 +74,6 @@ _HELD = 1e-3  # damping, share of the information. Source: as edges/alignment.py
 _LEAST_SIGMA_PX = 0.3  # sketch px; one σ of an edge in the best of cases
 # Information of about a radian and a target radius. Source: as edges/refinement.py
 _NOTHING_KNOWN = 1e-4
-_LEAST_DEPTH_M = 1e-6  # m; a point must lie before the camera. Source: by construction
 
 
 @njit(cache=True, nogil=True)
@@ -91,35 +95,15 @@ def predict_edge(
     unit_m: float, rotation: Array, centre: Array, row: Array,
 ) -> bool:  # fmt: skip
     """Place, normal and Jacobian of a contour point in the sketch; False where it has none."""
-    q0 = q1 = q2 = a0 = a1 = a2 = 0.0
-    for i in range(3):
-        p, t = point[i] * unit_m, float(tangent[i])
-        q0 += rotation[0, i] * p
-        q1 += rotation[1, i] * p
-        q2 += rotation[2, i] * p
-        a0 += rotation[0, i] * t
-        a1 += rotation[1, i] * t
-        a2 += rotation[2, i] * t
-    depth = q2 + centre[2]
-    if depth <= _LEAST_DEPTH_M:
+    edge = project_edge(
+        point[0] * unit_m, point[1] * unit_m, point[2] * unit_m, tangent, lens, rotation, centre
+    )
+    if not edge.is_visible:
         return False
-    x, y = (q0 + centre[0]) / depth, (q1 + centre[1]) / depth
-    u, v, m00, m01, m10, m11 = through_lens(x, y, lens)
-    camera = lens[0]
-    fx, fy = place[0] * camera[0], place[0] * camera[1]
-    ax, ay = a0 - x * a2, a1 - y * a2
-    bx, by = fx * (m00 * ax + m01 * ay), fy * (m10 * ax + m11 * ay)
-    length = np.sqrt(bx * bx + by * by)
-    if length < 1e-9:  # the edge runs along the line of sight
-        return False
-    nx, ny = by / length, -bx / length  # outwards
-    row[U] = fx * u + place[0] * camera[2] + place[1]
-    row[V] = fy * v + place[0] * camera[3] + place[2]
-    row[NX], row[NY] = nx, ny
-    gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11
-    j0, j1, j2 = gx / depth, gy / depth, -(gx * x + gy * y) / depth
-    row[0], row[1], row[2] = q1 * j2 - q2 * j1, q2 * j0 - q0 * j2, q0 * j1 - q1 * j0
-    row[3], row[4], row[5] = j0, j1, j2
+    pose_slope_into(edge, row)
+    row[:6] *= place[0]
+    row[U], row[V] = place[0] * edge.u + place[1], place[0] * edge.v + place[2]
+    row[NX], row[NY] = edge.nx, edge.ny
     return True
 
 

@@ -42,6 +42,7 @@ _PIECE_SHARE = (
 _PIECE_GAP = 0.4  # of the largest piece's size; pieces this near belong to it
 
 Float32s = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
 Box = tuple[float, float, float, float]  # left, top, right, bottom; frame px
 
 
@@ -56,8 +57,22 @@ class Sketch:
     scale: float  # sketch px a frame px
     left_px: float  # sketch px
     top_px: float  # sketch px
-    cut: Array  # (2,) −1, 0 or 1: the target leaves the frame to the left or right, up or down
-    overflows: bool = False  # the target leaves the frame on two opposite sides
+    crossed: Bools  # (2, 2) the target leaves the frame: to the left, the right; above, below
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the target leaves the frame."""
+        return bool(self.crossed.any())
+
+    @property
+    def overflows(self) -> bool:
+        """Whether it leaves the frame on two opposite sides."""
+        return bool(self.crossed.all(1).any())
+
+    @property
+    def rest(self) -> Array:
+        """(2,) −1, 0 or 1: where the rest of the target lies, to the right and below."""
+        return self.crossed[:, 1].astype(float) - self.crossed[:, 0]
 
     @property
     def place(self) -> Array:
@@ -136,14 +151,11 @@ class Sketcher:
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
         cover = maps[COVER] > _COVERED
-        before = np.array([left == 0 and cover[:, 0].any(), top == 0 and cover[0].any()])
-        after = np.array(
-            [right == width and cover[:, -1].any(), bottom == height and cover[-1].any()]
-        )
-        cut = after.astype(float) - before
+        across = left == 0 and cover[:, 0].any(), right == width and cover[:, -1].any()
+        down = top == 0 and cover[0].any(), bottom == height and cover[-1].any()
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
         shift_x, shift_y = scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5
-        return Sketch(maps, scale, shift_x, shift_y, cut, bool((before & after).any()))
+        return Sketch(maps, scale, shift_x, shift_y, np.array([across, down]))
 
     def _log_odds(self, grey: Float32s) -> Float32s:
         """(MAPS, h, w) of a picture (h, w) of grey levels."""

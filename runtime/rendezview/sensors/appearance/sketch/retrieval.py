@@ -90,10 +90,10 @@ class SketchRetrieval:
     def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
         """Centre and size (root of the area) of the cover, px; guesses of both where it is cut."""
         centre, size = centroid(cover_of(sketch.maps))
-        if not sketch.cut.any():
+        if not sketch.is_cut:
             return [(centre, size)]
         return [
-            (centre + shift * (f - 1.0) * size * sketch.cut, f * size)
+            (centre + shift * (f - 1.0) * size * sketch.rest, f * size)
             for f in _CUT_SIZES
             for shift in (_CUT_SHIFTS if f > 1.0 else _CUT_SHIFTS[:1])
         ]
@@ -108,7 +108,7 @@ class SketchRetrieval:
         if not len(rolls):
             return alike
         maps = smoothed(sketch.maps, size)
-        if sketch.cut.any():
+        if sketch.is_cut:
             if self._partial is None:
                 self._partial = PartialViews(self._sketches.decoded())
             within = np.ones((1, *maps.shape[1:]), np.float32)

@@ -175,7 +175,7 @@ class SketchSearch:
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
         looks = Looks(poses, around, self._aligned(sketch, maps, starts, places, _FINE))
-        choice = chosen(looks, self.model.symmetries, prior=prior, cut=bool(sketch.cut.any()))
+        choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
         choice = replace(choice, overflows=sketch.overflows)
