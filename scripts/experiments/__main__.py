@@ -81,6 +81,7 @@ EXPERIMENTS = {
     },
     "fusion": {
         "fusion-approach": ("fusion.approach", "recognizer, ring, ranger and filter, 60 m to 1 m"),
+        "fusion-ring-size": ("fusion.ring_size", "the ring's radius and depth as states"),
         "fusion-faults": ("fusion.faults", "one sensor dead, biased or late"),
         "fusion-speed": ("fusion.speed", "time of a filter step"),
     },

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import overload
 
 from rendezview.fusion.options import FusionOptions
-from rendezview.fusion.state import FilterState, predict
+from rendezview.fusion.state import RING, FilterState, predict
 from rendezview.fusion.step import Snapshot, step, useless
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry.pose import Array, Pose
@@ -31,6 +31,8 @@ class Estimate:
     covariance: Array | None  # (12, 12) rotation vector, translation, angular rate, velocity
     ring_radius: float | None = None  # estimated true radius divided by the given one
     ring_depth_m: float | None = None  # estimated offset along its axis from the given place
+    # (2, 2) of these two; 0 where one is known. None: neither is estimated.
+    ring_covariance: Array | None = None
 
 
 class Fusion:
@@ -152,6 +154,9 @@ class Fusion:
             state.motion_covariance.copy(),
             1.0 + float(state.extras[0]) if options.ring_radius_sigma > 0.0 else None,
             float(state.extras[1]) if options.ring_depth_sigma_m > 0.0 else None,
+            state.covariance[RING, RING].copy()
+            if options.ring_radius_sigma > 0.0 or options.ring_depth_sigma_m > 0.0
+            else None,
         )
 
     def _forget(self) -> None:

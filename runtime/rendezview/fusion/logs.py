@@ -250,6 +250,7 @@ def state_record(estimate: Estimate, verdict: Verdict | None, fusion: Fusion) ->
         "covariance": estimate.covariance,
         "ring_radius": estimate.ring_radius,
         "ring_depth_m": estimate.ring_depth_m,
+        "ring_covariance": estimate.ring_covariance,
         "measurement": None
         if verdict is None
         else {

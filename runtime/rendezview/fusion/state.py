@@ -24,6 +24,7 @@ from rendezview.sensors.measurement import Measurement, PoseMeasurement
 
 MOTION = 12  # attitude, place, angular rate, velocity. Source: by construction
 RADIUS, DEPTH = 12, 13  # of the ring
+RING = slice(RADIUS, DEPTH + 1)  # Source: by construction
 FIRST_BIAS = 14  # Source: by construction
 
 

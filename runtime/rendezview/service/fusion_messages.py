@@ -151,6 +151,9 @@ class Fused(Message):
     )
     ring_radius: float | None = Field(description="true radius over the given one, if estimated")
     ring_depth_m: float | None = Field(description="offset along its axis, if estimated")
+    ring_covariance: list[list[float]] | None = Field(
+        default=None, description="2 × 2, of the radius (relative) and the offset (m)"
+    )
     starts: int = Field(description="how often the filter has started")
 
 

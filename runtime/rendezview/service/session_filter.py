@@ -248,7 +248,7 @@ class SessionFilter:
             self._note = None
         elif self._note is not None:
             reason = f"the filter was restarted: {self._note}; {reason}"
-        pose, rates, covariance = None, None, None
+        pose, rates, covariance, ring_covariance = None, None, None, None
         if estimate is not None and estimate.pose is not None:
             pose = estimate.pose.as_dict()
         if estimate is not None and estimate.rates is not None:
@@ -256,6 +256,8 @@ class SessionFilter:
             rates = {"angular_rad_s": both[:3], "linear_m_s": both[3:]}
         if estimate is not None and estimate.covariance is not None:
             covariance = estimate.covariance.tolist()
+        if estimate is not None and estimate.ring_covariance is not None:
+            ring_covariance = estimate.ring_covariance.tolist()
         return {
             "time_s": at_s,
             "status": status,
@@ -265,6 +267,7 @@ class SessionFilter:
             "covariance": covariance,
             "ring_radius": None if estimate is None else estimate.ring_radius,
             "ring_depth_m": None if estimate is None else estimate.ring_depth_m,
+            "ring_covariance": ring_covariance,
             "starts": self._fusion.starts,
         }
 
