@@ -103,6 +103,7 @@ def test_a_record_and_a_rig_survive_their_files(tmp_path: Path, record, made):
             other.photodiode.response.coefficients, rel=1e-15
         )
         assert (one.sigma, one.floor, one.rms) == (other.sigma, other.floor, other.rms)
+        assert one.misfit == other.misfit
 
 
 def test_a_record_without_what_it_needs_is_refused(record):

@@ -11,6 +11,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.sensors.stereo import Rig, Spots, StereoTracker
+from rendezview.sensors.stereo.board import misfit
 from rendezview.sensors.stereo.calibration_error import CalibrationError, moved, turned
 from rendezview.sensors.stereo.rig import RigCamera
 from rendezview.sensors.stereo.tracker import TrackerOptions
@@ -87,6 +88,44 @@ def test_the_covariance_is_kept_while_the_pose_rests_and_made_again_when_it_move
     assert error.covariance(POSE.perturbed([0.0, 0, 0, 0, 0, 0.5]), weight) is not first
     assert (np.linalg.eigvalsh(first) > 0.0).all()
     assert not CalibrationError(replace(rig, covariance=None, covariance_names=()), LEDS)
+
+
+def test_of_the_floor_only_the_share_of_the_lens_model_is_an_error_of_a_pose(rig):
+    """Weights that allow for the whole residual leave the estimate, but not its covariance."""
+    floor, misfit, sigma = 0.15, 0.02, 0.05
+    cameras = tuple(replace(c, floor=floor, misfit=misfit) for c in rig.cameras)
+    known = replace(rig, cameras=cameras)
+    rng, nees = np.random.default_rng(2), []
+    options = TrackerOptions(calibration_error=True)
+    for _ in range(150):
+        tracker = StereoTracker(replace(known, covariance=1e-12 * rig.covariance), LEDS,
+                                options=options)  # fmt: skip
+        given = [
+            replace(found, sigma=np.full_like(found.sigma, sigma))
+            for found in spots(rig, rng, np.hypot(sigma, misfit))
+        ]
+        reading = tracker.update(0.0, given)
+        off = np.append(
+            between(reading.pose.rotation, POSE.rotation),
+            reading.pose.translation_m - POSE.translation_m,
+        )
+        nees.append(off @ np.linalg.solve(reading.covariance, off))
+    assert 5.0 < np.mean(nees) < 7.2
+    unknown = CalibrationError(replace(rig, covariance=rig.covariance), LEDS)
+    weight = np.full((2, len(LEDS), 2), 1e4)
+    unknown.covariance(POSE, weight)
+    assert unknown.noise(weight) is None
+
+
+def test_the_misfit_is_what_neighbouring_corners_share():
+    rng, size = np.random.default_rng(3), (640, 480)
+    places = rng.uniform((0.0, 0.0), size, (1500, 2))
+    noise = rng.normal(0.0, 0.15, places.shape)
+    assert misfit(places, noise, size) < 0.03
+    bent = 0.1 * np.sin(places / 200.0)
+    wanted = np.sqrt(np.mean(bent**2))
+    assert misfit(places, noise + bent, size) == pytest.approx(wanted, rel=0.15)
+    assert misfit(places[:1], noise[:1], size) == pytest.approx(np.sqrt((noise[:1] ** 2).mean()))
 
 
 def test_a_covariance_turns_with_its_frame():

@@ -39,6 +39,7 @@ class CalibrationError:
             np.zeros((0, 0)) if rig.covariance is None else rig.covariance[np.ix_(kept, kept)]
         )
         self._last: tuple[Pose, bytes, Array] | None = None
+        self._by_pose = np.empty((0, 6))  # px, of the lights that the last pose shows
 
     def __bool__(self) -> bool:
         """Whether the rig has a covariance at all."""
@@ -64,16 +65,43 @@ class CalibrationError:
         self._last = rig_from_target, key, covariance
         return covariance
 
+    def noise(self, weight: Array) -> Array | None:
+        """(6, 6) covariance of the last pose by the noise of its spots, without the corners' noise.
+
+        The weights allow for the whole floor, so the estimate stays what it is; of the floor only
+        the lens model's share is an error of a spot. None where a camera does not know that share.
+
+        Args:
+            weight: (C, L, 2) as `covariance` had it, of the same lights.
+        """
+        cameras = self.rig.cameras
+        if any(camera.misfit is None for camera in cameras) or not len(self._by_pose):
+            return None
+        seen = np.asarray((weight > 0.0).all(axis=2))
+        scale = self._scale(weight, seen)
+        less = [
+            np.full(2 * int(row.sum()), camera.floor**2 - (camera.misfit or 0.0) ** 2)
+            for camera, row in zip(cameras, seen, strict=True)
+        ]
+        share = np.clip(1.0 - np.concatenate(less) * scale**2, 0.0, 1.0)
+        slopes = scale[:, None] * self._by_pose
+        inverse = np.linalg.inv(slopes.T @ slopes)
+        return np.asarray(inverse @ (slopes.T @ (share[:, None] * slopes)) @ inverse)
+
+    def _scale(self, weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
+        """(M,) 1/σ of the spots' numbers, per detector unit."""
+        return np.concatenate(
+            [
+                (weight[k, seen[k]] / (camera.fx, camera.fy)).ravel()
+                for k, camera in enumerate(self.rig.cameras)
+            ]
+        )
+
     def _pose_by_parameters(self, pose: Pose, weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
         """(6, P) how a pose follows the parameters of the calibration."""
         cameras = self.rig.cameras
         lit = [np.flatnonzero(row) for row in seen]
-        scale = np.concatenate(
-            [
-                (weight[k, lit[k]] / (camera.fx, camera.fy)).ravel()
-                for k, camera in enumerate(cameras)
-            ]
-        )
+        scale = self._scale(weight, seen)
         far = float(np.linalg.norm(pose.translation_m))
 
         def places(which: int | None, camera: RigCamera | None, at: Pose) -> Array:
@@ -97,6 +125,7 @@ class CalibrationError:
                 places(None, None, pose.perturbed(-step)),
             )
             by_pose[:, i] = (ahead - behind) / (2.0 * h)
+        self._by_pose = by_pose
         by_parameter = np.empty((len(scale), len(self._parameters)))
         sigma = np.sqrt(np.diag(self._covariance))
         for i, (k, name) in enumerate(self._parameters):

@@ -44,6 +44,8 @@ class RigCamera:
     floor: float = 0.0  # what calibration leaves, r.m.s., detector units; added to each spot's σ
     sigma: dict[str, float] = field(default_factory=dict)  # of what was calibrated, by name
     rms: float | None = None  # calibration residual, detector units
+    # the lens model's share of the floor; the rest is noise of the board's corners
+    misfit: float | None = None
 
     def __post_init__(self) -> None:
         for name, least in (("fx", 0.0), ("fy", 0.0), ("cx", -math.inf), ("cy", -math.inf)):

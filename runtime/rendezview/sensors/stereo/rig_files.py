@@ -77,6 +77,7 @@ class _CameraTable(_Table):
     floor: _NotNegative
     sigma: dict[str, _NotNegative] = {}
     rms: _NotNegative | None = None
+    misfit: _NotNegative | None = None
 
 
 class _RigFile(_Table):
@@ -116,6 +117,7 @@ def save_rig(rig: Rig, path: StrPath) -> None:
                 "floor": camera.floor,
                 "sigma": camera.sigma,
                 "rms": camera.rms,
+                "misfit": camera.misfit,
             }
         )
     content = {
@@ -162,7 +164,7 @@ def _camera(table: _CameraTable) -> RigCamera:
             Response(np.array(diode.response), Normalisation(diode.normalisation)),
             diode.noise, diode.half_width_m,
         ),
-        table.floor, dict(table.sigma), table.rms,
+        table.floor, dict(table.sigma), table.rms, table.misfit,
     )  # fmt: skip
 
 

@@ -266,9 +266,13 @@ class StereoTracker:
         if not wanted or pose is None or fit is None:
             return observation
         assert observation.covariance is not None
-        added = self._calibration.covariance(pose, fit.sights.weight)
+        covariance = self._calibration.covariance(pose, fit.sights.weight)
+        noise = self._calibration.noise(fit.sights.weight)
+        if self.options.motion is None and noise is not None:
+            return replace(observation, covariance=turned(noise + covariance, self._first.rotation))
         return replace(
-            observation, covariance=observation.covariance + turned(added, self._first.rotation)
+            observation,
+            covariance=observation.covariance + turned(covariance, self._first.rotation),
         )
 
     def _none(
