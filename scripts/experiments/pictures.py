@@ -220,14 +220,14 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
     panels = {
         "photodiodes, one scan a reading": {
             "the paper's solver": by_paper(plain, craft, single, poses[0]),
-            "ours": turned_deg(by_tracker(rig, craft, single, None)),
-            "ours, filter": turned_deg(by_tracker(rig, craft, single, MotionOptions())),
+            "ours": turned_deg(by_tracker(rig, craft, single, None, poses)[0]),
+            "ours, filter": turned_deg(by_tracker(rig, craft, single, MotionOptions(), poses)[0]),
         },
         f"the mean of {AVERAGED} scans, and single pictures": {
             "the paper's solver": by_paper(plain, craft, mean, poses[0]),
-            "ours": turned_deg(by_tracker(rig, craft, mean, None)),
+            "ours": turned_deg(by_tracker(rig, craft, mean, None, poses)[0]),
             "ours, two picture cameras, no mean": turned_deg(
-                by_pictures(cameras, craft, poses, options, rng)
+                by_pictures(cameras, craft, poses, options, rng)[0]
             ),
         },
     }

@@ -108,11 +108,11 @@ def figure8(job: Job, target: Target) -> None:
     rig = calibrate_laboratory(record).rig
     plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
     table = Table("step", "method", "readings", "slope", "scatter", "bound", "ratio", "NEES")
-    # The mean of so many scans has less noise than the rig file says.
-    quiet = [
-        replace(c, photodiode=replace(c.photodiode, noise=c.photodiode.noise / np.sqrt(AVERAGED)))
-        for c in rig.cameras
-    ]
+    quiet = []  # the mean of so many scans has less noise than the rig file says
+    for one in rig.cameras:
+        if (diode := one.photodiode) is not None:
+            less = replace(diode, noise=diode.noise / np.sqrt(AVERAGED))
+            quiet.append(replace(one, photodiode=less))
     averaged = replace(rig, cameras=tuple(quiet))
     for step in (2.0, 0.5):
         angles = step * (np.arange(POSITIONS) - POSITIONS // 2)
