@@ -6,6 +6,7 @@ RENDEZVIEW_TEST_PICTURES names a folder for the pictures.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import threading
 import time
@@ -205,6 +206,7 @@ def test_coasting_shows_a_prediction_that_widens_and_lost_shows_none(
     assert np.all(sigma[1] > sigma[0])
     word_is(page, "COASTING")
     text_has(page, "#numbers caption", "Predicted")
+    until(page, "document.getElementById('approach').className === 'predicted'")
     shoot(page, "coasting")
     last = one.hold()
     assert last["phase"] == "coasting"
@@ -215,6 +217,34 @@ def test_coasting_shows_a_prediction_that_widens_and_lost_shows_none(
     word_is(page, "LOST")
     text_has(page, "#numbers", "–")
     shoot(page, "lost")
+
+
+def test_ambiguous_names_the_poses_that_fit(service, sender, open_page, shoot) -> None:
+    """Two poses that fit equally are rare: a found state is changed on its way to the page."""
+    rivals = {"pose": None, "phase": "searching", "status": "ambiguous", "reason": "two poses fit"}
+
+    def changed(socket: Any) -> None:
+        server = socket.connect_to_server()
+
+        def pass_on(message: str | bytes) -> None:
+            told = json.loads(message) if isinstance(message, str) else {}
+            if told.get("type") == "state" and told["state"]["pose"] is not None:
+                pose = told["state"]["pose"]
+                told["state"] |= rivals | {"candidates": [pose, pose], "approach": None}
+                message = json.dumps(told | {"contour": None})
+            socket.send(message)
+
+        server.on_message(pass_on)
+
+    one = sender("ambiguous")
+    page = open_page(service.url)
+    page.route_web_socket("**/watch*", changed)
+    page.goto(f"{service.url}?again#ambiguous")
+    one.send(4)
+    word_is(page, "AMBIGUOUS")
+    text_has(page, "#reason", "2 poses fit")
+    text_has(page, "#numbers", "–")
+    shoot(page, "ambiguous")
 
 
 def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, shoot) -> None:
@@ -288,6 +318,8 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     page.keyboard.press("r")
     text_has(page, "#recordings-list", "taped-")
     shoot(page, "recordings")
+    look = page.locator("#recordings-list button", has_text="Look").first
+    assert look.bounding_box()["x"] + look.bounding_box()["width"] < _SIZES["phone"][0]
     page.click("#recordings-list tr:has-text('taped-') button:has-text('Look')")
     until(page, "document.getElementById('frame-note').textContent === 'frame 0'")
     page.keyboard.press("ArrowRight")

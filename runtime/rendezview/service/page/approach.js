@@ -1,6 +1,6 @@
 // The operator's numbers: approach, mission time, alerts.
 
-import { rows, say, signed, DEGREES } from "./status.js";
+import { poseShown, rows, say, signed, DEGREES } from "./status.js";
 
 const find = (id) => document.getElementById(id);
 const degrees = (radians, digits = 2) => `${signed(DEGREES * radians, digits)}°`;
@@ -22,13 +22,14 @@ export const times = (state, startUnixS) =>
   `${utc(state.received_unix_s)} UTC · T${state.received_unix_s < startUnixS ? "" : "+"}${spanText(state.received_unix_s - startUnixS)}`;
 
 export function showApproach(state) {
-  const now = state?.approach ?? null, entries = [];
+  const now = state?.approach ?? null, entries = [], table = find("approach");
+  table.className = poseShown(state ?? null).predicted ? "predicted" : "";
   const limits = new Map((now?.alarms ?? []).map((alarm) => [alarm.quantity, alarm.level === "alarm" ? "bad" : "warn"]));
   const kind = (...names) => names.map((name) => limits.get(name)).find(Boolean) ?? "";
   const add = (name, text, ...quantities) => entries.push([name, text, kind(...quantities)]);
   if (now === null) {
     const reason = state?.motion?.reason ?? "no pose yet";
-    rows(find("approach").tBodies[0], [["range", "–"], ["range rate", "–"], ["filter", `${state?.motion?.status ?? "waiting"}: ${reason}`, "wrap"]]);
+    rows(table.tBodies[0], [["range", "–"], ["range rate", "–"], ["filter", `${state?.motion?.status ?? "waiting"}: ${reason}`, "wrap"]]);
     return;
   }
   add("range", `${now.range_m.toFixed(3)} ± ${(3 * now.range_sigma_m).toFixed(3)} m`, "range_m", "range_sigma_m");
@@ -47,7 +48,7 @@ export function showApproach(state) {
   if (now.in_corridor !== null) add("corridor", now.in_corridor ? "● inside" : "▲ outside", "corridor");
   if (now.in_keep_out !== null) add("keep-out zone", now.in_keep_out ? (now.in_corridor ? "entered in the corridor" : "▲ inside") : "● outside", "keep_out");
   if (now.plan_m !== null) add("from the plan", `${now.plan_m.toFixed(3)} m`, "plan_m");
-  rows(find("approach").tBodies[0], entries);
+  rows(table.tBodies[0], entries);
 }
 
 /** What must not be missed: alarms, and a recording that fails. */

@@ -26,6 +26,13 @@ const plotsOf = (hasPort) => [
   ["ms; drops", [["tracker", BLUE, (s) => s.track_ms], ["latency", YELLOW, (s) => s.latency_ms], ["drops", RED, (s) => s.drops, "right"]]],
 ];
 
+/** Numbers of an axis with as many digits as its steps have: 1, 2, 2.5 or 5 times a power of ten. */
+function ticks(plot, places, axis, space, step) {
+  const power = Math.floor(Math.log10(step) + 1e-9), half = Math.abs(step / 10 ** power - 2.5) < 1e-6;
+  const digits = Math.min(6, Math.max(0, -power + (half ? 1 : 0)));
+  return places.map((at) => (at == null ? "" : at.toFixed(digits)));
+}
+
 export class Plots {
   /** `zoomed(from, to)` in s, or `zoomed(null)`, when the operator zooms. */
   constructor(parent, hasPort, zoomed) {
@@ -74,6 +81,7 @@ export class Plots {
     box.append(head);
     parent.append(box);
     const right = curves.some((curve) => curve[3] === "right");
+    const share = curves.some(([name]) => name === "confidence"); // 0 … 1
     const axis = { stroke: "#9aa7b5", grid: { stroke: "#26303b" }, ticks: { show: false }, font: "11px system-ui, sans-serif" };
     const plot = new uPlot({
       width: box.clientWidth,
@@ -82,11 +90,11 @@ export class Plots {
       tzDate: (at) => uPlot.tzDate(new Date(1000 * at), "Etc/UTC"),
       cursor: { sync: { key: "time" }, drag: { x: true, y: false, setScale: false } },
       padding: [16, right ? 0 : 12, 0, 0],
-      scales: { x: { time: true }, y: {}, ...(right ? { right: {} } : {}) },
+      scales: { x: { time: true }, y: {}, ...(right ? { right: share ? { range: [0, 1] } : {} } : {}) },
       axes: [
         { ...axis, size: 20, space: 70 },
-        { ...axis, size: 46, space: 22 },
-        ...(right ? [{ ...axis, scale: "right", side: 1, size: 40, space: 22, grid: { show: false } }] : []),
+        { ...axis, size: 46, space: 22, values: ticks },
+        ...(right ? [{ ...axis, values: ticks, scale: "right", side: 1, size: 44, space: 22, grid: { show: false } }] : []),
       ],
       series: [{}, ...curves.map(([name, stroke, , side]) => ({ label: name, stroke, width: 1.4, points: { show: false }, scale: side ?? "y" }))],
       hooks: { drawClear: [(u) => this._gaps(u)], draw: [(u) => this._mark(u)], setCursor: [say], setSelect: [select] },
