@@ -90,6 +90,7 @@ EXPERIMENTS = {
         "service-page": ("service.page", "load time and update rate of the page"),
         "service-memory": ("service.memory", "memory over many frames"),
         "service-kill": ("service.kill", "poses lost when the recording service is killed"),
+        "service-move": ("service.move", "time without poses when a worker is killed"),
         "service-cluster": (
             "service.cluster",
             "nodes and gateways of a cluster killed while it tracks",

@@ -16,6 +16,17 @@ if TYPE_CHECKING:
     from rendezview.service.settings import Settings
 
 
+# Ray's settings for a gateway, read when it is imported.
+_OF_RAY = {
+    "USAGE_STATS_ENABLED": "0",  # it would report to its makers
+    "timeout_ms_task_wait_for_death_info": "100",
+    # Frames go along with their call, not by the object store: the first one to a node took seconds
+    # there. Source: chosen, a raw frame of 2000 × 2000 px
+    "max_direct_call_object_size": "4000000",
+    "task_rpc_inlined_bytes_limit": "8000000",
+}
+
+
 def serve(
     model: Annotated[
         Path | None, typer.Argument(help="Model file (*.rvm); more can be sent by the API.")
@@ -145,8 +156,8 @@ def _be_gateway(settings: Settings, has_own: bool, tell: Callable[[str], None]) 
             "a gateway has no model or source of its own: give --models and --cluster-folder, "
             "folders that all nodes share"
         )
-    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # it would report to its makers
-    os.environ.setdefault("RAY_timeout_ms_task_wait_for_death_info", "100")
+    for name, value in _OF_RAY.items():
+        os.environ.setdefault(f"RAY_{name}", value)
     try:
         import ray  # noqa: F401
     except ModuleNotFoundError:

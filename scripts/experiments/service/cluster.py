@@ -149,6 +149,12 @@ class Sender:
         times = [since_s, *(t for t in self.at_s if t > since_s), time.monotonic()]
         return float(np.diff(times).max())
 
+    def floor_s(self, until_s: float) -> float:
+        """The same in the second before."""
+        start_s = until_s - 1.0
+        times = [start_s, *(t for t in self.at_s if start_s < t < until_s), until_s]
+        return float(np.diff(times).max())
+
     def lost(self, folder: Path) -> int:
         """Acknowledged states that are not in the session's logs, number for number."""
         found: dict[int, list[dict]] = {}
@@ -175,15 +181,19 @@ def wait_for(gateway: Gateway, seats: int) -> None:
     raise SystemExit("the seats are not ready in time")
 
 
-def run(model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int = 0) -> None:
-    """Kill nodes and gateways in turn while one session tracks; then hops, nodes and a model.
+def run(
+    model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int = 0,
+    minutes: float = 1000.0,
+) -> None:  # fmt: skip
+    """Kill nodes and gateways in turn while one session tracks.
 
     Nodes are processes on this machine, one core each, all of them killed with kill -9 together
     with their children. One client sends frames over two gateways. Every answer with
     "recorded": true must be in the logs; a gap is the longest time between two answers around a
-    kill.
+    kill. After --minutes no further one is begun.
     """
     rng = np.random.default_rng(seed)
+    end_s = time.monotonic() + 60.0 * minutes
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         for name in ("open", "models", "logs"):
@@ -197,7 +207,10 @@ def run(model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int 
             sender = Sender(gateways, "run", Loop(scene))
             wait_for(gateways[0], nodes)
             gaps: dict[str, list[float]] = {"node": [], "gateway": []}
+            floors: list[float] = []
             for number in range(kills):
+                if time.monotonic() > end_s:
+                    break
                 time.sleep(float(rng.uniform(0.5, 1.5)))
                 kind = "gateway" if number % 2 else "node"
                 since_s = time.monotonic()
@@ -213,12 +226,14 @@ def run(model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int 
                     time.sleep(0.02)
                 time.sleep(1.0)
                 gaps[kind].append(sender.gap_s(since_s))
+                floors.append(sender.floor_s(since_s))
                 if kind == "gateway":
                     gateways[place] = Gateway(address, work)
                 else:
                     ray_nodes.replace(place)
                     wait_for(gateways[0], nodes)
-                print(f"{number + 1} {kind}: gap {gaps[kind][-1]:.2f} s", flush=True)
+                print(f"{number + 1} {kind}: gap {gaps[kind][-1]:.2f} s, "
+                      f"before {floors[-1]:.2f} s", flush=True)  # fmt: skip
             sender.stop = True
             sender.thread.join()
             with Client(gateways[0].url) as client:
@@ -226,8 +241,11 @@ def run(model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int 
             lost = sender.lost(work / "logs")
             for kind, all_s in gaps.items():
                 if all_s:
+                    late = sum(gap_s > 2.0 for gap_s in all_s)
                     print(f"{kind}: {len(all_s)} kills, gap median {np.median(all_s):.2f} s, "
-                          f"longest {max(all_s):.2f} s")  # fmt: skip
+                          f"longest {max(all_s):.2f} s; {late} over 2 s")  # fmt: skip
+            print(f"longest time between two answers in the second before each kill: median "
+                  f"{np.median(floors):.2f} s, most {max(floors):.2f} s")  # fmt: skip
             print(f"seed {seed}: {len(sender.states)} acknowledged poses, {lost} lost, "
                   f"{len(sender.errors)} frames refused")  # fmt: skip
         finally:

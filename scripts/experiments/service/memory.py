@@ -37,20 +37,23 @@ def shrunk(loop: Loop, by: int) -> Loop:
 
 
 def run(
-    model: Path, scene: Path, *, frames: int = 100000, history_s: float = 10.0, shrink: int = 5
-) -> None:
+    model: Path, scene: Path, *, frames: int = 100000, history_s: float = 10.0, shrink: int = 5,
+    rate_hz: float = 0.0,
+) -> None:  # fmt: skip
     """Memory of the service's processes over many frames, recording and history on.
 
     SCENE's frames run forward and backward, shrunk (--shrink) so that the count is reached in
     minutes: a leak would grow with the number of frames. Half of them go by requests, half by a
     stream, and one in 500 to a session that is opened for it and closed. With a short history
-    (--history-s) memory is full soon, and later growth is a leak.
+    (--history-s) memory is full soon, and later growth is a leak. With --rate-hz they go at that
+    rate, for a long run; else as fast as they are answered.
     """
     loop = shrunk(Loop(scene), shrink)
     # All frames come from one address, faster than any camera.
     settings = {"history_s": history_s, "record_model": "false", "requests_per_s": 1_000_000}
     with tempfile.TemporaryDirectory() as folder:
         served = Served(model, "--workers", "2", "--record", folder, **settings)
+        served.await_ready()
         pids = served.pids()
         names = ["service", *(f"worker {k}" for k in range(1, len(pids)))]
         size = f"{loop.camera.width} × {loop.camera.height} px"
@@ -74,6 +77,8 @@ def run(
                     each = max(1, frames // _POINTS)
                     for k in range(1, frames + 1):
                         time_s, image = loop(k)
+                        if rate_hz > 0.0:
+                            time.sleep(max(0.0, start_s + k / rate_hz - time.monotonic()))
                         if k % 500 == 0:
                             once = client.open(loop.camera, prior=loop.prior)
                             once.track(image, 0.0)

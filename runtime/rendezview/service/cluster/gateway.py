@@ -33,6 +33,7 @@ log = logging.getLogger("rendezview.service")
 
 _TRIES = 4  # seats that a request is sent to. Source: chosen
 _GRACE_S = 2.0  # s, beyond `frame_timeout_s`, for a seat's answer. Source: chosen
+_KNOW_S = 1.0  # s, between looks for new seats. Source: chosen
 _PAUSE_S = 0.05  # s, before a session that moves is looked for again. Source: chosen
 _TRY_AGAIN = 1012  # WebSocket: the service restarts. Source: IANA's registry
 
@@ -78,10 +79,26 @@ class Gateway:
         await receive()
         self._steward = await asyncio.to_thread(join, self._settings)
         await self._steward.start.remote()
+        knowing = asyncio.create_task(self._know_seats())
         await send({"type": "lifespan.startup.complete"})
         await receive()
+        knowing.cancel()
         await asyncio.to_thread(ray.shutdown)
         await send({"type": "lifespan.shutdown.complete"})
+
+    async def _know_seats(self) -> None:
+        """Connect to all seats before they are needed: a first call to one takes a while."""
+        while True:
+            with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
+                found = await self._steward.seats.remote()
+                self._seats = {s["session"]: s["seat"] for s in found if s["session"] is not None}
+                there = {known["seat"]: known["process"] for known in found}
+                self._lifelines.keep(there)
+                self._actors = {seat: a for seat, a in self._actors.items() if seat in there}
+                for seat in there:
+                    with contextlib.suppress(ray.exceptions.RayError, OSError, ValueError):
+                        await self._lifelines.end_of(seat, self._actor(seat))
+            await asyncio.sleep(_KNOW_S)
 
     async def _answer(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
         path, method, right = scope["path"], scope["method"], scope["state"]["right"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 from typing import Any
 
 import ray
@@ -21,12 +22,12 @@ class Beacon:
     def __init__(self) -> None:
         self._server: asyncio.Server | None = None
 
-    async def address(self) -> tuple[str, int]:
-        """Where it listens."""
+    async def address(self) -> tuple[str, int, int]:
+        """Where it listens, and the number of its process."""
         host = ray.util.get_node_ip_address()
         if self._server is None:
             self._server = await asyncio.start_server(_stay, host, 0)
-        return host, self._server.sockets[0].getsockname()[1]
+        return host, self._server.sockets[0].getsockname()[1], os.getpid()
 
 
 async def _stay(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -41,6 +42,7 @@ class Lifelines:
 
     def __init__(self) -> None:
         self._ends: dict[str, asyncio.Task[None]] = {}
+        self._processes: dict[str, int] = {}
 
     async def end_of(self, seat: str, actor: Any) -> asyncio.Task[None]:
         """A task that is done when the seat has ended.
@@ -50,7 +52,9 @@ class Lifelines:
         """
         known = self._ends.get(seat)
         if known is None:
-            host, port = await asyncio.wait_for(actor.beacon.remote(), _CONNECT_S)
+            host, port, self._processes[seat] = await asyncio.wait_for(
+                actor.beacon.remote(), _CONNECT_S
+            )
             reader, writer = await asyncio.wait_for(asyncio.open_connection(host, port), _CONNECT_S)
             known = self._ends[seat] = asyncio.create_task(_stay(reader, writer))
         if known.done():
@@ -61,3 +65,9 @@ class Lifelines:
         """The steward says that the seat is there, perhaps again."""
         if seat in self._ends and self._ends[seat].done():
             del self._ends[seat]
+
+    def keep(self, processes: dict[str, int]) -> None:
+        """Forget ended connections to other processes than these, by seat."""
+        for seat, end in list(self._ends.items()):
+            if end.done() and processes.get(seat) != self._processes[seat]:
+                del self._ends[seat]

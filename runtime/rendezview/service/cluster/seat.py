@@ -62,8 +62,8 @@ class Seat:
             self._service.settings = self._settings
         return os.getpid()
 
-    async def beacon(self) -> tuple[str, int]:
-        """Host and port of a connection that lasts as long as this process."""
+    async def beacon(self) -> tuple[str, int, int]:
+        """Host and port of a connection that lasts as long as this process; its number."""
         return await self._beacon.address()
 
     async def ready(self) -> bool:

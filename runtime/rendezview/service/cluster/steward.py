@@ -54,6 +54,7 @@ class Steward:
         self._ready: set[str] = set()
         self._held: dict[str, str] = {}  # session: seat
         self._locks: dict[str, asyncio.Lock] = {}
+        self._processes: dict[str, int] = {}  # of the seats
         self._asked: set[str] = set()  # seats, at least once
         self._models: dict[str, Path] = {}  # of the open sessions, files by name
         self._warm: set[tuple[str, Path]] = set()  # seats that have read a model
@@ -89,6 +90,8 @@ class Steward:
                 self._nodes[seat] = node
                 make_seat(seat, node, self._settings)
             self._begin(seat, self._ask(seat))
+        used = set(self._held) | set(self._busy)
+        self._locks = {n: lock for n, lock in self._locks.items() if n in used or lock.locked()}
         # After a restart the seats must have said what they have, before a session gets another.
         if not set(wanted) <= self._asked:
             return
@@ -118,7 +121,8 @@ class Steward:
         try:
             actor = ray.get_actor(seat, NAMESPACE)
             if seat not in self._ready:
-                await asyncio.wait_for(actor.start.remote(), _START_S)
+                started = asyncio.wait_for(actor.start.remote(), _START_S)
+                self._processes[seat] = await started
                 if not await asyncio.wait_for(actor.ready.remote(), _ANSWER_S):
                     self._asked.add(seat)
                     return
@@ -283,6 +287,7 @@ class Steward:
             {
                 "seat": seat,
                 "node": self._nodes[seat],
+                "process": self._processes[seat],
                 "session": held.get(seat),
                 "warm": all((seat, copy) in self._warm for copy in used),
             }
