@@ -226,22 +226,38 @@ class Gateway:
         await receive()
         parts, key = scope["path"].strip("/").split("/"), secrets.token_hex(8)
         name = parts[2] if len(parts) > 2 else ""
-        seat = await self._seat(name, None)
-        if seat is None:
-            await send({"type": "websocket.close", "code": 1008, "reason": "no such session"})
-            return
-        try:
-            actor = self._actor(seat)
-            scope = packed(scope)
-            work = partial(_relay, actor, name, key, scope, receive, send)
-            await self._while_alive(seat, actor, work, None)
-        except (ray.exceptions.RayError, LookupError, ValueError, OSError):
+        accepted, dead, left = False, None, None
+
+        async def passed_on(message: Message) -> None:
+            nonlocal accepted
+            accepted = True
+            await send(message)
+
+        for _ in range(_TRIES):
+            try:
+                seat = await self._seat(name, dead)
+            except (NotReady, Full, RendezviewError, ray.exceptions.RayError):
+                break
+            if seat is None:
+                await send({"type": "websocket.close", "code": 1008, "reason": "no such session"})
+                return
+            try:
+                actor = self._actor(seat)
+                work = partial(_relay, actor, name, key, packed(scope), receive, passed_on)
+                await self._while_alive(seat, actor, work, None)
+            except LookupError:  # as for requests
+                dead = seat if seat == left else None
+                left = seat
+            except (ray.exceptions.RayError, ValueError, OSError):
+                dead = seat
+            else:
+                return
             self._seats.pop(name, None)
-            self._actors.pop(seat, None)
-            with contextlib.suppress(Exception):
-                await self._seat(name, seat)
-            with contextlib.suppress(RuntimeError):
-                await send({"type": "websocket.close", "code": _TRY_AGAIN, "reason": "it moves"})
+            if accepted:
+                break
+            await asyncio.sleep(_PAUSE_S)
+        with contextlib.suppress(RuntimeError):
+            await send({"type": "websocket.close", "code": _TRY_AGAIN, "reason": "it moves"})
 
 
 def _note(what: str, session: str, since_s: float) -> None:

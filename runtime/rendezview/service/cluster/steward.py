@@ -7,6 +7,7 @@ import contextlib
 import logging
 import secrets
 import time
+from collections import Counter
 from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,7 @@ class Steward:
         self._held: dict[str, str] = {}  # session: seat
         self._locks: dict[str, asyncio.Lock] = {}
         self._processes: dict[str, int] = {}  # of the seats
+        self._changes: Counter[str] = Counter()  # of what a seat has: an older answer is too old
         self._asked: set[str] = set()  # seats, at least once
         self._models: dict[str, Path] = {}  # of the open sessions, files by name
         self._warm: set[tuple[str, Path]] = set()  # seats that have read a model
@@ -126,6 +128,7 @@ class Steward:
                 if not await asyncio.wait_for(actor.ready.remote(), _ANSWER_S):
                     self._asked.add(seat)
                     return
+            changes = self._changes[seat]
             held = await asyncio.wait_for(actor.held.remote(), _ANSWER_S)
         except (ray.exceptions.RayError, ValueError, TimeoutError):
             self._asked.add(seat)
@@ -133,17 +136,18 @@ class Steward:
                 self._begin(name, self._move(name, seat))
             return
         self._asked.add(seat)
+        if changes != self._changes[seat]:
+            return
         self._ready.add(seat)
         if held is None:
             for name in [n for n, s in self._held.items() if s == seat]:
-                if not self._lock(name).locked():
-                    del self._held[name]
+                del self._held[name]
             for name, copy in list(self._models.items()):
                 if (seat, copy) not in self._warm:
                     with contextlib.suppress(ray.exceptions.RayError):
                         await actor.warm.remote(name, str(copy))
                         self._warm.add((seat, copy))
-        elif not self._lock(held).locked() and self._held.setdefault(held, seat) != seat:
+        elif self._held.setdefault(held, seat) != seat:
             self._end(seat)  # the session has another seat by now
 
     async def _move(self, name: str, seat: str) -> None:
@@ -154,6 +158,7 @@ class Steward:
 
     def _forget(self, seat: str) -> list[str]:
         """A seat cannot be used now; its sessions."""
+        self._changes[seat] += 1
         self._ready.discard(seat)
         self._warm = {known for known in self._warm if known[0] != seat}
         names = [n for n, s in self._held.items() if s == seat]
@@ -232,6 +237,7 @@ class Steward:
         assert request.model is not None
         for seat in self._free(not_on, copy):
             self._held[request.id], start_s = seat, time.monotonic()
+            self._changes[seat] += 1
             try:
                 actor = ray.get_actor(seat, NAMESPACE)
                 taken = actor.take.remote(request.model_dump(mode="json"), str(copy), resumes)
@@ -243,6 +249,7 @@ class Steward:
             except BaseException:
                 self._held.pop(request.id, None)
                 raise
+            self._changes[seat] += 1
             self._models[request.model] = copy
             took = {"session": request.id, "took_s": round(time.monotonic() - start_s, 3)}
             log.info("a seat is taken", extra=took | {"seat": seat})
@@ -270,7 +277,9 @@ class Steward:
             async with self._lock(name):
                 if self._held.get(name) != seat:
                     continue
+                self._changes[seat] += 1
                 await ray.get_actor(seat, NAMESPACE).let_go.remote(name)
+                self._changes[seat] += 1
                 await self._seated(kept.request, copy, None, resumes=True)
             moved += 1
         return moved
