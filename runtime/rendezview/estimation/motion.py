@@ -27,7 +27,8 @@ def extrapolate(pose: Pose, rates: Array, dt_s: float, about_m: npt.ArrayLike = 
     """
     point_m = np.asarray(about_m, np.float64)
     rotation = np.empty((3, 3))
-    so3.perturb_into(dt_s * rates[:3], pose.rotation, rotation)
+    # The copy can be written to: for read-only arrays numba compiles another function.
+    so3.perturb_into(dt_s * rates[:3], pose.rotation.copy(), rotation)
     return Pose(rotation, pose.apply(point_m) + dt_s * rates[3:] - rotation @ point_m)
 
 

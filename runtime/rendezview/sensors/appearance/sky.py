@@ -97,11 +97,12 @@ def _border_statistics(image: Picture, side: int) -> tuple[float, float]:
                 counts[image[y, width - 1 - k]] += 1
     else:
         step = side if width + height > _OVERLAPPING_BELOW_PX else 1
+        first = int(np.int64(0))  # as a literal, numba would compile a copy for it
         for x in range(0, width - side + 1, step):
-            counts[_window_mean(image, 0, x, side)] += 1
+            counts[_window_mean(image, first, x, side)] += 1
             counts[_window_mean(image, height - side, x, side)] += 1
         for y in range(0, height - side + 1, step):
-            counts[_window_mean(image, y, 0, side)] += 1
+            counts[_window_mean(image, y, first, side)] += 1
             counts[_window_mean(image, y, width - side, side)] += 1
     level = _quantile(counts, 0.5)
     below = _quantile(counts, _ONE_SIGMA_BELOW)

@@ -11,7 +11,7 @@ from numba import njit
 from rendezview.estimation.least_squares import tukey_weight
 from rendezview.estimation.linear_algebra import solve_scaled
 from rendezview.geometry.pose import Array
-from rendezview.geometry.so3 import orthonormalise, perturb_into
+from rendezview.geometry.so3 import hat, orthonormalise, perturb_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
 from rendezview.sensors.appearance.edges.edge_search import (
@@ -131,7 +131,6 @@ def normal_equations(edges: Array, cut: float, matrix: Array, right: Array) -> t
     return used, weights
 
 
-@njit(cache=True, nogil=True)
 def covariance_of(
     edges: Array, cut: float, least_sigma_px: float, loose: Array, arm: Array
 ) -> tuple[Array, float]:
@@ -146,8 +145,20 @@ def covariance_of(
         arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
             origin's.
     """
-    matrix, spread, row = np.zeros((6, 6)), np.zeros((6, 6)), np.empty(6)
+    matrix, spread = np.diag(loose), np.diag(loose)
+    mean_square = add_information(edges, cut, matrix, spread)
+    residual = float(np.sqrt(mean_square))
+    response = _to_origin(arm) @ np.linalg.inv(matrix)
+    covariance = response @ spread @ response.T
+    covariance *= max(residual, least_sigma_px) ** 2
+    return 0.5 * (covariance + covariance.T), residual
+
+
+@njit(cache=True, nogil=True)
+def add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> float:
+    """Add ΣwJJᵀ to ``matrix`` (6, 6) and Σw²JJᵀ to ``spread`` (6, 6); the mean of r², by w."""
     squares, weights = 0.0, 1e-12
+    row = np.empty(6)
     for j in range(edges.shape[0]):
         w = _weight(edges[j], cut)
         if w == 0.0:
@@ -156,22 +167,12 @@ def covariance_of(
         weights += w
         for a in range(6):
             row[a] = w * edges[j, a]
-            for b in range(a + 1):
+            for b in range(6):
                 matrix[a, b] += row[a] * edges[j, b]
-                spread[a, b] += row[a] * row[b]
-    for a in range(6):
-        matrix[a, a] += loose[a]
-        spread[a, a] += loose[a]
-        for b in range(a):
-            matrix[b, a], spread[b, a] = matrix[a, b], spread[a, b]
-    residual = np.sqrt(squares / weights)
-    response = _to_origin(arm) @ np.linalg.inv(matrix)
-    covariance = response @ spread @ response.T
-    covariance *= max(residual, least_sigma_px) ** 2
-    return 0.5 * (covariance + covariance.T), residual
+                spread[a, b] += row[a] * w * edges[j, b]
+    return squares / weights
 
 
-@njit(cache=True, nogil=True)
 def strain_covariance(
     edges: Array, cut: float, loose: Array, rotation: Array, centre: Array, arm: Array,
     strain: Array,
@@ -188,10 +189,18 @@ def strain_covariance(
         strain: (6, 6) covariance of the strain's components xx, yy, zz, √2 xy, √2 xz, √2 yz in
             target axes: with these factors one that is alike in all directions is diagonal.
     """
-    matrix, moved = np.zeros((6, 6)), np.zeros((6, 6))
+    matrix, moved = np.diag(loose), np.zeros((6, 6))
+    add_strain_moves(edges, cut, rotation, centre, matrix, moved)
+    response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
+    return response @ strain @ response.T
+
+
+@njit(cache=True, nogil=True)
+def add_strain_moves(
+    edges: Array, cut: float, rotation: Array, centre: Array, matrix: Array, moved: Array
+) -> None:
+    """Add ΣwJJᵀ to ``matrix`` (6, 6), and Σ w J of what each strain moves to ``moved`` (6, 6)."""
     strains, q, g = np.empty(6), np.empty(3), np.empty(3)
-    for a in range(6):
-        matrix[a, a] = loose[a]
     for n in range(edges.shape[0]):
         w = _weight(edges[n], cut)
         if w == 0.0:
@@ -206,17 +215,12 @@ def strain_covariance(
             for b in range(6):
                 matrix[a, b] += wj * edges[n, b]
                 moved[a, b] += wj * strains[b]
-    response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
-    return response @ strain @ response.T
 
 
-@njit(cache=True, nogil=True)
 def _to_origin(arm: Array) -> Array:
     """(6, 6) from errors at the view centre to errors at the target's origin: t = centre − arm."""
     shift = np.eye(6)
-    shift[3, 1], shift[3, 2] = -arm[2], arm[1]
-    shift[4, 0], shift[4, 2] = arm[2], -arm[0]
-    shift[5, 0], shift[5, 1] = -arm[1], arm[0]
+    shift[3:, :3] = hat(arm)
     return shift
 
 
@@ -363,30 +367,34 @@ def align_each(
     """
     edges = np.zeros((views.point.shape[2], COLUMNS))
     count = rotations.shape[0]
-    rough = np.zeros(count)
+    rough, best = np.zeros(count), 0.0
     for k in range(count):
-        ratios[k] = 0.0
+        ratios[k, 0] = ratios[k, 1] = ratios[k, 2] = 0.0
         if align(image, lens, frame, first, views, rotations[k], centres[k], edges) != DIVERGED:
             outline, inner, _ = inlier_ratios(
                 image, lens, frame, views, rotations[k], centres[k], _LOOSE_PX,
                 int(np.int64(_LOOSE_STRIDE)), edges,
             )  # fmt: skip
             rough[k] = outline + _INNER_SHARE * inner
-    best = rough.max() if count else 0.0
+            best = max(best, rough[k])
     for _ in range(min(survivors, count)):
-        k = int(rough.argmax())
+        k = _largest(rough)
         if rough[k] < _HOPELESS * best or rough[k] <= 0.0:
             break
         rough[k] = 0.0  # done
         if align(image, lens, frame, then, views, rotations[k], centres[k], edges) != DIVERGED:
-            ratios[k] = inlier_ratios(
-                image,
-                lens,
-                frame,
-                views,
-                rotations[k],
-                centres[k],
-                CLOSE_PX,
-                int(np.int64(1)),
+            # Not the row at once: numba compiles that for three seconds, for its error message.
+            ratios[k, 0], ratios[k, 1], ratios[k, 2] = inlier_ratios(
+                image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, int(np.int64(1)),
                 edges,
-            )
+            )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _largest(values: Array) -> int:
+    """Index of the first of the largest of N > 0 values."""
+    best = 0
+    for k in range(1, len(values)):
+        if values[k] > values[best]:
+            best = k
+    return best

@@ -40,7 +40,8 @@ def contour_pixels(
         return None
     centre = pose.apply(model.centre_m)
     nearest = np.zeros(1, dtype=np.int64)
-    shell = nearest_views(model.lattice.nodes, contours.shells_m, pose.rotation, centre, nearest)
+    rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
+    shell = nearest_views(model.lattice.nodes, contours.shells_m, rotation, centre, nearest)
     view = nearest[0]
     kinds = contours.kind[shell, view]
     used = kinds != NO_POINT

@@ -86,12 +86,11 @@ def fit_light(
         away[a] = centre[a] / range_m
     normals = facing_normals(palette, rotation, away)
     tolerance = _TOLERANCE * quantile(levels, 0.01 * BRIGHT_PERCENTILE) + frame[0]
-    strengths = np.empty(2)
-    if frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0:
+    known = frame[3] != 0.0 or frame[4] != 0.0 or frame[5] != 0.0
+    if known:
         copy_into(frame[3:6], sun)
-    else:
-        search_sun(levels, which, normals, palette, away, tolerance, strengths, sun)
-    cost = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
+    strengths = np.empty(2)
+    cost = search_sun(levels, which, normals, palette, away, tolerance, known, strengths, sun)
     for e in range(1, len(shade)):
         n = normals[e]
         facing = max(0.0, n[0] * sun[0] + n[1] * sun[1] + n[2] * sun[2])
@@ -158,46 +157,67 @@ def facing_normals(palette: npt.NDArray[np.float32], rotation: Array, away: Arra
 @njit(cache=True, nogil=True)
 def search_sun(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
-    palette: npt.NDArray[np.float32], away: Array, tolerance: float, strengths: Array, sun: Array,
-) -> None:  # fmt: skip
-    """The direction of the Sun that explains the levels best, into ``sun`` (3,).
+    palette: npt.NDArray[np.float32], away: Array, tolerance: float, known: bool,
+    strengths: Array, sun: Array,
+) -> float:  # fmt: skip
+    """The direction of the Sun that explains the levels best, into ``sun`` (3,); its misfit.
 
-    It starts from ``sun``, or, where that is zero, from the best of 42 directions.
+    It starts from ``sun``, or, where that is zero, from the best of 42 directions, and stays there
+    where it is ``known``. ``strengths`` (2,) are of ``light_strengths``.
     """
-    tried = np.empty(3)
-    if sun[0] == 0.0 and sun[1] == 0.0 and sun[2] == 0.0:
-        count = (len(levels) + _COARSELY - 1) // _COARSELY
-        some, of = np.empty(count), np.empty(count, dtype=np.int64)
-        for k in range(count):
-            some[k], of[k] = levels[k * _COARSELY], which[k * _COARSELY]
-        best = np.inf
+    count = (len(levels) + _COARSELY - 1) // _COARSELY
+    some, of = np.empty(count), np.empty(count, dtype=np.int64)
+    for k in range(count):
+        some[k], of[k] = levels[k * _COARSELY], which[k * _COARSELY]
+    tried, found = np.empty(3), np.empty(2)
+    axes = np.zeros((2, 3))  # two unit vectors across the Sun
+    best, angle = np.inf, 0.0
+    dark = sun[0] == 0.0 and sun[1] == 0.0 and sun[2] == 0.0
+    if dark:
         sun[0], sun[1], sun[2] = -away[0], -away[1], -away[2]
-        for k in range(len(_SUNS)):
-            for a in range(3):
-                tried[a] = _SUNS[k, a]
-            if -(tried[0] * away[0] + tried[1] * away[1] + tried[2] * away[2]) > BEHIND:
-                cost = _misfit(some, of, normals, palette, tried, tolerance, strengths)
-                if cost < best:
-                    best = cost
-                    copy_into(tried, sun)
-    best = _misfit(levels, which, normals, palette, sun, tolerance, strengths)
-    for step in _HALVINGS_RAD:
+    # All of 42, coarsely; then the best of them; then directions ever nearer to the best.
+    # ``_misfit`` stands here once, as every call is a copy of it.
+    for step in range(-2 if dark else -1, 0 if known else len(_HALVINGS_RAD)):
+        tries = 1
+        if step == -2:
+            tries = len(_SUNS)
+        elif step == -1:
+            best = np.inf
+        else:
+            tries, angle = _CANDIDATES, _HALVINGS_RAD[step]
+            _across_into(sun, axes)
+        ahead, aside = np.cos(angle), np.sin(angle)
         x, y, z = sun[0], sun[1], sun[2]
-        # Two unit vectors across: the Sun × the x axis or the y axis, and the Sun × that.
-        p, q, r = (0.0, z, -y) if abs(x) < _KEEP else (-z, 0.0, x)
-        length = np.sqrt(p * p + q * q + r * r)
-        p, q, r = p / length, q / length, r / length
-        u, v, w = y * r - z * q, z * p - x * r, x * q - y * p
-        for k in range(_CANDIDATES):
-            c, s = np.cos(k * np.pi / 3.0), np.sin(k * np.pi / 3.0)
-            c, s, ahead = np.sin(step) * c, np.sin(step) * s, np.cos(step)
-            tried[0] = ahead * x + c * p + s * u
-            tried[1] = ahead * y + c * q + s * v
-            tried[2] = ahead * z + c * r + s * w
-            cost = _misfit(levels, which, normals, palette, tried, tolerance, strengths)
+        for k in range(tries):
+            if step == -2:
+                tried[0], tried[1], tried[2] = _SUNS[k, 0], _SUNS[k, 1], _SUNS[k, 2]
+                if -(tried[0] * away[0] + tried[1] * away[1] + tried[2] * away[2]) <= BEHIND:
+                    continue
+            else:
+                c, s = aside * np.cos(k * np.pi / 3.0), aside * np.sin(k * np.pi / 3.0)
+                tried[0] = ahead * x + c * axes[0, 0] + s * axes[1, 0]
+                tried[1] = ahead * y + c * axes[0, 1] + s * axes[1, 1]
+                tried[2] = ahead * z + c * axes[0, 2] + s * axes[1, 2]
+            cost = _misfit(
+                some if step == -2 else levels, of if step == -2 else which, normals, palette,
+                tried, tolerance, found,
+            )  # fmt: skip
             if cost < best:
                 best = cost
                 copy_into(tried, sun)
+                copy_into(found, strengths)
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _across_into(sun: Array, axes: Array) -> None:
+    """Two unit vectors (2, 3) across a unit vector: it × the x axis or the y axis, and it × that."""
+    x, y, z = sun[0], sun[1], sun[2]
+    p, q, r = (0.0, z, -y) if abs(x) < _KEEP else (-z, 0.0, x)
+    length = np.sqrt(p * p + q * q + r * r)
+    p, q, r = p / length, q / length, r / length
+    axes[0, 0], axes[0, 1], axes[0, 2] = p, q, r
+    axes[1, 0], axes[1, 1], axes[1, 2] = y * r - z * q, z * p - x * r, x * q - y * p
 
 
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)

@@ -283,9 +283,12 @@ def _correlation(
     ``even``: a variance, grey levels squared, that both have in common: where neither shows any
     contrast, they agree.
     """
-    left, top = u[:found].min(), v[:found].min()
-    columns = int((u[:found].max() - left) / side) + 1
-    rows = int((v[:found].max() - top) / side) + 1
+    left, right, top, bottom = u[0], u[0], v[0], v[0]
+    for k in range(found):
+        left, right = min(left, u[k]), max(right, u[k])
+        top, bottom = min(top, v[k]), max(bottom, v[k])
+    columns = int((right - left) / side) + 1
+    rows = int((bottom - top) / side) + 1
     sums = np.zeros((rows * columns, 6))
     for k in range(found):
         window = int((v[k] - top) / side) * columns + int((u[k] - left) / side)

@@ -204,12 +204,14 @@ def mean_shift(directions: Array, trust: Array, width: float, weights: Array, me
             votes += trust[j] * np.exp((cosine - 1.0) / width)
         if votes > most:
             start, most = i, votes
-    mean[:] = directions[start]
+    # Plain numbers: numba compiles ``mean[:] = …`` for three seconds, for its error message.
+    x, y, z = directions[start, 0], directions[start, 1], directions[start, 2]
     for _ in range(_SHIFTS):
-        total = np.zeros(3)
+        p, q, r = 0.0, 0.0, 0.0
         for j in range(count):
             b = directions[j]
-            cosine = mean[0] * b[0] + mean[1] * b[1] + mean[2] * b[2]
-            weights[j] = trust[j] * np.exp((cosine - 1.0) / width)
-            total += weights[j] * b
-        mean[:] = total / np.sqrt(np.sum(total * total))
+            weights[j] = trust[j] * np.exp((x * b[0] + y * b[1] + z * b[2] - 1.0) / width)
+            p, q, r = p + weights[j] * b[0], q + weights[j] * b[1], r + weights[j] * b[2]
+        length = np.sqrt(p * p + q * q + r * r)
+        x, y, z = p / length, q / length, r / length
+    mean[0], mean[1], mean[2] = x, y, z

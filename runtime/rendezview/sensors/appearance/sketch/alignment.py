@@ -232,7 +232,8 @@ def sketch_agreement(
     nearest = np.zeros(1, dtype=np.int64)
     shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
     kinds = views.kind[shell, nearest[0]]
-    count = measure_sketch(maps, lens, views, rotation, centre, 1, 1.0, 1, 1.0, edges)
+    one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
+    count = measure_sketch(maps, lens, views, rotation, centre, one, 1.0, one, 1.0, edges)
     outline = inner = contrast = visible = inners = outlines = 1e-9
     for j in range(count):
         seen = edges[j, STATE] != OUTSIDE
@@ -248,7 +249,6 @@ def sketch_agreement(
     return outline / visible, inner / inners, contrast / visible, visible / outlines
 
 
-@njit(cache=True, nogil=True)
 def align_all_to_sketch(
     maps: Maps, lens: Lens, views: ViewTables, stages: Array, rotations: Array, centres: Array,
     scores: Array,
@@ -261,9 +261,7 @@ def align_all_to_sketch(
     for k in range(rotations.shape[0]):
         scores[k] = -1.0
         if align_to_sketch(maps, lens, views, stages, rotations[k], centres[k], edges):
-            scores[k] = np.array(
-                sketch_agreement(maps, lens, views, rotations[k], centres[k], edges)
-            )
+            scores[k] = sketch_agreement(maps, lens, views, rotations[k], centres[k], edges)
 
 
 def pose_covariance(

@@ -181,7 +181,7 @@ class SketchSearch:
         choice = replace(choice, overflows=sketch.overflows)
         pose = choice.best.pose
         covariance, strained, residual_px = pose_covariance(
-            maps, self._lens, self._views, _FINE[-1], pose.rotation,
+            maps, self._lens, self._views, _FINE[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained, residual_px / sketch.scale)
@@ -199,7 +199,8 @@ class SketchSearch:
         """The box of the target at a pose, frame px: of the contour points of its nearest view."""
         views, nearest = self._views, np.zeros(1, dtype=np.int64)
         centre = pose.apply(self.model.centre_m)
-        shell = nearest_views(views.directions, views.shells_m, pose.rotation, centre, nearest)
+        rotation = pose.rotation.copy()  # numba compiles a copy for read-only arrays
+        shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
         exists = views.kind[shell, nearest[0]] != NO_POINT
         points = views.point[shell, nearest[0]][exists] * (POINT_UNIT * views.radius_m)
         in_camera = points @ pose.rotation.T + centre
