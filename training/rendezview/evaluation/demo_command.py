@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
+import cv2
 import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.cli.compiling import compile_ahead
+from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.contact import contact_picture, fuse_to_contact
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
@@ -83,6 +84,7 @@ def demo(
     make_folder(output)
     model_path = output / f"{target.name}.rvm"
     compile_ahead("train", "track", "demo")
+    tell_of_compiling()
     with ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
@@ -235,4 +237,8 @@ def _track(
 
 
 def _film(path: Path, title: str, words: str) -> Card:
-    return Card(path.stem, title, words, path.read_bytes(), MP4)
+    video = cv2.VideoCapture(str(path))
+    width, height = (video.get(k) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+    video.release()
+    tall = height / width if width > 0.0 else None
+    return Card(path.stem, title, words, path.read_bytes(), MP4, tall)

@@ -37,7 +37,10 @@ class Card:
     words: str
     picture: bytes
     kind: str = PNG  # or MP4
+    tall: float | None = None  # height of a video over its width: its player stands below it then
 
+
+_PLAYER_PX = 72  # px; height of a browser's player. Source: measured in Chromium, rounded up
 
 _STYLE = f"""
 :root {{ color-scheme: dark }}
@@ -70,6 +73,9 @@ figure {{ margin: 0; background: {BACKGROUND}; border: 1px solid {GRID}; border-
 .wide figure {{ margin-bottom: 14px; max-width: 1000px }}
 figcaption {{ padding: 12px 16px 2px }}
 img, video {{ display: block; width: 100%; height: auto }}
+figure:has(video) {{ container-type: inline-size }}
+video.apart {{ height: calc(100cqw * var(--tall) + {_PLAYER_PX}px); object-fit: contain;
+  object-position: top }}
 .key i {{ font-style: normal; font-weight: 600 }}
 @media (max-width: 600px) {{ .pair figure, .wide figure {{ overflow-x: auto }}
   .pair img {{ width: 520px }} .wide img {{ width: 760px }} }}
@@ -217,8 +223,9 @@ def _image(card: Card, words: str) -> str:
 def _tag(card: Card, words: str) -> str:
     data = base64.b64encode(card.picture).decode("ascii")
     if card.kind == MP4:
+        apart = "" if card.tall is None else f'class="apart" style="--tall: {card.tall:.4f}" '
         return (
-            f'<video aria-label="{escape(words)}" controls autoplay muted loop playsinline '
+            f'<video {apart}aria-label="{escape(words)}" controls autoplay muted loop playsinline '
             f'src="data:{MP4};base64,{data}"></video>'
         )
     return f'<img alt="{escape(words)}" src="data:{PNG};base64,{data}">'
