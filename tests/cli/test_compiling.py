@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import pickle
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -83,6 +86,36 @@ def test_shares_take_about_equal_time():
     assert len(compiling._shares(entries, 9)) == 5
 
 
+def test_a_share_begins_with_what_is_short_and_holds_all_versions_of_a_loop():
+    named = [("a", 5.0), ("b", 4.0), ("a", 3.0), ("c", 1.0), ("d", 6.0)]
+    entries = [{"loop": loop, "seconds": s} for loop, s in named]
+    first, second = compiling._shares(entries, 2)
+    assert [(e["loop"], e["seconds"]) for e in first] == [("b", 4.0), ("d", 6.0)]
+    assert [(e["loop"], e["seconds"]) for e in second] == [("c", 1.0), ("a", 3.0), ("a", 5.0)]
+
+
+def test_processes_that_save_versions_of_one_loop_at_once_lose_none(tmp_path):
+    (tmp_path / "raced.py").write_text(
+        "from numba import njit\n\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n"
+    )
+    kinds = ["int32", "int64", "float32", "float64", "uint8", "uint16"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "c")}
+    workers = [
+        subprocess.Popen(
+            [sys.executable, "-m", "rendezview.cli.compiling",
+             json.dumps([{"loop": "raced:twice", "arguments": [kind]} for kind in some])],
+            env=environment,
+        )
+        for some in (kinds[::2], kinds[1::2])
+    ]  # fmt: skip
+    assert [worker.wait() for worker in workers] == [0, 0]
+    (index,) = (tmp_path / "c").rglob("raced.twice*.nbi")
+    with index.open("rb") as file:
+        pickle.load(file)
+        _, versions = pickle.loads(file.read())
+    assert len(versions) == len(set(versions.values())) == len(kinds)
+
+
 def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch):
     said: list[str] = []
     monkeypatch.setattr(compiling, "say", said.append)
@@ -98,12 +131,16 @@ def test_missing_loops_are_compiled_in_processes_and_a_line_says_so(monkeypatch)
     monkeypatch.setattr(compiling, "_is_cached", lambda loop: False)
     monkeypatch.setattr(compiling, "_cores", lambda: 2)
     monkeypatch.setattr(subprocess, "Popen", Process)
+    compiled = []
+    monkeypatch.setattr(compiling, "_compile", compiled.append)
     compiling.compile_ahead("track")
     assert said[0].startswith("Compiling 5 loops for this machine in 2 processes")
     assert said[1].startswith("Compiled in")
-    assert sorted(e["loop"] for share in started for e in share) == sorted(
-        e["loop"] for e in entries
-    )
+    here = [e for share in compiled for e in share]
+    there = [e for share in started for e in share]
+    assert here
+    assert there
+    assert sorted(e["loop"] for e in here + there) == sorted(e["loop"] for e in entries)
     entries = [entry | {"seconds": 0.1} for entry in entries]
     compiling.compile_ahead("track")  # too little for a process of its own
     monkeypatch.setattr(compiling, "_is_cached", lambda loop: True)

@@ -2,7 +2,7 @@
 
 numba compiles a loop when it is first called and keeps it in a cache on disk, once per machine.
 One process compiles one loop at a time. Where the cache is empty, a command therefore starts
-processes that compile the loops it will need side by side, and then loads them from the cache.
+processes that compile the loops it will need beside it, and then loads those from the cache.
 Which loops those are, for which types of arguments, is listed in ``loops.json``;
 ``python -m experiments compiled-loops`` writes that list.
 """
@@ -16,17 +16,24 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numba import types
+from numba.core.caching import IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
 from numba.core.errors import NumbaError
-from numba.core.event import Event, Listener, install_listener, register
+from numba.core.event import Event, Listener, register
 
 from rendezview.cli.progress import say
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 _MOST_PROCESSES = 6  # with more, each mostly imports. Source: experiment compiled-loops
 # Source: experiment compiled-loops, twice the start of a process
@@ -34,7 +41,10 @@ _LEAST_S = 4.0  # s; what takes less to compile is compiled where it is called
 
 
 def load_loops(group: str) -> list[dict[str, Any]]:
-    """The loops of a group, the slowest to compile first: ``loop``, ``arguments``, ``seconds``."""
+    """The loops of a group, the slowest to compile first: ``loop``, ``arguments``, ``seconds``.
+
+    With 0 seconds it is compiled as a part of another.
+    """
     text = resources.files("rendezview.cli").joinpath("loops.json").read_text()
     return sorted(json.loads(text)[group], key=lambda entry: -float(entry["seconds"]))
 
@@ -79,24 +89,23 @@ def compile_ahead(*groups: str) -> None:
     first call.
     """
     entries = [entry for group in groups for entry in load_loops(group)]
-    missing = [entry for entry in entries if not _is_cached(_named(entry["loop"]))]
-    if sum(float(e["seconds"]) for e in missing) < _LEAST_S or os.environ.get(
-        "NUMBA_DISABLE_JIT", "0"
-    ) not in ("", "0"):
+    missing = [e for e in entries if e["seconds"] and not _is_cached(_named(e["loop"]))]
+    if _seconds(missing) < _LEAST_S or os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return
-    shares = _shares(missing, min(_MOST_PROCESSES, _cores()))
-    seconds = max(sum(float(e["seconds"]) for e in share) for share in shares)
+    own, *others = _shares(missing, min(_MOST_PROCESSES, _cores()))
+    seconds = max(_seconds(share) for share in (own, *others))
     say(
-        f"Compiling {len(missing)} loops for this machine in {len(shares)} processes, only once: "
-        f"about {seconds + _START_S:.0f} s …"
+        f"Compiling {len(missing)} loops for this machine in {1 + len(others)} processes, "
+        f"only once: about {seconds + _START_S:.0f} s …"
     )
     start = time.perf_counter()
     command = [sys.executable, "-m", "rendezview.cli.compiling"]
     workers = [
         subprocess.Popen([*command, json.dumps(share)], stderr=subprocess.DEVNULL)
-        for share in shares
+        for share in others
     ]
     try:
+        _compile(own)
         for worker in workers:
             worker.wait()
     finally:
@@ -159,56 +168,102 @@ def _cores() -> int:
 
 
 def _shares(entries: Sequence[dict[str, Any]], count: int) -> list[list[dict[str, Any]]]:
-    """Shares of about the same seconds; the slowest loops are dealt first."""
-    shares: list[list[dict[str, Any]]] = [[] for _ in range(min(count, len(entries)))]
-    spent = np.zeros(len(shares))
+    """Shares of about the same seconds, the longest first; the slowest loops are dealt first.
+
+    Each begins with its shortest loops: others call them and then find them in the cache. All
+    versions of a loop, for other types of arguments, are in one share.
+    """
+    versions: dict[str, list[dict[str, Any]]] = {}
     for entry in entries:
+        versions.setdefault(entry["loop"], []).append(entry)
+    shares: list[list[dict[str, Any]]] = [[] for _ in range(min(count, len(versions)))]
+    spent = np.zeros(len(shares))
+    for same in sorted(versions.values(), key=lambda same: -_seconds(same)):
         least = int(np.argmin(spent))
-        shares[least].append(entry)
-        spent[least] += float(entry["seconds"])
-    return shares
+        shares[least].extend(same)
+        spent[least] += _seconds(same)
+    for share in shares:
+        share.sort(key=lambda entry: float(entry["seconds"]))
+    return [shares[k] for k in np.argsort(-spent, kind="stable")]
 
 
-class Recorder(Listener):
-    """Notes the loops that Python calls and numba compiles, with the seconds that each took."""
-
-    def __init__(self) -> None:
-        self.entries: list[dict[str, Any]] = []
-        self._starts: list[float] = []
-
-    def on_start(self, event: Event) -> None:
-        """A loop is being compiled, perhaps within another."""
-        self._starts.append(time.process_time())
-
-    def on_end(self, event: Event) -> None:
-        """A loop is compiled."""
-        seconds = time.process_time() - self._starts.pop()
-        if self._starts:
-            return
-        function = event.data["dispatcher"].py_func
-        self.entries.append(
-            {
-                "loop": f"{function.__module__}:{function.__qualname__}",
-                "arguments": [type_to_json(kind) for kind in event.data["args"]],
-                "seconds": round(seconds, 1),
-            }
-        )
+def _seconds(entries: Sequence[dict[str, Any]]) -> float:
+    return sum(float(entry["seconds"]) for entry in entries)
 
 
 def recorded(run: Callable[[], None]) -> list[dict[str, Any]]:
-    """The loops that a run has to compile; an empty cache lists all that it uses."""
-    recorder = Recorder()
-    with install_listener("numba:compile", recorder):
+    """The loops that a run calls from Python, by types of arguments, with the seconds of each.
+
+    With an empty cache the seconds are those of compiling; a loop that was compiled as a part of
+    another is not listed then.
+    """
+    entries: list[dict[str, Any]] = []
+    numba_s: Any = Dispatcher
+    prepare = numba_s._compile_for_args
+
+    def noted(self: Any, *arguments: Any) -> Any:
+        start = time.process_time()
+        try:
+            return prepare(self, *arguments)
+        finally:
+            function = self.py_func
+            entries.append(
+                {
+                    "loop": f"{function.__module__}:{function.__qualname__}",
+                    "arguments": [type_to_json(self.typeof_pyval(a)) for a in arguments],
+                    "seconds": round(time.process_time() - start, 1),
+                }
+            )
+
+    numba_s._compile_for_args = noted
+    try:
         run()
-    return recorder.entries
+    finally:
+        numba_s._compile_for_args = prepare
+    return entries
 
 
 def _compile(entries: list[dict[str, Any]]) -> None:
     """Compile loops; one that has changed since it was listed is left to its first call."""
-    for entry in entries:
-        with contextlib.suppress(NumbaError, AttributeError, ImportError, TypeError):
-            loop = _named(entry["loop"])
-            loop.compile(tuple(type_from_json(argument) for argument in entry["arguments"]))
+    with _saved_in_turn():
+        for entry in entries:
+            with contextlib.suppress(NumbaError, AttributeError, ImportError, TypeError):
+                loop = _named(entry["loop"])
+                loop.compile(tuple(type_from_json(argument) for argument in entry["arguments"]))
+
+
+@contextlib.contextmanager
+def _saved_in_turn() -> Iterator[None]:
+    """Meanwhile this process saves a loop in the cache only while no other one does.
+
+    To save one version of a loop, numba reads the loop's index, adds the version and a file name,
+    and writes the index again. Two processes that do so at once lose a version, or give two of
+    them one file.
+    """
+    numba_s: Any = IndexDataCacheFile
+    save = numba_s.save
+
+    def save_in_turn(self: Any, key: Any, data: Any) -> None:
+        with _alone(Path(self._cache_path)):
+            save(self, key, data)
+
+    numba_s.save = save_in_turn
+    try:
+        yield
+    finally:
+        numba_s.save = save
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Meanwhile no other process is in here for this folder; without file locks at once."""
+    if fcntl is None:
+        yield
+        return
+    with open(folder / ".rendezview-lock", "ab") as file:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 if __name__ == "__main__":

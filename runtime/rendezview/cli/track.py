@@ -119,8 +119,8 @@ def track(
     light = _direction(sun)
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
     levels = Levels()
-    tell_of_compiling()
     compile_ahead("track")
+    tell_of_compiling()
     guide = _guide(loaded, plan, shape, chaser, oem, aem, refine)
     drawn = video_of(video, sequence, loaded) if video else None
     frames = follow(

@@ -97,24 +97,18 @@ GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
 }  # fmt: skip
 
 
-def run(model: Path, scene: Path, *, group: str = "") -> None:
+def run(model: Path, scene: Path, *, group: str = "", add: bool = False) -> None:
     """Write the list of the loops that commands compile, with the seconds that each takes.
 
     MODEL is tracked through SCENE in a process with an empty cache, and so is a small training.
-    Only a GROUP of loops is renewed where it is named.
+    Only a GROUP of loops is renewed where it is named. To ADD loops keeps those that are listed:
+    easy frames and hard ones, models with voters and without, need different ones.
     """
     found = json.loads(LIST.read_text()) if LIST.exists() else {}
     for name in [group] if group else GROUPS:
-        with tempfile.TemporaryDirectory() as cache:
-            command = [sys.executable, "-m", "experiments.startup.loops", name, model, scene]
-            made = subprocess.run(
-                command,
-                env=os.environ | {"NUMBA_CACHE_DIR": cache},
-                stdout=subprocess.PIPE,
-                check=True,
-                text=True,
-            )
-        found[name] = json.loads(made.stdout.splitlines()[-1])
+        new = _called(name, model, scene)
+        known = found.get(name, []) if add else []
+        found[name] = [*known, *(e for e in new if _key(e) not in map(_key, known))]
         seconds = sum(entry["seconds"] for entry in found[name])
         print(f"{name}: {len(found[name])} loops, {seconds:.0f} s")
     groups = [
@@ -122,6 +116,28 @@ def run(model: Path, scene: Path, *, group: str = "") -> None:
         for name in sorted(found)
     ]
     LIST.write_text("{\n" + ",\n".join(groups) + "\n}\n")
+
+
+def _called(group: str, model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops that a group calls, and the seconds of each; 0 if another loop contains it.
+
+    The first run compiles. The second finds all loops in the cache: only then numba has to ask for
+    a loop that was compiled as a part of another.
+    """
+    command = [sys.executable, "-m", "experiments.startup.loops", group, model, scene]
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"NUMBA_CACHE_DIR": cache}
+        runs = [
+            subprocess.run(command, env=environment, stdout=subprocess.PIPE, check=True, text=True)
+            for _ in range(2)
+        ]
+    compiled, called = (json.loads(run.stdout.splitlines()[-1]) for run in runs)
+    seconds = {_key(entry): max(entry["seconds"], 0.1) for entry in compiled}
+    return [entry | {"seconds": seconds.get(_key(entry), 0.0)} for entry in called]
+
+
+def _key(entry: dict[str, Any]) -> str:
+    return json.dumps([entry["loop"], entry["arguments"]])
 
 
 if __name__ == "__main__":

@@ -211,7 +211,7 @@ def search_sun(
 
 @njit(cache=True, nogil=True)
 def _across_into(sun: Array, axes: Array) -> None:
-    """Two unit vectors (2, 3) across a unit vector: it × the x axis or the y axis, and it × that."""
+    """Two unit vectors (2, 3) across another: it × the x axis or the y axis, and it × that."""
     x, y, z = sun[0], sun[1], sun[2]
     p, q, r = (0.0, z, -y) if abs(x) < _KEEP else (-z, 0.0, x)
     length = np.sqrt(p * p + q * q + r * r)

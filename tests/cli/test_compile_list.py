@@ -1,0 +1,52 @@
+"""Tracking needs no loop, for no types of arguments, that is not in the list of loops."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import cv2
+from tests.sensors.appearance.sketch.test_search import hard_frame
+
+from rendezview.cli import compiling
+from rendezview.simulation.scene import SceneOptions, simulate
+from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
+
+_TRACK = """
+import json, sys
+from rendezview.cli.compiling import recorded
+from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.following import follow
+
+model, sequence = ViewModel.load(sys.argv[1]), open_sequence(sys.argv[2])
+
+def work():
+    for prior in (None, sequence.frames[0].camera_from_target):
+        for frame, observation in follow(model, sequence, prior=prior):
+            print(observation.status, observation.reason, file=sys.stderr)
+
+print(json.dumps(recorded(work)))
+"""
+
+
+def test_every_loop_of_tracking_is_listed(tmp_path, bumpy_mesh, camera, refining_model):
+    model, scene = tmp_path / "bumpy.rvm", tmp_path / "scene"
+    refining_model.save(model)
+    start_m = 2.0 * refining_model.sphere_radius_m
+    path = trajectory(
+        "spiral", TrajectoryOptions(frames=5, start_range_m=start_m, end_range_m=0.8 * start_m)
+    )
+    simulate(bumpy_mesh, camera, path, SceneOptions(), scene, 0)
+    first, *_, last = sorted(p for p in scene.rglob("*.png") if "mask" not in p.parent.name)
+    assert cv2.imread(str(first), cv2.IMREAD_GRAYSCALE).shape == (camera.height, camera.width)
+    hard, _ = hard_frame(bumpy_mesh, refining_model, camera, 3)
+    cv2.imwrite(str(last), hard)
+    command = [sys.executable, "-c", _TRACK, str(model), str(scene)]
+    run = subprocess.run(command, capture_output=True, text=True, check=True)
+    called = [(e["loop"], e["arguments"]) for e in json.loads(run.stdout.splitlines()[-1])]
+    listed = [(e["loop"], e["arguments"]) for e in compiling.load_loops("track")]
+    names = {name.rpartition(":")[2] for name, _ in called}
+    assert {"align_each", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
+    assert [each for each in called if each not in listed] == []
