@@ -146,7 +146,7 @@ def covariance_of(
             origin's.
     """
     matrix, spread = np.diag(loose), np.diag(loose)
-    mean_square = add_information(edges, cut, matrix, spread)
+    mean_square = _add_information(edges, cut, matrix, spread)
     residual = float(np.sqrt(mean_square))
     response = _to_origin(arm) @ np.linalg.inv(matrix)
     covariance = response @ spread @ response.T
@@ -155,7 +155,7 @@ def covariance_of(
 
 
 @njit(cache=True, nogil=True)
-def add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> float:
+def _add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> float:
     """Add ΣwJJᵀ to ``matrix`` (6, 6) and Σw²JJᵀ to ``spread`` (6, 6); the mean of r², by w."""
     squares, weights = 0.0, 1e-12
     row = np.empty(6)
@@ -190,13 +190,13 @@ def strain_covariance(
             target axes: with these factors one that is alike in all directions is diagonal.
     """
     matrix, moved = np.diag(loose), np.zeros((6, 6))
-    add_strain_moves(edges, cut, rotation, centre, matrix, moved)
+    _add_strain_moves(edges, cut, rotation, centre, matrix, moved)
     response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
     return response @ strain @ response.T
 
 
 @njit(cache=True, nogil=True)
-def add_strain_moves(
+def _add_strain_moves(
     edges: Array, cut: float, rotation: Array, centre: Array, matrix: Array, moved: Array
 ) -> None:
     """Add ΣwJJᵀ to ``matrix`` (6, 6), and Σ w J of what each strain moves to ``moved`` (6, 6)."""
