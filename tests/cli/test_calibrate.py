@@ -15,8 +15,10 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.bop_writer import BopSceneWriter
+from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.reflectors.run import FramePair, wrong_mode
 
 CAMERA = Camera(640, 480, 620.0, 625.0, 322.0, 236.0)
 SQUARE = 40  # px of the printed board
@@ -145,3 +147,28 @@ def test_the_shape_of_a_target_is_calibrated_from_a_scene(
     run(*shape, "--length", "w=1/1").says("--length must be")
     run(*shape, "--length", "x=1/0").says("--length must be")
     run(*shape, "--poses", tmp_path / "none.csv").says("none.csv")
+
+
+@pytest.mark.parametrize("moved_px", [0.0, 12.0])
+def test_a_run_without_a_pose_names_the_likely_option(moved_px):
+    rng = np.random.default_rng(2)
+    rows, columns = np.mgrid[:480, :640]
+
+    def picture(peak, off=0.0, ground=20.0):
+        grey = ground + rng.normal(0.0, 1.5, (480, 640))
+        for x, y in ((200, 240), (330, 250), (400, 300)):
+            grey += peak * np.exp(-0.5 * ((columns - x - off) ** 2 + (rows - y) ** 2) / 9.0)
+        return np.clip(grey, 0, 255).astype(np.uint8)
+
+    def hint(lit, dark=None, invert=False):
+        frames = [
+            Frame(k, f"{k}.png", 0.0, CAMERA, None, 1, lambda p=p: p)
+            for k, p in enumerate((lit, dark))
+        ]
+        return wrong_mode([FramePair(frames[0], None if dark is None else frames[1], None, invert)])
+
+    assert "--mode single" in hint(picture(180.0), picture(180.0, moved_px))
+    assert hint(picture(180.0), picture(4.0)) is None
+    assert "--invert" in hint(picture(-160.0, ground=200.0))
+    assert hint(picture(-160.0, ground=200.0), invert=True) is None
+    assert hint(picture(180.0)) is None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
@@ -36,6 +37,9 @@ from rendezview.sensors.sensor import AidedSensor
 # A reading that is no farther from its truth calibrates: a false triplet is farther.
 # Source: by construction, ten times the errors of a good reading at the farthest
 _NEAR_RAD, _NEAR_SHARE = 0.2, 0.1
+# times: dots of a picture of their own kind stand out so much more. Source: by construction, a
+# dark picture's share of the light is a few per cent, a wrong kind's spots are texture
+_PLAIN = 3.0
 
 
 class Mode(StrEnum):
@@ -140,25 +144,34 @@ def pair_up_live(frames: Iterator[Frame], mode: Mode, invert: bool = False) -> I
 
 
 def wrong_mode(pairs: Iterable[FramePair], threshold: ThresholdOptions | None = None) -> str | None:
-    """A hint for a run without a pose: the pictures of a pair show the same dots.
+    """A hint for a run without a pose: both pictures of a pair show the dots, or they are dark.
 
-    Only the first readable pair is looked at.
+    Only the first readable pair is looked at, and in it the third brightest spot.
     """
     for pair in pairs:
         try:
             frames = pair.read()
         except RendezviewError:
             continue
+        lit = _third_peak(LitDark(frames.lit), threshold)
         if frames.dark is None:
-            return None
-        alone, both = find_spots(LitDark(frames.lit), threshold), find_spots(frames, threshold)
-        if len(alone) >= 3 > len(both):
+            dark = _third_peak(LitDark(frames.lit).inverted(), threshold)
+            if pair.invert or not dark > _PLAIN * max(lit, 1.0):
+                return None
+            return f"{pair.name}: dots darker than their ground: did you mean --invert?"
+        if _third_peak(LitDark(frames.dark), threshold) > lit / _PLAIN > 0.0:
             return (
-                f"{pair.name}: {len(alone)} dots, but the second picture of the pair is no dark "
-                "one: did you mean --mode single?"
+                f"{pair.name}: dots, but the second picture of the pair is no dark one: did you "
+                "mean --mode single?"
             )
         return None
     return None
+
+
+def _third_peak(frames: LitDark, threshold: ThresholdOptions | None) -> float:
+    """Grey levels by which the third brightest spot stands out; 0 where there are fewer."""
+    peaks = np.sort(find_spots(frames, threshold).peak_grey)
+    return float(peaks[-3]) if len(peaks) >= 3 else 0.0
 
 
 def follow(
