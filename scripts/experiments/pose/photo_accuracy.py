@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
 
 RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
 PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors
@@ -70,6 +71,25 @@ def look(recognizer: Recognizer, picture: np.ndarray, truth: Pose, prior: Pose |
     return row
 
 
+def calibrated(
+    model: ViewModel, camera: Camera, pictures: list[np.ndarray], folds: int
+) -> list[ViewModel]:
+    """For each fold of the photographs (k modulo the folds), the model with the shape that the
+    other folds show; their poses are not known."""
+    models = []
+    for fold in range(folds):
+        others = [picture for k, picture in enumerate(pictures) if k % folds != fold]
+        found = ShapeEstimator(model, camera).estimate(others)
+        print(
+            f"fold {fold}: strain {np.round(100.0 * found.components, 1)} %, σ "
+            f"{np.round(100.0 * np.sqrt(np.diag(found.covariance)), 1)} %, from {found.used} "
+            f"of {len(others)} photographs",
+            flush=True,
+        )
+        models.append(strained(model, found.strain, found.covariance))
+    return models or [model]
+
+
 def table(name: str, rows: list[dict]) -> None:
     """Shares and medians; frames without a pose count among all."""
     given = [r for r in rows if r["given"]]
@@ -108,16 +128,20 @@ def run(
     *,
     priors: Annotated[int, "of each photograph"] = 3,
     no_sketch: Annotated[bool, "without the search on sketches"] = False,
+    folds: Annotated[int, "calibrate the shape on the others; 0: as modelled"] = 0,
     log: Annotated[Path | None, "errors of every photograph, JSON lines"] = None,
     seed: int = 1,
 ) -> None:
     cv2.setNumThreads(1)
     camera, frames = read(folder)
-    recognizer = Recognizer(ViewModel.load(model), camera, sketch=not no_sketch)
-    recognizer.recognize(frames[0][1])  # compiles, and reads the network
+    models = calibrated(ViewModel.load(model), camera, [picture for _, picture, _ in frames], folds)
+    recognizers = [Recognizer(one, camera, sketch=not no_sketch) for one in models]
+    for recognizer in recognizers:
+        recognizer.recognize(frames[0][1])  # compiles, and reads the network
     rng = np.random.default_rng(seed)
     rows: dict[str, list[dict]] = {"no prior": [], "prior": []}
-    for name, picture, truth in frames:
+    for k, (name, picture, truth) in enumerate(frames):
+        recognizer = recognizers[k % len(recognizers)]
         looks: dict[str, list[Pose | None]] = {
             "no prior": [None],
             "prior": [near(truth, rng) for _ in range(priors)],
