@@ -21,13 +21,14 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import exp
 from rendezview.io.grey_frame import Picture, check_frame, shrunk
+from rendezview.sensors.appearance.as_built.shape import AsBuilt, ShapeOptions, SurfaceResiduals
 from rendezview.sensors.appearance.as_built.strain import matrix_of, strain_names, strained
 from rendezview.sensors.appearance.edges.levels import (
     FINEST_RADIUS_PX,
     shrunk_blur,
     times_smaller,
 )
-from rendezview.sensors.appearance.edges.measured import STRAINS, MeasuredEdges
+from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.recognizer import Recognizer
@@ -42,60 +43,6 @@ _ROUGH_ROUNDS = 3  # Source: by construction
 _MOST_SHOWN = 6000  # edges in a picture. Source: by construction
 # Mean of the strain along the axes. Source: by construction
 _SIZE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) / 3.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShapeOptions:
-    """How the strain is estimated."""
-
-    prior_sigma: float = 0.05  # of each component. Source: by construction, a coarse CAD model
-    size_sigma: float = 0.02  # of the mean of xx, yy, zz. Source: by construction, a known craft
-    rounds: int = 10  # Gauss–Newton, at most. Source: experiment pose-shape, twice what it took
-    stop: float = 2e-4  # largest change of a component. Source: a tenth of an edge's error
-    # The frames are recognised so often at most: again with the model found, while the strain
-    # changes by more than ``look_again``. Source: experiment photo-accuracy --folds
-    looks: int = 3
-    look_again: float = 5e-3  # Source: a pixel or two of an edge
-    least_frames: int = 5  # with a pose. Source: by construction
-    least_spread_rad: float = np.deg2rad(30.0)  # between two views. Source: by construction
-    # Neighbouring edges err together: as many edges count as one. A third of the inflation of
-    # sketch/error_model.json: most of that is of meshes 2 % wrong, which is what is estimated here.
-    edges_as_one: float = 10.0  # Source: by construction
-    # Times the median frame's residual; frames beyond are wrong poses.
-    most_rms: float = 2.5  # Source: by construction
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SurfaceResiduals:
-    """Where the edges of all frames lie beside those of the model, over its surface."""
-
-    place_m: Array  # (N, 3) from the view centre, target axes
-    share: Array  # (N,) outwards, of the target's radius
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AsBuilt:
-    """The strain of a craft, and how well it explains the frames."""
-
-    strain: Array  # (3, 3) symmetric, target axes, about the view centre
-    covariance: Array  # (6, 6) of its components xx, yy, zz, xy, xz, yz
-    size_sigma: float  # one σ of the mean of xx, yy, zz
-    poses: tuple[Pose | None, ...]  # camera_from_target of each frame; None: not used
-    rms_before: float  # median over the frames, of the target's radius
-    rms_after: float
-    size_known: bool  # by lengths, or by the frames
-    before: SurfaceResiduals  # of the model as it was
-    after: SurfaceResiduals
-
-    @property
-    def components(self) -> Array:
-        """(6,) of the strain."""
-        return np.array([self.strain[a, b] for a, b in STRAINS])
-
-    @property
-    def used(self) -> int:
-        """Frames with a pose."""
-        return sum(pose is not None for pose in self.poses)
 
 
 @dataclass(slots=True, eq=False)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.as_built.estimation import AsBuilt, SurfaceResiduals
+from rendezview.sensors.appearance.as_built.shape import AsBuilt, SurfaceResiduals
 from rendezview.sensors.appearance.as_built.strain import strain_names
 
 Picture = npt.NDArray[np.uint8]
