@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from rendezview.estimation.linear_algebra import square_root
+from rendezview.estimation.linear_algebra import (
+    copy_into,
+    copy_matrix_into,
+    largest_at,
+    square_root,
+)
 from rendezview.fusion.kernels import distance
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
@@ -31,8 +36,9 @@ def pose_model(
 ) -> tuple[Array, Array, Array]:
     """(6,) residual, (6, 6) white covariance and (6, 6) root of the bias's, of a pose."""
     residual = np.empty(6)
-    residual[:3] = so3.between(measured_rotation, rotation)
+    turn = so3.between(measured_rotation, rotation)
     for i in range(3):
+        residual[i] = turn[i]
         residual[3 + i] = measured_translation[i] - translation[i]
     whole = pose_covariance(measured_translation, covariance, inflation, floor_rad, floor_range)
     return residual, (1.0 - share) * whole, square_root(share * whole)
@@ -72,7 +78,9 @@ def ring_model(
     basis[across, 0] = 1.0
     for i in range(3):
         basis[i, 0] -= axis[across] * axis[i]
-    basis[:, 0] /= np.sqrt(basis[0, 0] ** 2 + basis[1, 0] ** 2 + basis[2, 0] ** 2)
+    length = np.sqrt(basis[0, 0] ** 2 + basis[1, 0] ** 2 + basis[2, 0] ** 2)
+    for i in range(3):
+        basis[i, 0] /= length
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         basis[i, 1] = axis[j] * basis[k, 0] - axis[k] * basis[j, 0]
@@ -134,7 +142,7 @@ def ring_look(
     for i in range(3, 5):
         whole[i, i] += floor_rad**2
     both = np.zeros((5, 10))
-    both[:, :5] = square_root(share * whole)
+    copy_matrix_into(square_root(share * whole), both)
     return residual, (1.0 - share) * whole, both
 
 
@@ -152,7 +160,7 @@ def other_edge(place: Array) -> tuple[Array, Array]:
             whole[i, j] += _OTHER_RANGE**2 * place[i] * place[j]
     whole[3, 3] = whole[4, 4] = _OTHER_RAD**2
     both = np.zeros((5, 10))
-    both[:, 5:] = square_root(_OTHER_BIAS_SHARE * whole)
+    copy_matrix_into(square_root(_OTHER_BIAS_SHARE * whole), both[:, 5:])
     return (1.0 - _OTHER_BIAS_SHARE) * whole, both
 
 
@@ -209,8 +217,7 @@ def ring_expected(
     """Candidates (K, 3), (K, 3), (K, 6, 6) of a ring, and another edge, as one measurement.
 
     It is their mean and spread by how likely each is. Where they are far apart one has all the
-    weight. Where they are not (a ring seen face-on), the spread covers
-    both sides of the line of sight, because the picture does not show on which one the axis is.
+    weight; a ring seen face-on does not show on which side of the line of sight its axis is.
 
     Returns:
         Whether the ring is before the camera; whether the likeliest is another edge; (5,)
@@ -222,19 +229,23 @@ def ring_expected(
     )
     known = len(centres)
     count = known + 1 if chance_of_other > 0.0 else known
-    residuals = np.zeros((count, 5))
+    residuals, logs = np.zeros((count, 5)), np.zeros(count)
     whites, roots = np.zeros((count, 5, 5)), np.zeros((count, 5, 10))
-    logs = np.zeros(count)
     for k in range(known):
-        residuals[k], whites[k], roots[k] = ring_look(
+        residual, white, root = ring_look(
             centres[k], axes[k], covariances[k], centre, axis, basis,
             inflation, floor_rad, floor_range, share,
         )  # fmt: skip
+        copy_into(residual, residuals[k])
+        copy_matrix_into(white, whites[k])
+        copy_matrix_into(root, roots[k])
         logs[k] = np.log((1.0 - chance_of_other) / known)
     if count > known:
         # A concentric edge, or one of a shadow: the line of sight is nearly right, the size not.
-        residuals[known] = residuals[0]
-        whites[known], roots[known] = other_edge(centres[0])
+        copy_into(residuals[0], residuals[known])
+        white, root = other_edge(centres[0])
+        copy_matrix_into(white, whites[known])
+        copy_matrix_into(root, roots[known])
         logs[known] = np.log(chance_of_other)
     best = 0
     if count > 1:
@@ -243,6 +254,6 @@ def ring_expected(
                 extras, covariance, slope, roots[k], start, whites[k], residuals[k]
             )
             logs[k] -= 0.5 * (nis + log_volume)  # −∞ where it cannot be used
-        best = int(np.argmax(logs))
+        best = largest_at(logs)
     residual, white, root = mixture(logs, best, residuals, whites, roots)
     return centre[2] > 0.0, best == known, residual, slope, white, root

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, descending
 from rendezview.sensors.ring.conic import SCATTER, add_point, conic_of, ellipse_of_conic, sampson
 
 Array = npt.NDArray[np.float64]
@@ -119,7 +120,7 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
                 begin, sense = k - 1, 1.0 if turn > 0.0 else -1.0
             if count >= arcs.shape[0]:
                 break
-    order = np.argsort(-arcs[:count, LENGTH])
+    order = descending(arcs[:count, LENGTH].copy())
     return arcs[:count][order]
 
 
@@ -209,10 +210,7 @@ def group_arcs(
     """
     count = min(arcs.shape[0], most)
     frame = (scale, centre_x, centre_y)
-    sums = np.zeros((count, SCATTER))
-    for j in range(count):
-        for i in range(int(arcs[j, FIRST]), int(arcs[j, LAST])):
-            add_point(sums[j], (points[i, 0] - centre_x) / scale, (points[i, 1] - centre_y) / scale)
+    sums = _sums(points, arcs[:count], frame)
     found, length = np.empty((count, 5)), np.empty(count)
     filled = 0
     ellipse, conic, total = np.empty(5), np.empty(6), np.empty(SCATTER)
@@ -225,7 +223,7 @@ def group_arcs(
         member[:] = False
         member[seed] = True
         tried[:] = False
-        total[:] = sums[seed]
+        copy_into(sums[seed], total)
         reach, turned = arcs[seed, LENGTH], abs(arcs[seed, TURN])
         good = False
         if turned > _LEAST_TURN_SINGLE_RAD and conic_of(total, conic):
@@ -248,12 +246,24 @@ def group_arcs(
             conic_of(total, conic)
             good = _usable(conic, frame, ellipse, limits)
         if good and turned > _LEAST_TURN_GROUP_RAD:
-            found[filled], length[filled] = ellipse, reach
+            copy_into(ellipse, found[filled])
+            length[filled] = reach
             filled += 1
             if turned > _LARGE_TURN_RAD:
                 done |= member
-    order = np.argsort(-length[:filled])
+    order = descending(length[:filled])
     return found[:filled][order], length[:filled][order]
+
+
+@njit(cache=True, nogil=True)
+def _sums(points: Array, arcs: Array, frame: tuple[float, float, float]) -> Array:
+    """(K, SCATTER) of the points of each arc."""
+    scale, x, y = frame
+    sums = np.zeros((arcs.shape[0], SCATTER))
+    for j in range(arcs.shape[0]):
+        for i in range(int(arcs[j, FIRST]), int(arcs[j, LAST])):
+            add_point(sums[j], (points[i, 0] - x) / scale, (points[i, 1] - y) / scale)
+    return sums
 
 
 @njit(cache=True, nogil=True)

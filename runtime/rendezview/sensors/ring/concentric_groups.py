@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import descending
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.circle_pose import circles_of_picture, picture_of_circle
@@ -59,7 +60,7 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
 def _group(camera: Array, shapes: Array, size: Array) -> Ints:
     count = shapes.shape[0]
     group = np.full(count, -1)
-    order = np.argsort(-size)
+    order = descending(size)
     centres, axes, predicted = np.empty((2, 3)), np.empty((2, 3)), np.empty(5)
     number = 0
     for k in order:
@@ -75,7 +76,9 @@ def _group(camera: Array, shapes: Array, size: Array) -> Ints:
                 if not picture_of_circle(camera, centres[p], axes[p], size[j] / size[k], predicted):
                     continue
                 aside = np.hypot(predicted[0] - shapes[j, 0], predicted[1] - shapes[j, 1])
-                unalike = np.max(np.abs(predicted[2:] - shapes[j, 2:]))
+                unalike = 0.0
+                for a in range(2, 5):
+                    unalike = max(unalike, abs(predicted[a] - shapes[j, a]))
                 if aside < _ASIDE * near + 0.5 and unalike < _UNALIKE * near + 0.5:
                     group[j] = number
         number += 1

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_matrix_into
 from rendezview.io.grey_frame import grain
 
 Bools = npt.NDArray[np.bool_]
@@ -127,7 +128,8 @@ def _crests(
         if total + width > room:
             room = 2 * room + width
             more, places = np.empty((room, 5)), np.empty((room, 2), dtype=np.int32)
-            more[:total], places[:total] = found[:total], place[:total]
+            copy_matrix_into(found[:total], more)
+            copy_matrix_into(place[:total], places)
             found, place = more, places
         upper, line, lower = power[row - 1], power[row], power[row + 1]
         for column in range(3, width - 3):

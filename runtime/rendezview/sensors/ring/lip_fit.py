@@ -13,6 +13,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.least_squares import tukey_weight
+from rendezview.estimation.linear_algebra import copy_into, largest_size
 from rendezview.sensors.ring.samples import (
     ARC,
     CONTRAST,
@@ -60,7 +61,7 @@ def fit_lip(
             common to both edges are in both covariances.
     """
     pair, normal = np.zeros(6), np.empty((6, 6))
-    pair[:5] = shape
+    copy_into(shape, pair)
     if _update(samples, used, 2.0, pair, normal) < 0.0:
         return False
     if abs(pair[5]) * 0.5 * (pair[2] + pair[4]) < 0.5 * _GAP_PX[0]:
@@ -119,7 +120,13 @@ def _separate(
         for j in range(5):
             slope[j, j] = 1.0 if j < 2 else 1.0 + 0.5 * sense * pair[5]
             slope[j, 5] = 0.0 if j < 2 else 0.5 * sense * pair[j]
-        covariances[k] = slope @ whole @ slope.T
+        for i in range(5):
+            for j in range(5):
+                total = 0.0
+                for a in range(6):
+                    for b in range(6):
+                        total += slope[i, a] * whole[a, b] * slope[j, b]
+                covariances[k, i, j] = total
         own = 0 if sense > 0.0 else 1
         facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], found[own][1], found[own][2]
 
@@ -168,10 +175,11 @@ def _update(samples: Array, n: int, scale: float, shape: Array, normal: Array) -
     if not solve_equations(normal, right, 1e-9, step):
         return -1.0
     size = 0.5 * (shape[2] + shape[4])
-    largest = float(max(np.max(np.abs(step[:5])), size * abs(step[5])))
+    largest = float(max(largest_size(step[:5]), size * abs(step[5])))
     if not largest < 0.25 * size:
         return -1.0
-    shape += step
+    for j in range(6):
+        shape[j] += step[j]
     if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
         return -1.0
     return largest

@@ -13,7 +13,7 @@ from numba import njit
 
 from rendezview.estimation.edge_profile import FAR
 from rendezview.estimation.least_squares import tukey_weight
-from rendezview.estimation.linear_algebra import solve
+from rendezview.estimation.linear_algebra import largest_size, solve
 from rendezview.geometry.lens import LENS_LENGTH, distorted
 
 Gradient = npt.NDArray[np.int16]  # Sobel's sum: 8 × grey levels a pixel
@@ -180,11 +180,12 @@ def update_shape(samples: Array, count: int, scale_px: float, shape: Array, norm
         add_equation(row, w, s[OFFSET], normal, right)
     if not solve_equations(normal, right, 1e-7, step):
         return -1.0
-    largest = float(np.max(np.abs(step)))
+    largest = float(largest_size(step))
     limit = 0.25 * (shape[2] + shape[4])
     if not largest < limit:
         return -1.0
-    shape += step
+    for j in range(5):
+        shape[j] += step[j]
     if not (shape[2] > 0.0 and shape[2] * shape[4] - shape[3] * shape[3] > 0.0):
         return -1.0
     return largest

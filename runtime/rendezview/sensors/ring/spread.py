@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.linear_algebra import invert
+from rendezview.estimation.linear_algebra import invert, quantile
 from rendezview.sensors.ring.samples import ANGLE, ARC, CONTRAST, OFFSET, WEIGHT
 
 Array = npt.NDArray[np.float64]
@@ -25,7 +25,7 @@ def scale_of(samples: Array, n: int) -> float:
             count += 1
     if count == 0:
         return 1.0
-    return min(max(5.0 * 1.483 * float(np.median(size[:count])), 0.15), 2.0)
+    return min(max(5.0 * 1.483 * quantile(size[:count], 0.5), 0.15), 2.0)
 
 
 @njit(cache=True, nogil=True)

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into
 from rendezview.sensors.ring.ellipse import axes_of_shape
 from rendezview.sensors.ring.lip_fit import LEAST_ARC, arcs_of_senses, fit_lip
 from rendezview.sensors.ring.samples import COLUMNS, distance, update_shape
@@ -50,11 +51,7 @@ def fit_steps(
     count, pair = 0, 0
     for k in range(total):
         shape = current[k].copy()
-        beside = 0
-        for j in range(total):
-            if j != k and not twins(current[j], shape, 2.5) and _meet(current[j], shape, 14.0):
-                others[beside] = current[j]
-                beside += 1
+        beside = _neighbours(current, k, others)
         step_px = _step_px(shape, spacing)
         used, scale = _settle(
             image, lens, shape, step_px, noise, filters, basis, blur, others[:beside],
@@ -69,25 +66,40 @@ def fit_steps(
                 samples, used, both, both_covariances, both_facts,
             )  # fmt: skip
         if two:
-            if both_facts[:, 0].max() < 0.8 * least_arc:
+            if max(both_facts[0, 0], both_facts[1, 0]) < 0.8 * least_arc:
                 continue
             for e in range(2):
                 if not _known(fitted, count, both[e]):
-                    fitted[count], covariances[count] = both[e], both_covariances[e]
-                    facts[count], pairs[count] = both_facts[e], pair
+                    copy_into(both[e], fitted[count])
+                    copy_matrix_into(both_covariances[e], covariances[count])
+                    copy_into(both_facts[e], facts[count])
+                    pairs[count] = pair
                     count += 1
             pair += 1
-            current[k] = both[0]
+            copy_into(both[0], current[k])
         elif not _known(fitted, count, shape) and _fit_single(
             samples, used, scale, 0.8 * least_arc, shape, covariances[count], facts[count]
         ):
-            fitted[count], pairs[count] = shape, -1
+            copy_into(shape, fitted[count])
+            pairs[count] = -1
             count += 1
-            current[k] = shape
+            copy_into(shape, current[k])
     for e in range(count):
         for j in range(5):
             covariances[e, j, j] += floor * floor
     return fitted[:count], covariances[:count], facts[:count], pairs[:count]
+
+
+@njit(cache=True, nogil=True)
+def _neighbours(shapes: Array, k: int, others: Array) -> int:
+    """Fill ``others`` with the ellipses that come near ellipse k and are not the same; how many."""
+    count = 0
+    for j in range(shapes.shape[0]):
+        if j == k or twins(shapes[j], shapes[k], 2.5) or not _meet(shapes[j], shapes[k], 14.0):
+            continue
+        copy_into(shapes[j], others[count])
+        count += 1
+    return count
 
 
 @njit(cache=True, nogil=True)

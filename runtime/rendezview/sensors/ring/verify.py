@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into, descending, largest_at
 from rendezview.sensors.ring.ellipse import axes_of_shape, shape_of_axes
 from rendezview.sensors.ring.samples import (
     COLUMNS,
@@ -78,14 +79,14 @@ def verify(
             continue
         at = count
         if count == most:
-            at = int(np.argmin(value))
+            at = largest_at(-value)
             if value[at] >= share:
                 continue
         else:
             count += 1
-        kept[at] = shape
+        copy_into(shape, kept[at])
         value[at] = share
-    return _exclusive(dx, dy, low, lens, kept[np.argsort(-value[:count])], least_arc)
+    return _exclusive(dx, dy, low, lens, kept[descending(value[:count])], least_arc)
 
 
 @njit(cache=True, nogil=True)
@@ -110,7 +111,7 @@ def _exclusive(
                         break
                 own += free
         if own * 2.0 * np.pi / n >= 0.8 * least_arc:
-            kept[count] = shapes[k]
+            copy_into(shapes[k], kept[count])
             count += 1
     return kept[:count]
 
@@ -159,4 +160,7 @@ def _runs(samples: Array, n: int) -> tuple[int, int]:
 @njit(cache=True, nogil=True)
 def twins(a: Array, b: Array, near: float) -> bool:
     """Whether two shapes are one ellipse, to ``near`` px."""
-    return bool(np.max(np.abs(a - b)) <= near)
+    same = True
+    for k in range(len(a)):
+        same &= abs(a[k] - b[k]) <= near
+    return same
