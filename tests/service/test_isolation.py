@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import httpx
@@ -238,7 +239,12 @@ async def _killed_after_s(program: str, limit_s: float) -> float:
 def test_a_worker_that_waits_for_a_processor_is_not_killed_for_it() -> None:
     """On a busy machine seconds pass; its own processor time counts. One that sleeps is killed."""
     busy, asleep = "while True: pass", "import time; time.sleep(60)"
-    assert asyncio.run(_killed_after_s(busy, 0.5)) >= 0.4
-    start_s = time.monotonic()
-    assert asyncio.run(_killed_after_s(asleep, 5.0)) < 0.1
+
+    def spent_s(program: str, limit_s: float) -> float:
+        return asyncio.run(_killed_after_s(program, limit_s))
+
+    with ThreadPoolExecutor(1) as thread:  # the browser's loop may run in this one
+        assert thread.submit(spent_s, busy, 0.5).result() >= 0.4
+        start_s = time.monotonic()
+        assert thread.submit(spent_s, asleep, 5.0).result() < 0.1
     assert time.monotonic() - start_s < 4.0
