@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from rendezview.estimation.linear_algebra import invert
+from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert, largest_at
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array, Pose
 
@@ -178,29 +178,28 @@ def step_bank(
             predict(dt, kinds[b], frequency_walk, state, covariance, step)
             if part:
                 places[b] += step
-                off[:] = place - places[b]
+                copy_into(place - places[b], off)
             else:
                 turn = so3.exp(step)
-                rotations[b] = turn @ rotations[b]
+                copy_matrix_into(turn @ rotations[b], rotations[b])
                 carry_attitude(turn, covariance)
-                off[:] = so3.between(rotation, rotations[b])
+                copy_into(so3.between(rotation, rotations[b]), off)
             likely = update(off, error, state, covariance, step)
             scores[part, b] = kept * scores[part, b] + likely
             if part:
                 places[b] += step
             else:
-                rotations[b] = so3.exp(step) @ rotations[b]
-        best = int(scores[part].argmax())
-        if not np.isfinite(scores[part]).all():
-            return False
-        own = slice(3 * part, 3 * part + 3)
+                copy_matrix_into(so3.exp(step) @ rotations[b], rotations[b])
+            if not math.isfinite(scores[part, b]):
+                return False
+        best, own = largest_at(scores[part]), slice(3 * part, 3 * part + 3)
         mix(scores[part], states[part], covariances[part], mean[own], spread[own, own])
         for b in range(len(kinds)):
             if scores[part, b] < scores[part, best] - behind:
                 restart(kinds[b], best, b, states[part], covariances[part])
                 scores[part, b] = scores[part, best] - 0.7 * behind
-                rotations[b] = rotations[b] if part else rotations[best]
-                places[b] = places[best] if part else places[b]
+                copy_into(places[best if part else b], places[b])
+                copy_matrix_into(rotations[b if part else best], rotations[b])
     return True
 
 
@@ -348,7 +347,7 @@ def update(off: Array, error: Array, state: Array, covariance: Array, step: Arra
 @njit(cache=True, nogil=True, error_model="numpy")
 def mix(scores: Array, states: Array, covariances: Array, mean: Array, spread: Array) -> None:
     """Fill mean (3,) and covariance (3, 3) of the rates of B filters, weighted by their scores."""
-    count, total, best = len(scores), 0.0, scores.max()
+    count, total, best = len(scores), 0.0, scores[largest_at(scores)]
     weights, rates = np.empty(count), np.empty((count, 3))
     for b in range(count):
         weights[b] = math.exp(scores[b] - best)
