@@ -33,25 +33,24 @@ from rendezview.training.pyrender_renderer import PyrenderRenderer
 from rendezview.training.rasterizer import NumbaRenderer
 from rendezview.training.renderers import Renderer, working_renderer
 
-# Mesa's own libraries: libEGL alone may be a dispatcher without a driver.
-PLATFORMS = [
-    pytest.param(
-        platform,
-        marks=pytest.mark.skipif(
-            ctypes.util.find_library(library) is None
-            or importlib.util.find_spec("pyrender") is None,
-            reason=f"{library} or pyrender is not installed here",
-        ),
-    )
-    for platform, library in (("egl", "EGL_mesa"), ("osmesa", "OSMesa"))
-]
+# Mesa's own libraries: libEGL alone may be a dispatcher without a driver. One of them is enough.
+PLATFORM = next(
+    (
+        platform
+        for platform, library in (("egl", "EGL_mesa"), ("osmesa", "OSMesa"))
+        if ctypes.util.find_library(library) is not None
+    ),
+    None,
+)
 WINDOW = Window(90, 70, 80.0, 41.3, 36.9)
 
 
-@pytest.fixture(params=PLATFORMS)
-def platform(request, monkeypatch) -> str:
-    monkeypatch.setenv("PYOPENGL_PLATFORM", request.param)
-    return request.param
+@pytest.fixture
+def platform(monkeypatch) -> str:
+    if PLATFORM is None or importlib.util.find_spec("pyrender") is None:
+        pytest.skip("EGL_mesa and OSMesa, or pyrender, are not installed here")
+    monkeypatch.setenv("PYOPENGL_PLATFORM", PLATFORM)
+    return PLATFORM
 
 
 @pytest.fixture
