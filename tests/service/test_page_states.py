@@ -249,9 +249,9 @@ def test_ambiguous_names_the_poses_that_fit(service, sender, open_page, shoot) -
 
 def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, shoot) -> None:
     one, other = sender("ending"), sender("other")
-    page = open_page(f"{service.url}#ending")
     one.send(2)
     other.send(2)
+    page = open_page(f"{service.url}#ending")
     word_is(page, "FOUND")
     text_has(page, "#strip", "other · tracking")
     one.stop()
