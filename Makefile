@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test evidence lint docs clean
+.PHONY: demo test evidence lint docs benchmark clean
 
 demo: $(VENV)/.installed
 	$(BIN)/rendezview demo
@@ -25,6 +25,10 @@ lint: $(VENV)/.installed-dev
 # The site, in build/site; a warning is an error. The notebook is run.
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -q -W --keep-going -c docs/site -d build/doctrees docs build/site
+
+# The short form beside the ratios that are kept in benchmark.json; three minutes, on a quiet machine.
+benchmark: $(VENV)/.installed-dev
+	$(BIN)/python -m experiments benchmark --short --check benchmark.json
 
 $(VENV)/bin/pip:
 	$(PYTHON) -c 'import sys; sys.exit("rendezview needs Python 3.11 or newer, this is " + sys.version.split()[0] + "; set PYTHON=python3.11") if sys.version_info < (3, 11) else None'
