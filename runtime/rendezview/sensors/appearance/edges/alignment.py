@@ -9,7 +9,7 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.estimation.least_squares import tukey_weight
-from rendezview.estimation.linear_algebra import solve_scaled
+from rendezview.estimation.linear_algebra import largest_at, solve_scaled
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import hat, orthonormalise, perturb_into
 from rendezview.io.grey_frame import Picture
@@ -378,7 +378,7 @@ def align_each(
             rough[k] = outline + _INNER_SHARE * inner
             best = max(best, rough[k])
     for _ in range(min(survivors, count)):
-        k = _largest(rough)
+        k = largest_at(rough)
         if rough[k] < _HOPELESS * best or rough[k] <= 0.0:
             break
         rough[k] = 0.0  # done
@@ -388,13 +388,3 @@ def align_each(
                 image, lens, frame, views, rotations[k], centres[k], CLOSE_PX, int(np.int64(1)),
                 edges,
             )  # fmt: skip
-
-
-@njit(cache=True, nogil=True)
-def _largest(values: Array) -> int:
-    """Index of the first of the largest of N > 0 values."""
-    best = 0
-    for k in range(1, len(values)):
-        if values[k] > values[best]:
-            best = k
-    return best
