@@ -38,8 +38,8 @@ class CalibrationError:
         self._covariance = (
             np.zeros((0, 0)) if rig.covariance is None else rig.covariance[np.ix_(kept, kept)]
         )
-        self._last: tuple[Pose, bytes, Array] | None = None
-        self._by_pose = np.empty((0, 6))  # px, of the lights that the last pose shows
+        # Pose, lights that it shows, covariance, and (M, 6) px of these lights by the pose.
+        self._last: tuple[Pose, bytes, Array, Array] | None = None
 
     def __bool__(self) -> bool:
         """Whether the rig has a covariance at all."""
@@ -55,14 +55,14 @@ class CalibrationError:
         seen = np.asarray((weight > 0.0).all(axis=2))
         key = seen.tobytes()
         if self._last is not None:
-            pose, before, covariance = self._last
+            pose, before, covariance, _ = self._last
             away = np.linalg.norm(pose.translation_m - rig_from_target.translation_m)
             near = away < _STILL_SHARE * np.linalg.norm(rig_from_target.translation_m)
             if before == key and near and pose.angle_to(rig_from_target) < _STILL_RAD:
                 return covariance
-        slopes = self._pose_by_parameters(rig_from_target, weight, seen)
+        slopes, by_pose = self._pose_by_parameters(rig_from_target, weight, seen)
         covariance = slopes @ self._covariance @ slopes.T
-        self._last = rig_from_target, key, covariance
+        self._last = rig_from_target, key, covariance, by_pose
         return covariance
 
     def noise(self, weight: Array) -> Array | None:
@@ -75,7 +75,8 @@ class CalibrationError:
             weight: (C, L, 2) as `covariance` had it, of the same lights.
         """
         cameras = self.rig.cameras
-        if any(camera.misfit is None for camera in cameras) or not len(self._by_pose):
+        by_pose = np.empty((0, 6)) if self._last is None else self._last[3]
+        if any(camera.misfit is None for camera in cameras) or not len(by_pose):
             return None
         seen = np.asarray((weight > 0.0).all(axis=2))
         scale = self._scale(weight, seen)
@@ -84,7 +85,7 @@ class CalibrationError:
             for camera, row in zip(cameras, seen, strict=True)
         ]
         share = np.clip(1.0 - np.concatenate(less) * scale**2, 0.0, 1.0)
-        slopes = scale[:, None] * self._by_pose
+        slopes = scale[:, None] * by_pose
         inverse = np.linalg.inv(slopes.T @ slopes)
         return np.asarray(inverse @ (slopes.T @ (share[:, None] * slopes)) @ inverse)
 
@@ -97,8 +98,10 @@ class CalibrationError:
             ]
         )
 
-    def _pose_by_parameters(self, pose: Pose, weight: Array, seen: npt.NDArray[np.bool_]) -> Array:
-        """(6, P) how a pose follows the parameters of the calibration."""
+    def _pose_by_parameters(
+        self, pose: Pose, weight: Array, seen: npt.NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """(6, P) how a pose follows the parameters of the calibration; (M, 6) px by the pose."""
         cameras = self.rig.cameras
         lit = [np.flatnonzero(row) for row in seen]
         scale = self._scale(weight, seen)
@@ -125,7 +128,6 @@ class CalibrationError:
                 places(None, None, pose.perturbed(-step)),
             )
             by_pose[:, i] = (ahead - behind) / (2.0 * h)
-        self._by_pose = by_pose
         by_parameter = np.empty((len(scale), len(self._parameters)))
         sigma = np.sqrt(np.diag(self._covariance))
         for i, (k, name) in enumerate(self._parameters):
@@ -135,7 +137,7 @@ class CalibrationError:
         solved = np.linalg.lstsq(
             scale[:, None] * by_pose, scale[:, None] * by_parameter, rcond=None
         )[0]
-        return np.asarray(-solved)
+        return np.asarray(-solved), by_pose
 
 
 def moved(camera: RigCamera, name: str, step: float) -> RigCamera:
