@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import secrets
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict
 
+from rendezview.io.files import atomic_write_text
 from rendezview.service.approach_messages import Level
 from rendezview.service.messages import SessionRequest
 
@@ -45,10 +44,11 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Replace the file at once: a reader sees the old one or the new one.
 
     It is not forced to the disk: the end of a process does not lose it, loss of power can.
+
+    Raises:
+        RendezviewError: the folder is missing, the disk full, permission denied …
     """
-    trial = path.with_name(f".{secrets.token_hex(4)}.tmp")
-    trial.write_text(checkpoint.model_dump_json())
-    os.replace(trial, path)
+    atomic_write_text(path, checkpoint.model_dump_json(), durable=False)
 
 
 def read_checkpoint(path: Path) -> Checkpoint | None:
