@@ -38,7 +38,7 @@ def light_of(pinhole, pattern, pose, look, factor=1.0):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("factor", [0.8, 1.25])
+@pytest.mark.parametrize("factor", [0.8, 1.12, 1.25])
 def test_dots_of_another_diameter_are_found_and_told(pinhole, three, paper_camera, factor):
     rng, look, pose = np.random.default_rng(0), Look(), pose_of(SIX, three)
     sensor, reading = ReflectorSensor(paper_camera, [three]), None
@@ -46,10 +46,23 @@ def test_dots_of_another_diameter_are_found_and_told(pinhole, three, paper_camer
         frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look, factor), look, rng))
         reading = sensor.update(0.1 * k, frames)
     assert reading.pose.angle_to(pose) < 0.01
-    told = re.match(r"dots measure (\d+) % (larger|smaller)", reading.note)
+    told = re.fullmatch(
+        r"dots measure (\d+) % (larger|smaller) than target.toml says", reading.note
+    )
     assert int(told[1]) == pytest.approx(100 * abs(factor - 1.0), abs=4)
     assert told[2] == ("larger" if factor > 1.0 else "smaller")
     assert reading.record()["note"] == reading.note
+
+
+def test_dots_of_the_right_diameter_are_not_told(pinhole, three, paper_camera):
+    rng, pose = np.random.default_rng(5), pose_of(SIX, three)
+    for look in (Look(), Look(blur=0.85), Look(even=True), Look(peak=400.0)):
+        sensor = ReflectorSensor(paper_camera, [three])
+        for k in range(3):
+            frames = LitDark(*pair(pinhole, light_of(pinhole, three, pose, look), look, rng))
+            reading = sensor.update(0.1 * k, frames)
+        assert reading.pose is not None
+        assert reading.note is None
 
 
 def test_another_blur_is_found(pinhole, three, paper_camera):

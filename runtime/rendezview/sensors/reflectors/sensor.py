@@ -21,7 +21,7 @@ from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined
 from rendezview.sensors.reflectors.spots import SpotTable, find_spots
-from rendezview.sensors.reflectors.tolerance import fit_dots
+from rendezview.sensors.reflectors.tolerance import DotSizes, fit_dots
 from rendezview.sensors.reflectors.track import (
     Branch,
     Track,
@@ -61,7 +61,6 @@ class ReflectorSensor:
         self.tracking = tracking or TrackingOptions()
         self._given = patterns, acquisition or AcquisitionOptions()
         self._expect(*self._given)
-        self._note: str | None = None
         self._faces = {pattern.name: Face.of(pattern) for pattern in patterns}
         self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
@@ -93,9 +92,9 @@ class ReflectorSensor:
         with self._lock:
             self._track, self._unconfirmed, self._last_s = None, None, -np.inf
             self._rates.clear()
-            if self._note is not None:
+            self._dots.clear()
+            if self.patterns is not self._given[0]:
                 self._expect(*self._given)
-                self._note = None
 
     def update(
         self, time_s: float, frames: LitDark, acceleration: npt.ArrayLike | None = None
@@ -180,12 +179,13 @@ class ReflectorSensor:
         hidden = self._fit.hidden
         self._expect(fitted.patterns, fitted.options)
         self._fit.hidden = hidden
-        self._note = fitted.note
+        self._dots.told = fitted.note
         return fitted.found
 
     def _expect(self, patterns: list[ReflectorPattern], options: AcquisitionOptions) -> None:
         self.patterns, self.constellation = patterns, merged(patterns)
         self.acquirer = Acquirer(self.camera, patterns, options)
+        self._dots = DotSizes(self.camera, self.constellation, options)
         self._fit = WindowFit(self.camera, self.constellation, options, self.tracking)
 
     def _adopt(
@@ -359,9 +359,8 @@ class ReflectorSensor:
     ) -> None:
         last = self._track
         bright, unseen = np.empty(len(table)), np.empty(len(table), np.int64)
-        if last is None:
-            since, before, before_s = self._never, self._nowhere, time_s
-        else:
+        since, before, before_s = self._never, self._nowhere, time_s
+        if last is not None:
             since, before, before_s = last.unseen, last.places, last.time_s
         if last is None or last.misses > self.tracking.coast:
             before, before_s = self._nowhere, time_s
@@ -392,9 +391,10 @@ class ReflectorSensor:
         face = self._faces[whole.name]
         six = face.six_numbers(pose)
         rates = self._rates.add(time_s, pose, refined.covariance, face)
+        self._dots.take(pose, spots, names)
         stage_ms["rates"] = 1e3 * (time.perf_counter() - begin)
         return ReflectorObservation(
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
             rates=rates, spots=spots, reflectors=names, group=whole.name,
-            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms, note=self._note,
+            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms, note=self._dots.note,
         )  # fmt: skip

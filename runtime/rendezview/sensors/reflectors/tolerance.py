@@ -2,7 +2,8 @@
 
 Dots that are printed larger look larger than expected at their range, and so they do in a camera
 out of focus: no triplet passes. Then other diameters and blurs are tried. All that find the target
-must find the same pose. The sizes of the found spots say which diameter or blur it is.
+must find the same pose. The sizes of the found spots say which diameter or blur it is. Dots that
+differ less are found anyway; what their sizes say while they are followed is told, too.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors.acquisition import Acquirer
+from rendezview.geometry.pose import Array, Pose
+from rendezview.sensors.reflectors.acquisition import Acquirer, merged
 from rendezview.sensors.reflectors.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.reflectors.discs import camera_numbers
 from rendezview.sensors.reflectors.matching import expect_spots
@@ -32,6 +34,9 @@ _LEAST_SURE = 8.0  # χ² of the triplet at most. Source: as AcquisitionOptions.
 _SAME_SHARE = 0.02  # of the range, between poses that agree. Source: by construction, 5 × the error
 _BLURRED = 0.75  # blur over size from which a size tells the blur. Source: by construction, σ / 2
 _TOLD_DIAMETER, _TOLD_BLUR = 0.05, 0.25  # ln, that is worth a word. Source: by construction
+_TOLD_SIGMA = 2.0  # of what a blur that is not known makes of the diameter. Source: by construction
+_READINGS = 5  # whose diameters are averaged. Source: by construction
+_NEARER = 0.8  # × the range: the dots tell more and are measured again. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,16 +80,22 @@ def fit_dots(
     if best is None:
         return None
     _, diameter, blur, found = best
+    assert found.refined is not None
     step, share = _size_error(
-        camera, scaled(patterns, diameter), replace(options, blur_px=blur * options.blur_px), found,
-        spots,
+        camera, merged(scaled(patterns, diameter)), blur * options.blur_px,
+        found.refined.camera_from_target, found.reflectors, spots.size_px[found.spot_indices],
     )  # fmt: skip
     if share < _BLURRED:
         diameter *= math.exp(step / (1.0 - share * share))
     else:
         blur *= math.exp(step / (share * share))
     fitted = replace(options, blur_px=blur * options.blur_px)
-    return Fitted(scaled(patterns, diameter), fitted, found, _words(diameter, blur, fitted.blur_px))
+    words = [] if abs(math.log(diameter)) < _TOLD_DIAMETER else [_of_diameter(diameter)]
+    if abs(math.log(blur)) > _TOLD_BLUR:
+        words.append(
+            f"the blur is {fitted.blur_px:.1f} px (one σ): give --blur {fitted.blur_px:.1f}"
+        )
+    return Fitted(scaled(patterns, diameter), fitted, found, "; ".join(words) or None)
 
 
 def _agree(one: Acquisition, other: Acquisition) -> bool:
@@ -97,33 +108,74 @@ def _agree(one: Acquisition, other: Acquisition) -> bool:
 
 def _size_error(
     camera: Camera,
-    patterns: list[ReflectorPattern],
-    options: AcquisitionOptions,
-    found: Acquisition,
-    spots: SpotTable,
+    pattern: ReflectorPattern,
+    blur_px: float,
+    pose: Pose,
+    which: npt.ArrayLike,
+    sizes_px: Array,
 ) -> tuple[float, float]:
     """Mean ln of size over expected size, and mean share of the blur in the size."""
-    assert found.refined is not None
-    constellation = Acquirer(camera, patterns, options).constellation
-    pose: Pose = found.refined.camera_from_target
-    expected = np.empty((len(constellation), 3))
+    expected = np.empty((len(pattern), 3))
     expect_spots(
-        camera_numbers(camera, options.blur_px), constellation.positions_m, constellation.normals,
-        constellation.diameters_m, np.ascontiguousarray(pose.rotation),
-        np.ascontiguousarray(pose.translation_m), camera.fx, options.blur_px, expected,
+        camera_numbers(camera, blur_px), pattern.positions_m, pattern.normals, pattern.diameters_m,
+        np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.translation_m), camera.fx,
+        blur_px, expected,
     )  # fmt: skip
-    sizes = expected[found.reflectors, 2]
-    errors = np.log(spots.size_px[found.spot_indices] / sizes)
-    return float(errors.mean()), float(np.minimum(options.blur_px / sizes, 1.0).mean())
+    sizes = expected[which, 2]
+    errors = np.log(sizes_px / sizes)
+    return float(errors.mean()), float(np.minimum(blur_px / sizes, 1.0).mean())
 
 
-def _words(diameter: float, blur: float, blur_px: float) -> str | None:
-    words = []
-    if abs(math.log(diameter)) > _TOLD_DIAMETER:
-        kind = "larger" if diameter > 1.0 else "smaller"
-        words.append(
-            f"dots measure {100.0 * abs(diameter - 1.0):.0f} % {kind} than the target file says"
-        )
-    if abs(math.log(blur)) > _TOLD_BLUR:
-        words.append(f"the blur is {blur_px:.1f} px (one σ): give --blur {blur_px:.1f}")
-    return "; ".join(words) or None
+def _of_diameter(factor: float) -> str:
+    kind = "larger" if factor > 1.0 else "smaller"
+    return f"dots measure {100.0 * abs(factor - 1.0):.0f} % {kind} than target.toml says"
+
+
+class DotSizes:
+    """The diameter of the dots while they are followed, beside what the target file says."""
+
+    def __init__(
+        self, camera: Camera, pattern: ReflectorPattern, options: AcquisitionOptions
+    ) -> None:
+        self._given = camera, pattern, options.blur_px
+        self._sigmas = options.size_sigma, options.blur_sigma
+        self.told: str | None = None  # by `fit_dots`, whose diameter is used
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the readings."""
+        self._range_m, self._sigma = math.inf, 0.0
+        self._steps: list[float] = []
+
+    @property
+    def note(self) -> str | None:
+        """What is different, in words; None where nothing is sure to be."""
+        if self.told or not self._steps:
+            return self.told
+        step = sum(self._steps) / len(self._steps)
+        sure = abs(step) > max(_TOLD_DIAMETER, _TOLD_SIGMA * self._sigma)
+        return _of_diameter(math.exp(step)) if sure else None
+
+    def take(self, pose: Pose, spots: SpotTable, names: tuple[str | None, ...]) -> None:
+        """Measure the dots of a reading, unless those of nearer readings were measured.
+
+        A blur that differs looks like a diameter that does: the more, the more blurred a dot is.
+        """
+        camera, pattern, blur_px = self._given
+        far = float(np.linalg.norm(pose.translation_m))
+        if far < _NEARER * self._range_m:
+            self.clear()
+            self._range_m = far
+        if len(self._steps) >= _READINGS or _NEARER * far > self._range_m:
+            return
+        whole = spots.saturated_px < 1.0
+        rows = [k for k, name in enumerate(names) if name is not None and whole[k]]
+        if not rows:
+            return
+        which = [pattern.names.index(name) for k in rows if (name := names[k]) is not None]
+        step, share = _size_error(camera, pattern, blur_px, pose, which, spots.size_px[rows])
+        if share < _BLURRED:
+            size, blur = self._sigmas
+            of_disc = 1.0 - share * share
+            self._steps.append(step / of_disc)
+            self._sigma = math.hypot(share * share * blur, size / math.sqrt(len(rows))) / of_disc
