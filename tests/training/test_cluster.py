@@ -316,7 +316,8 @@ def test_an_address_without_a_scheduler_is_refused():
 )
 def test_the_command_says_in_one_line_why_there_is_no_cluster(tmp_path, before, reason):
     program = f"import sys; {before}from rendezview.cli.main import main; main()"
-    command = ["train", "scole", "-o", str(tmp_path / "m.rvm"), "--dask", "tcp://127.0.0.1:1"]
+    # Refused at once; a port where nobody listens is tried for ten seconds.
+    command = ["train", "scole", "-o", str(tmp_path / "m.rvm"), "--dask", "ftp://x:1"]
     done = subprocess.run(
         [sys.executable, "-c", program, *command], capture_output=True, text=True, check=False
     )
