@@ -129,7 +129,7 @@ def test_mixed_rates_are_those_of_plain_numpy():
     root = rng.normal(0.0, 0.1, (4, 13, 13))
     covariances, states = root @ root.transpose(0, 2, 1), rng.normal(0.0, 0.1, (4, 13))
     scores, mean, spread = rng.normal(0.0, 2.0, 4), np.zeros(3), np.zeros((3, 3))
-    bank_module.mix(scores, states, covariances, mean, spread)
+    bank_module.mix(scores, states, covariances, 0, mean, spread)
     weights = np.exp(scores) / np.exp(scores).sum()
     both = np.hstack([np.zeros((3, 3)), np.eye(3), np.eye(3), np.zeros((3, 4))])
     rates = states @ both.T

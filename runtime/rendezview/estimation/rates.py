@@ -116,8 +116,8 @@ class RateBank:
         kept = math.exp(-max(dt, 0.0) / options.memory_s)
         sound = step_bank(
             dt, self._kinds[0], self._kinds[1], self._rotations, self._places, self._states,
-            self._covariances, self._scores, np.ascontiguousarray(pose.rotation),
-            np.ascontiguousarray(pose.translation_m), np.ascontiguousarray(covariance),
+            self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
+            np.ascontiguousarray(covariance),
             kept, options.frequency_walk, options.behind, rates, spread,
         )  # fmt: skip
         if not sound:
@@ -139,7 +139,10 @@ class RateBank:
 @njit(cache=True, nogil=True, error_model="numpy")
 def begin(kind: Array, state: Array, covariance: Array) -> None:
     """Fill state (13,) and covariance (13, 13) of a filter that knows nothing."""
-    state[:], covariance[:] = 0.0, 0.0
+    for i in range(_STATES):
+        state[i] = 0.0
+        for j in range(_STATES):
+            covariance[i, j] = 0.0
     for first, column in ((_MEAN, FIRST_MEAN), (_SWING, FIRST_SWING), (_CHANGE, FIRST_CHANGE)):
         for i in range(first, first + 3):
             covariance[i, i] = kind[column] ** 2
@@ -169,31 +172,28 @@ def step_bank(
     Returns:
         False where a covariance is singular or a number is not finite: nothing is known.
     """
-    step, off = np.empty(3), np.empty(3)
+    step, off, turn, error = np.empty(3), np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     for part in range(2):
         kinds = moves if part else turns
-        error = np.ascontiguousarray(measured[3 * part : 3 * part + 3, 3 * part : 3 * part + 3])
+        for i in range(3):
+            for j in range(3):
+                error[i, j] = measured[3 * part + i, 3 * part + j]
         for b in range(len(kinds)):
             state, covariance = states[part, b], covariances[part, b]
             predict(dt, kinds[b], frequency_walk, state, covariance, step)
-            if part:
-                places[b] += step
-                copy_into(place - places[b], off)
-            else:
-                turn = so3.exp(step)
-                copy_matrix_into(turn @ rotations[b], rotations[b])
+            so3.exp_into(step, turn)
+            if not part:
                 carry_attitude(turn, covariance)
-                copy_into(so3.between(rotation, rotations[b]), off)
-            likely = update(off, error, state, covariance, step)
-            scores[part, b] = kept * scores[part, b] + likely
-            if part:
-                places[b] += step
-            else:
-                copy_matrix_into(so3.exp(step) @ rotations[b], rotations[b])
+            for correction in range(2):  # the step of the prediction, then that of the update
+                if correction:
+                    scores[part, b] = kept * scores[part, b] + update(
+                        off, error, state, covariance, step
+                    )
+                _move(part, step, rotation, place, rotations[b], places[b], off)
             if not math.isfinite(scores[part, b]):
                 return False
-        best, own = largest_at(scores[part]), slice(3 * part, 3 * part + 3)
-        mix(scores[part], states[part], covariances[part], mean[own], spread[own, own])
+        best = largest_at(scores[part])
+        mix(scores[part], states[part], covariances[part], 3 * part, mean, spread)
         for b in range(len(kinds)):
             if scores[part, b] < scores[part, best] - behind:
                 restart(kinds[b], best, b, states[part], covariances[part])
@@ -201,6 +201,23 @@ def step_bank(
                 copy_into(places[best if part else b], places[b])
                 copy_matrix_into(rotations[b if part else best], rotations[b])
     return True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _move(
+    part: int, step: Array, rotation: Array, place: Array, own_rotation: Array, own_place: Array,
+    off: Array,
+) -> None:  # fmt: skip
+    """Turn (part 0) or move (1) a filter's own pose by a step; ``off``: how far a reading is."""
+    if part:
+        for i in range(3):
+            own_place[i] += step[i]
+            off[i] = place[i] - own_place[i]
+        return
+    turned = np.empty((3, 3))
+    so3.perturb_into(step, own_rotation, turned)
+    copy_matrix_into(turned, own_rotation)
+    copy_into(so3.between(rotation, turned), off)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -326,7 +343,8 @@ def update(off: Array, error: Array, state: Array, covariance: Array, step: Arra
         likely += math.log(lower[i, i])
         for j in range(3):
             likely -= 0.5 * off[i] * inverse[i, j] * off[j]
-    gain, before = np.zeros((_STATES, 3)), covariance[:3].copy()
+    gain, before = np.zeros((_STATES, 3)), np.empty((3, _STATES))
+    copy_matrix_into(covariance[:3], before)
     for i in range(_STATES):
         change = 0.0
         for j in range(3):
@@ -345,8 +363,13 @@ def update(off: Array, error: Array, state: Array, covariance: Array, step: Arra
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def mix(scores: Array, states: Array, covariances: Array, mean: Array, spread: Array) -> None:
-    """Fill mean (3,) and covariance (3, 3) of the rates of B filters, weighted by their scores."""
+def mix(
+    scores: Array, states: Array, covariances: Array, first: int, mean: Array, spread: Array
+) -> None:
+    """Add mean and covariance of the rates of B filters, weighted by their scores.
+
+    To the three elements of ``mean`` from ``first`` on, and to their block of ``spread``.
+    """
     count, total, best = len(scores), 0.0, scores[largest_at(scores)]
     weights, rates = np.empty(count), np.empty((count, 3))
     for b in range(count):
@@ -356,12 +379,13 @@ def mix(scores: Array, states: Array, covariances: Array, mean: Array, spread: A
         weights[b] /= total
         for i in range(3):
             rates[b, i] = states[b, _MEAN + i] + states[b, _SWING + i]
-            mean[i] += weights[b] * rates[b, i]
+            mean[first + i] += weights[b] * rates[b, i]
     for b in range(count):
         for i in range(3):
             for j in range(3):
-                own = (rates[b, i] - mean[i]) * (rates[b, j] - mean[j])
-                spread[i, j] += weights[b] * (own + _rate_error(covariances[b], i, j))
+                own = (rates[b, i] - mean[first + i]) * (rates[b, j] - mean[first + j])
+                own += _rate_error(covariances[b], i, j)
+                spread[first + i, first + j] += weights[b] * own
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

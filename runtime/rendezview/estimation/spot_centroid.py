@@ -46,7 +46,7 @@ TOTAL, MX, MY, MXX, MYY, NORM, LEVER = range(7)
 Moments = tuple[float, float, float, float, float, float, float]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def window_moments(
     image: Grey, dark: Grey, background: float, x: float, y: float, sigma: float,
     box: tuple[int, int, int, int], columns: Array, rows: Array,
@@ -259,14 +259,14 @@ def ring_plane(
     return level, kept_x, kept_y, math.sqrt(white + _GRAIN_PX2 * grain), doubt
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _kept(slope: float, variance: float) -> float:
     """The slope less what chance adds to it; 0 up to two of its σ (James and Stein)."""
     square = slope * slope
     return slope * (1.0 - 4.0 * variance / square) if square > 4.0 * variance else 0.0
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _frame_about(box: tuple[int, int, int, int]) -> tuple[float, float, int, int]:
     """Middle and half sides of the frame about a box: half as far again, and 3 px."""
     x0, x1, y0, y1 = box
@@ -274,7 +274,7 @@ def _frame_about(box: tuple[int, int, int, int]) -> tuple[float, float, int, int
     return 0.5 * (x0 + x1), 0.5 * (y0 + y1), (x1 - x0) // 2 + grow, (y1 - y0) // 2 + grow
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _on_frame(k: int, half_x: int, half_y: int) -> tuple[int, int]:
     """Pixel k of the frame ±half_x, ±half_y, clockwise from its first corner."""
     wide, high = 2 * half_x, 2 * half_y
@@ -287,7 +287,7 @@ def _on_frame(k: int, half_x: int, half_y: int) -> tuple[int, int]:
     return -half_x, half_y - (k - 2 * wide - high)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def saturated_error(error: float, saturated: int) -> float:
     """The error of a spot with so many saturated pixels, px."""
     return math.hypot(error, _SATURATED_PX * math.sqrt(saturated)) if saturated > 1 else error

@@ -30,7 +30,7 @@ class Pose:
     translation_m: Array  # (3,)
 
     def __post_init__(self) -> None:
-        rotation = np.array(self.rotation, dtype=np.float64)
+        rotation = np.array(self.rotation, dtype=np.float64, order="C")
         translation_m = np.array(self.translation_m, dtype=np.float64)
         if rotation.shape != (3, 3) or translation_m.shape != (3,):
             raise ValueError(

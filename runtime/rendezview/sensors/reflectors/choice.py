@@ -239,7 +239,7 @@ class Chooser:
         which, pattern, pose = hypothesis.which, self.constellation, hypothesis.pose
         return bool(
             least_facing(
-                np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.translation_m),
+                pose.rotation.copy(), pose.translation_m.copy(),
                 pattern.positions_m[which], pattern.normals[which],
             )
             > math.cos(1.2 * self.options.tilt_rad)
@@ -268,7 +268,7 @@ class Chooser:
         found = refined.camera_from_target
         sizes = size_score(
             pattern.positions_m[which], pattern.normals[which], pattern.diameters_m[which],
-            np.ascontiguousarray(found.rotation), np.ascontiguousarray(found.translation_m),
+            found.rotation.copy(), found.translation_m.copy(),
             self.camera.fx, options.blur_px, spots.size_px[where],
             (options.size_sigma, options.diameter_sigma, options.blur_sigma),
         )  # fmt: skip
@@ -296,7 +296,7 @@ def _plane(pattern: ReflectorPattern, which: tuple[int, ...]) -> tuple[Array, Ar
     return middle, np.ascontiguousarray(np.linalg.svd(points - middle)[2][2])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def mirror_into(
     rotation: Array, translation: Array, middle: Array, normal: Array, out: Array, moved: Array
 ) -> None:
@@ -306,15 +306,23 @@ def mirror_into(
         rotation, translation: of the pose.
         middle, normal: (3,) of a plane, target frame.
     """
-    place, turned = rotation @ middle + translation, rotation @ normal
-    sight = place / math.sqrt(place[0] ** 2 + place[1] ** 2 + place[2] ** 2)
+    sight, turned = np.empty(3), np.empty(3)
+    for i in range(3):
+        sight[i], turned[i] = translation[i], 0.0
+        for j in range(3):
+            sight[i] += rotation[i, j] * middle[j]
+            turned[i] += rotation[i, j] * normal[j]
+    far = math.sqrt(sight[0] ** 2 + sight[1] ** 2 + sight[2] ** 2)
+    for i in range(3):
+        moved[i] = sight[i]
+        sight[i] /= far
     along = sight[0] * turned[0] + sight[1] * turned[1] + sight[2] * turned[2]
     for j in range(3):
         row = sight[0] * rotation[0, j] + sight[1] * rotation[1, j] + sight[2] * rotation[2, j]
         row -= 2.0 * along * normal[j]
         for i in range(3):
             out[i, j] = rotation[i, j] - 2.0 * turned[i] * normal[j] - 2.0 * sight[i] * row
-    moved[:] = place - out @ middle
+            moved[i] -= out[i, j] * middle[j]
 
 
 def _ambiguous(best: float, rival: float) -> Acquisition:

@@ -16,14 +16,14 @@ Line = tuple[float, float, float]  # l0 X + l1 Y + l2 = 0
 Point = tuple[float, float]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def unit_conic(c: Conic) -> Conic:
     """The conic scaled to a largest coefficient of 1."""
     f = 1.0 / max(abs(c[0]), abs(c[1]), abs(c[2]), abs(c[3]), abs(c[4]), abs(c[5]), 1e-300)
     return c[0] * f, c[1] * f, c[2] * f, c[3] * f, c[4] * f, c[5] * f
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def blend(a: Conic, f: float, b: Conic, g: float) -> Conic:
     """f a + g b."""
     return (
@@ -36,7 +36,7 @@ def blend(a: Conic, f: float, b: Conic, g: float) -> Conic:
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def adjugate(c: Conic) -> Conic:
     """Of [[c0, c1, c3], [c1, c2, c4], [c3, c4, c5]], in the same order (00 01 11 02 12 22)."""
     return (
@@ -49,21 +49,21 @@ def adjugate(c: Conic) -> Conic:
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def determinant(c: Conic) -> float:
     """Of the conic's matrix; 0 where it is degenerate, a pair of lines."""
     m = adjugate(c)
     return c[0] * m[0] + c[1] * m[1] + c[3] * m[3]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def mixed_determinant(a: Conic, b: Conic) -> float:
     """tr(adj(a) b): the coefficient of a² b in det(a + b)."""
     m = adjugate(a)
     return m[0] * b[0] + m[2] * b[2] + m[5] * b[5] + 2.0 * (m[1] * b[1] + m[3] * b[3] + m[4] * b[4])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def isolated_root(c3: float, c2: float, c1: float, c0: float) -> float:
     """The real root of a cubic that is farthest from the others; c3 is not 0."""
     b, c, d = c2 / c3, c1 / c3, c0 / c3
@@ -87,7 +87,7 @@ def isolated_root(c3: float, c2: float, c1: float, c0: float) -> float:
     return x
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def split_lines(c: Conic) -> tuple[bool, Line, Line]:
     """A degenerate conic as two lines (l0 X + l1 Y + l2 = 0); false where they are not real."""
     m = adjugate(c)
@@ -131,7 +131,7 @@ def split_lines(c: Conic) -> tuple[bool, Line, Line]:
     return True, row, column
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def meet(line: Line, c: Conic) -> tuple[Point, Point]:
     """Where a line meets a conic: two points (X, Y); NaN where they are clearly complex."""
     l0, l1, l2 = line
@@ -153,7 +153,7 @@ def meet(line: Line, c: Conic) -> tuple[Point, Point]:
     return (t0, f * t0 + g), (t1, f * t1 + g)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _quadratic(a: float, b: float, c: float) -> tuple[float, float]:
     """Roots of a t² + 2 b t + c, a pair that is nearly real as its real part and NaN."""
     disc = b * b - a * c

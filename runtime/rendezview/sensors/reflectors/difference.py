@@ -185,7 +185,7 @@ def noise_grey(frames: LitDark) -> float:
     return max(float(median) / (0.6745 * math.sqrt(2.0)), 0.3)  # 0.3: rounding only
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _count_steps(lit: Grey, dark: Grey, counts: npt.NDArray[np.int64]) -> None:
     """How often neighbours in a row differ by so many grey levels; the difference's where dark."""
     for v in range(0, lit.shape[0], _NOISE_STEP):

@@ -49,7 +49,7 @@ def predict_spots(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def project_disc(
     lens: Array, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float
 ) -> tuple[float, float]:
@@ -72,7 +72,7 @@ def project_disc(
     return lens[0] * du + lens[2], lens[1] * dv + lens[3]
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def disc_radius(
     focal_px: float, x: float, y: float, z: float, nx: float, ny: float, nz: float, radius: float
 ) -> float:
@@ -86,7 +86,7 @@ def disc_radius(
     return radius * focal_px / z * math.sqrt(max(0.5 * (2.0 + u * u + v * v - a * a - b * b), 0.0))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _project_all(
     lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
     out: Array,
@@ -99,7 +99,7 @@ def _project_all(
         )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def placed(
     rotation: Array, translation: Array, points: Array, i: int
 ) -> tuple[float, float, float]:
@@ -112,7 +112,7 @@ def placed(
     )
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def turned(rotation: Array, vectors: Array, i: int) -> tuple[float, float, float]:
     """Vector i of the target on the camera's axes."""
     p, q, r = vectors[i, 0], vectors[i, 1], vectors[i, 2]

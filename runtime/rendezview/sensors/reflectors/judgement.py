@@ -31,7 +31,7 @@ _SLACK_FIRST = 0.3
 _SIZE_REACH = 0.3
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def judge(
     triplets: Ints, directions: Array, sizes: Array, peaks: Array, points: Array, normals: Array,
     diameters: Array, focal_px: float, blur_px: float, tolerances: Tolerances, window: Array,
@@ -57,10 +57,13 @@ def judge(
     rays = np.empty((3, 3))
     rotations, translations = np.empty((MAX_ROOTS, 3, 3)), np.empty((MAX_ROOTS, 3))
     model = np.empty(9)
-    log_size, log_peak = np.log(sizes), np.log(peaks)
+    log_size, log_peak = np.empty(len(sizes)), np.empty(len(peaks))
+    for s in range(len(sizes)):
+        log_size[s], log_peak[s] = math.log(sizes[s]), math.log(peaks[s])
     screened = quick and _model(points, normals, diameters, model)
     for n in range(triplets.shape[0]):
-        scores[n] = np.inf
+        for k in range(MAX_ROOTS):
+            scores[n, k] = np.inf
         if screened and _hopeless(
             model, triplets[n, 0], triplets[n, 1], triplets[n, 2], directions, log_size, log_peak,
             focal_px, blur_px, tolerances, window, score_limit,
@@ -83,7 +86,7 @@ def judge(
                 poses[n, k, 9 + i] = translations[k, i]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _score(
     rotation: Array, translation: Array, points: Array, normals: Array, diameters: Array,
     triplet: Ints, log_size: Array, log_peak: Array, focal_px: float, blur_px: float,
@@ -126,7 +129,7 @@ def _score(
     return float(chi + least)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def common_variance(share: float, diameter_sigma: float, blur_sigma: float) -> float:
     """Variance of ln(size) that an error of diameter and of blur makes in all spots alike.
 
@@ -136,7 +139,7 @@ def common_variance(share: float, diameter_sigma: float, blur_sigma: float) -> f
     return ((1.0 - blurred) * diameter_sigma) ** 2 + (blurred * blur_sigma) ** 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _model(points: Array, normals: Array, diameters: Array, out: Array) -> bool:
     """Constants of a triangle for the quick pose; false where its discs differ too much for it.
 
@@ -351,7 +354,7 @@ def _scaled(
     return w, math.sqrt(w) / wide, x, y
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def least_facing(rotation: Array, translation: Array, points: Array, normals: Array) -> float:
     """Least cosine between a reflector's normal and its line of sight; below 0 one faces away."""
     least = 1.0
@@ -362,7 +365,7 @@ def least_facing(rotation: Array, translation: Array, points: Array, normals: Ar
     return float(least)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def facing_root(
     rotations: Array, translations: Array, count: int, points: Array, normals: Array
 ) -> int:

@@ -17,7 +17,7 @@ Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def expect_spots(
     lens: Array, points: Array, normals: Array, diameters: Array, rotation: Array,
     translation: Array, focal_px: float, blur_px: float, out: Array,
@@ -37,7 +37,7 @@ def expect_spots(
         )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def match_spots(
     lens: Array, points: Array, normals: Array, diameters: Array, rotation: Array,
     translation: Array, focal_px: float, blur_px: float, order: Ints, table: Array, usable: Ints,
@@ -74,7 +74,7 @@ def match_spots(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def match_all(
     lens: Array, points: Array, normals: Array, diameters: Array, poses: Array, focal_px: float,
     blur_px: float, orders: Ints, table: Array, usable: Ints, triplets: Ints,
@@ -87,12 +87,14 @@ def match_all(
             focal_px, blur_px, orders[k], table, usable, triplets[k], limits, which[k], where[k],
         )  # fmt: skip
         # In the order of the reflectors, so that equal matches compare equal.
-        sort = np.argsort(which[k, : counts[k]])
-        which[k, : counts[k]] = which[k, : counts[k]][sort]
-        where[k, : counts[k]] = where[k, : counts[k]][sort]
+        for i in range(1, counts[k]):
+            for j in range(i, 0, -1):
+                if which[k, j - 1] > which[k, j]:
+                    which[k, j - 1], which[k, j] = which[k, j], which[k, j - 1]
+                    where[k, j - 1], where[k, j] = where[k, j], where[k, j - 1]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def size_score(
     points: Array, normals: Array, diameters: Array, rotation: Array, translation: Array,
     focal_px: float, blur_px: float, sizes: Array, sigmas: tuple[float, float, float],

@@ -108,7 +108,7 @@ def _checked(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     return array
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _batch(
     rays: Array, points: Array, residual: float, rotations: Array, translations: Array,
     counts: Counts,
@@ -118,7 +118,7 @@ def _batch(
         counts[n] = p3p_roots(rays[n], model, residual, rotations[n], translations[n])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def p3p_roots(
     rays: Array, points: Array, residual: float, rotations: Array, translations: Array
 ) -> int:
@@ -178,12 +178,12 @@ def p3p_roots(
     return count
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _minus(points: Array, i: int, j: int) -> tuple[float, float, float]:
     return points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _frame(ux: float, uy: float, uz: float, vx: float, vy: float, vz: float) -> _Axes:
     """Right-handed frame of two sides of a triangle, axis by axis; (2, 0, …) where it has none."""
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -194,7 +194,7 @@ def _frame(ux: float, uy: float, uz: float, vx: float, vy: float, vz: float) -> 
     return ux, uy, uz, ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux, nx, ny, nz
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ratios(
     sides: tuple[float, float, float], angles: tuple[float, float, float], s: float
 ) -> tuple[_Root, _Root, _Root, _Root]:
@@ -256,7 +256,7 @@ def _ratios(
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _polish(
     point: tuple[float, float], sides: tuple[float, float, float],
     angles: tuple[float, float, float], s: float,

@@ -212,7 +212,7 @@ class Face:
         """The six numbers of a pose."""
         out = np.empty(6)
         _six(
-            camera_from_target.rotation, camera_from_target.translation_m,
+            camera_from_target.rotation.copy(), camera_from_target.translation_m.copy(),
             self.rotation, self.origin_m, out,
         )  # fmt: skip
         return SixNumbers(*out.tolist())
@@ -221,13 +221,13 @@ class Face:
         """(6,) rates of the six numbers; ``rates`` (6,) rad/s and m/s, camera frame."""
         out = np.empty(6)
         _six_rates(
-            camera_from_target.rotation, camera_from_target.translation_m,
+            camera_from_target.rotation.copy(), camera_from_target.translation_m.copy(),
             self.rotation, self.origin_m, rates, out,
         )  # fmt: skip
         return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _six(rotation: Array, translation: Array, face: Array, origin: Array, out: Array) -> None:
     place, turn = np.empty(3), np.empty((3, 3))
     for i in range(3):
@@ -244,16 +244,18 @@ def _six(rotation: Array, translation: Array, face: Array, origin: Array, out: A
     out[5] = math.asin(min(max(turn[2, 0], -1.0), 1.0))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _six_rates(
     rotation: Array, translation: Array, face: Array, origin: Array, rates: Array, out: Array
 ) -> None:
     """Central difference of `_six` over ``_STEP_S`` of motion at constant rates."""
-    ends, turned = np.empty((2, 6)), np.empty((3, 3))
+    ends, turned, turn, moved = np.empty((2, 6)), np.empty((3, 3)), np.empty(3), np.empty(3)
     for end in range(2):
         dt = _STEP_S * (0.5 - end)
-        so3.perturb_into(dt * rates[:3], rotation, turned)
-        _six(turned, translation + dt * rates[3:], face, origin, ends[end])
+        for i in range(3):
+            turn[i], moved[i] = dt * rates[i], translation[i] + dt * rates[3 + i]
+        so3.perturb_into(turn, rotation, turned)
+        _six(turned, moved, face, origin, ends[end])
     for i in range(6):
         change = ends[0, i] - ends[1, i]
         if i > 2:  # over the half turn

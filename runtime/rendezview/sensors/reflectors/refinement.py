@@ -15,7 +15,7 @@ from rendezview.estimation.least_squares import (
     FIRST_DAMPING,
     damped_step,
 )
-from rendezview.estimation.linear_algebra import invert
+from rendezview.estimation.linear_algebra import copy_into, copy_matrix_into, invert
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
@@ -115,7 +115,7 @@ def covariance_at_origin(covariance: Array, centre_camera_m: Array) -> Array:
     return np.asarray(turn @ covariance @ turn.T)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def adjust(
     lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
     prior: Array, rotation: Array, shift: Array, covariance: Array, residuals: Array,
@@ -128,7 +128,7 @@ def adjust(
     start_r, start_t = rotation.copy(), shift.copy()
     normal, lower, right, step = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.empty(6)
     trial_r, trial_t, offset = np.empty((3, 3)), np.empty(3), np.zeros(6)
-    damping, done, used = 0.0, False, 0
+    trials, damping, done, used = np.empty_like(residuals), 0.0, False, 0
     cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
     if not math.isfinite(cost):
         return -1
@@ -148,18 +148,19 @@ def adjust(
             if not damped_step(normal, right, damping, lower, step):
                 return -1
             perturb_into(step[:3], rotation, trial_r)
-            trial_t[:] = shift + step[3:]
+            for a in range(3):
+                trial_t[a] = shift[a] + step[3 + a]
             turn = math.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
             move = math.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2) / far
             if trial_t[2] > 0.0 and turn < 1.0 and move < 1.0:
-                new = _cost(
-                    lens, arms, normals, diameters, spots, sigma, trial_r, trial_t, residuals
-                )
+                new = _cost(lens, arms, normals, diameters, spots, sigma, trial_r, trial_t, trials)
                 _difference(trial_r, trial_t, start_r, start_t, with_prior, offset)
                 there = new + _prior_cost(prior, offset)
                 # At the limit of rounding the cost may rise a little: converged, not a bad step.
                 if there <= total or turn + move < _ROUNDING:
-                    rotation[:], shift[:] = trial_r, trial_t
+                    copy_matrix_into(trial_r, rotation)
+                    copy_matrix_into(trials, residuals)
+                    copy_into(trial_t, shift)
                     # Three spots are fitted exactly: a cost of almost zero ends the iteration too.
                     small = (turn < _STEP and move < _STEP) or new < _EXACT
                     done = small or abs(total - there) <= _GAIN * total
@@ -167,9 +168,7 @@ def adjust(
                     damping *= DAMPING_DECAY
                     break
             damping = max(DAMPING_GROWTH * damping, FIRST_DAMPING)
-        if not accepted:
-            cost = _cost(lens, arms, normals, diameters, spots, sigma, rotation, shift, residuals)
-            done = True
+        done = done or not accepted
     if not invert(normal, lower, covariance):
         return -1
     _doubt_light(lens, arms, normals, diameters, sigma, rotation, shift, covariance)
@@ -177,31 +176,36 @@ def adjust(
     return used if done else _ITERATIONS
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _doubt_light(
     lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
     shift: Array, covariance: Array,
 ) -> None:  # fmt: skip
     """Add what the law of light, which may be even, moves the pose by: one number for all spots."""
-    even, jacobian, pull = lens.copy(), np.empty((2, 6)), np.zeros(6)
-    even[LAW] = 0.0
+    law, jacobian, pull, ends = lens.copy(), np.empty((2, 6)), np.zeros(6), np.empty((2, 2))
     for i in range(arms.shape[0]):
         x, y, z = turned(rotation, arms, i)
         x, y, z = x + shift[0], y + shift[1], z + shift[2]
         nx, ny, nz = turned(rotation, normals, i)
-        u1, v1 = project_disc(lens, x, y, z, nx, ny, nz, 0.5 * diameters[i])
-        u0, v0 = project_disc(even, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+        for k in range(2):
+            law[LAW] = float(k)
+            u, v = project_disc(law, x, y, z, nx, ny, nz, 0.5 * diameters[i])
+            ends[k, 0], ends[k, 1] = u, v
         _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
         weight = _LIGHT_SIGMA / (sigma[i] * sigma[i])
         for a in range(6):
-            pull[a] += weight * (jacobian[0, a] * (u1 - u0) + jacobian[1, a] * (v1 - v0))
-    moved = covariance @ pull
+            for k in range(2):
+                pull[a] += weight * jacobian[k, a] * (ends[1, k] - ends[0, k])
+    moved = np.zeros(6)
+    for a in range(6):
+        for b in range(6):
+            moved[a] += covariance[a, b] * pull[b]
     for a in range(6):
         for b in range(6):
             covariance[a, b] += moved[a] * moved[b]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _equations(
     lens: Array, arms: Array, normals: Array, diameters: Array, sigma: Array, rotation: Array,
     shift: Array, residuals: Array, prior: Array, offset: Array, normal: Array, right: Array,
@@ -229,17 +233,18 @@ def _equations(
             normal[b, a] = normal[a, b]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _difference(
     rotation: Array, shift: Array, from_r: Array, from_t: Array, wanted: bool, out: Array
 ) -> None:
     """Left perturbation (6,) that leads from one pose to another; untouched where not wanted."""
     if wanted:
-        out[:3] = between(rotation, from_r)
-        out[3:] = shift - from_t
+        turn = between(rotation, from_r)
+        for a in range(3):
+            out[a], out[3 + a] = turn[a], shift[a] - from_t[a]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve_spots(
     lens: Array, arms: Array, normals: Array, diameters: Array, centre: Array, table: Array,
     seen: Ints, floor_px: float, rotation: Array, translation_before: Array, translation: Array,
@@ -255,31 +260,39 @@ def solve_spots(
     some_diameters, spots, sigma = np.empty(count), np.empty((count, 2)), np.empty(count)
     for i in range(count):
         k = seen[i]
-        some_arms[i], some_normals[i], some_diameters[i] = arms[k], normals[k], diameters[k]
+        some_diameters[i] = diameters[k]
+        for a in range(3):
+            some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
         spots[i, 0], spots[i, 1] = table[k, 0], table[k, 1]
         sigma[i] = math.sqrt(table[k, 7] ** 2 + floor_px**2)
     if not _spans(some_arms):
         return -1
+    x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     shift = np.empty(3)
-    for a in range(3):
-        shift[a] = translation_before[a] + rotation[a] @ centre
-    at_centre = np.empty((6, 6))
+    shift[0], shift[1] = translation_before[0] + x, translation_before[1] + y
+    shift[2] = translation_before[2] + z
     used = adjust(
         lens, some_arms, some_normals, some_diameters, spots, sigma, np.zeros((6, 6)),
-        rotation, shift, at_centre, residuals,
+        rotation, shift, covariance, residuals,
     )  # fmt: skip
     if used < 0 or used >= _ITERATIONS:
         return -1
-    x, y, z = rotation[0] @ centre, rotation[1] @ centre, rotation[2] @ centre
+    x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     translation[0], translation[1], translation[2] = shift[0] - x, shift[1] - y, shift[2] - z
-    turn = np.eye(6)
-    turn[3, 1], turn[3, 2], turn[4, 0] = -z, y, z
-    turn[4, 2], turn[5, 0], turn[5, 1] = -x, -y, x
-    covariance[:] = turn @ at_centre @ turn.T
+    for j in range(6):  # rows, then columns, as in `covariance_at_origin`
+        a, b, c = covariance[0, j], covariance[1, j], covariance[2, j]
+        covariance[3, j] += y * c - z * b
+        covariance[4, j] += z * a - x * c
+        covariance[5, j] += x * b - y * a
+    for j in range(6):
+        a, b, c = covariance[j, 0], covariance[j, 1], covariance[j, 2]
+        covariance[j, 3] += y * c - z * b
+        covariance[j, 4] += z * a - x * c
+        covariance[j, 5] += x * b - y * a
     return used
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _spans(arms: Array) -> bool:
     """Whether reflectors are not all on one line."""
     longest, widest = 0.0, 0.0
@@ -293,7 +306,7 @@ def _spans(arms: Array) -> bool:
     return widest > 1e-6 * longest * longest
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _prior_cost(prior: Array, offset: Array) -> float:
     total = 0.0
     for a in range(6):
@@ -302,7 +315,7 @@ def _prior_cost(prior: Array, offset: Array) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cost(
     lens: Array, arms: Array, normals: Array, diameters: Array, spots: Array, sigma: Array,
     rotation: Array, shift: Array, residuals: Array,
@@ -319,7 +332,7 @@ def _cost(
     return total if math.isfinite(total) else np.inf
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _jacobian(
     lens: Array, arms: Array, normals: Array, diameters: Array, rotation: Array, shift: Array,
     i: int, out: Array,
@@ -327,29 +340,31 @@ def _jacobian(
     """(2, 6) of spot i by central differences: a turn moves arm and normal, a shift the centre."""
     arm = turned(rotation, arms, i)
     n = turned(rotation, normals, i)
-    radius = 0.5 * diameters[i]
-    x, y, z = arm[0] + shift[0], arm[1] + shift[1], arm[2] + shift[2]
-    h, g = 1e-5, 1e-5 * z
-    for k in range(3):
-        tx, ty, tz = _cross_axis(k, arm)
-        mx, my, mz = _cross_axis(k, n)
-        u1, v1 = project_disc(lens, x + h * tx, y + h * ty, z + h * tz,
-                              n[0] + h * mx, n[1] + h * my, n[2] + h * mz, radius)  # fmt: skip
-        u0, v0 = project_disc(lens, x - h * tx, y - h * ty, z - h * tz,
-                              n[0] - h * mx, n[1] - h * my, n[2] - h * mz, radius)  # fmt: skip
-        out[0, k], out[1, k] = (u1 - u0) / (2.0 * h), (v1 - v0) / (2.0 * h)
-        dx = g if k == 0 else 0.0
-        dy = g if k == 1 else 0.0
-        dz = g if k == 2 else 0.0
-        u1, v1 = project_disc(lens, x + dx, y + dy, z + dz, n[0], n[1], n[2], radius)
-        u0, v0 = project_disc(lens, x - dx, y - dy, z - dz, n[0], n[1], n[2], radius)
-        out[0, 3 + k], out[1, 3 + k] = (u1 - u0) / (2.0 * g), (v1 - v0) / (2.0 * g)
+    z = arm[2] + shift[2]
+    for k in range(6):  # one call of the projection: each is compiled in its place
+        out[0, k] = out[1, k] = 0.0
+        for end in range(2):
+            h = (1e-5 if k < 3 else 1e-5 * z) * (2 * end - 1)
+            tx, ty, tz, mx, my, mz = _displaced(k, arm, n)
+            u, v = project_disc(
+                lens, arm[0] + shift[0] + h * tx, arm[1] + shift[1] + h * ty, z + h * tz,
+                n[0] + h * mx, n[1] + h * my, n[2] + h * mz, 0.5 * diameters[i],
+            )  # fmt: skip
+            out[0, k] += u / (2.0 * h)
+            out[1, k] += v / (2.0 * h)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _cross_axis(k: int, v: tuple[float, float, float]) -> tuple[float, float, float]:
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _displaced(
+    k: int, v: tuple[float, float, float], n: tuple[float, float, float]
+) -> tuple[float, float, float, float, float, float]:
+    """How number k of a pose moves an arm and turns a normal."""
     if k == 0:
-        return 0.0, -v[2], v[1]
+        return 0.0, -v[2], v[1], 0.0, -n[2], n[1]
     if k == 1:
-        return v[2], 0.0, -v[0]
-    return -v[1], v[0], 0.0
+        return v[2], 0.0, -v[0], n[2], 0.0, -n[0]
+    if k == 2:
+        return -v[1], v[0], 0.0, -n[1], n[0], 0.0
+    if k == 3:
+        return 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    return 0.0, 1.0 if k == 4 else 0.0, 1.0 if k == 5 else 0.0, 0.0, 0.0, 0.0

@@ -202,7 +202,7 @@ class ReflectorSensor:
         self._remember(time_s, table, found.refined, 2.0, ambiguous, Branch.SURE)
         if self._unconfirmed is not None and self._track is not None:
             self._track.before_s, _, first = self._unconfirmed
-            self._track.before = first[:, :2]
+            self._track.before = first[:, :2].copy()
         self._unconfirmed = None
         names = found.names(self.constellation, len(spots))
         return self._reading(
@@ -367,8 +367,8 @@ class ReflectorSensor:
             self._rates.clear()
         carry(table, self._dim if last is None else last.brightness, since, bright, unseen)
         self._track = Track(
-            time_s, refined.camera_from_target, table[:, :2], before, before_s, bright, noise,
-            ambiguous, refined.covariance, unseen=unseen, branch=branch,
+            time_s, refined.camera_from_target, table[:, :2].copy(), before, before_s, bright,
+            noise, ambiguous, refined.covariance, unseen=unseen, branch=branch,
         )  # fmt: skip
 
     def _reading(

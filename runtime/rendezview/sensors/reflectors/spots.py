@@ -144,7 +144,7 @@ def _label(mask: Grey, lit: Grey, dark: Grey, level: float, table: Array) -> int
     return int(_label_loop(mask, words, lit, dark, level, stack, table))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _label_loop(
     mask: Grey, words: npt.NDArray[np.uint64], lit: Grey, dark: Grey, level: float,
     stack: npt.NDArray[np.int32], table: Array,
@@ -165,7 +165,7 @@ def _label_loop(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def gather(
     flat: Grey, width: int, height: int, start: int, lit: Grey, dark: Grey, level: float,
     stack: npt.NDArray[np.int32], row: Array,
@@ -228,7 +228,7 @@ def gather(
     row[DARK] = darkest
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def place(lit: Grey, dark: Grey, table: Array, noise: float) -> None:
     """Fill place, size and error of every spot by its window."""
     columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
@@ -249,7 +249,7 @@ def recentre(table: Array, noise: float, centroid: Centroid) -> None:
         table[:, SIGMA] = noise * lever / np.maximum(table[:, ABOVE], 1e-6)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def window_centroid(
     lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
 ) -> None:

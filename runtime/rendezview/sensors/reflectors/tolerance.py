@@ -118,7 +118,7 @@ def _size_error(
     expected = np.empty((len(pattern), 3))
     expect_spots(
         camera_numbers(camera, blur_px), pattern.positions_m, pattern.normals, pattern.diameters_m,
-        np.ascontiguousarray(pose.rotation), np.ascontiguousarray(pose.translation_m), camera.fx,
+        pose.rotation.copy(), pose.translation_m.copy(), camera.fx,
         blur_px, expected,
     )  # fmt: skip
     sizes = expected[which, 2]

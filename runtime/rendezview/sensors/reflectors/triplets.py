@@ -140,7 +140,7 @@ def paper_tests(spots_px: npt.ArrayLike, hourglass: Hourglass = PAPER_HOURGLASS)
     return centre if hourglass.contains(shifted.real, shifted.imag) else None
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def expected_size(blur_px: float, radius_px: float) -> float:
     """σ of the window that settles on a disc of some radius under a Gaussian blur, px.
 
@@ -173,7 +173,8 @@ def search(
     shortest, longest, size_tolerance, peak_tolerance, blur_tolerance = limits[:5]
     foreshortened, longest_side = limits[5:]
     # Reflectors of different diameters: small spots look alike, large ones differ by the ratio.
-    alike = _ALIKE + math.log(np.max(diameters_m) / np.min(diameters_m))
+    widest_m, narrowest_m = _extremes(diameters_m)
+    alike = _ALIKE + math.log(widest_m / narrowest_m)
     peak_tolerance += 4.0 * (alike - _ALIKE)
     # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
@@ -185,7 +186,7 @@ def search(
     )  # fmt: skip
     widest_px = math.hypot(along, over) * shortest * focal_px
     firsts, members, left, top, columns, rows = _grid(at, widest_px)
-    found = 0
+    found = np.int64(0)  # a plain 0 would be a type of its own for what is called
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)
         break_px = widest * most * focal_px
@@ -227,7 +228,7 @@ def _by_column(
     """
     count = directions.shape[0]
     low, high = np.empty(count), np.empty(count)
-    largest, smallest = np.max(diameters_m), np.min(diameters_m)
+    largest, smallest = _extremes(diameters_m)
     soft, sharp = blur_px * math.exp(blur_tolerance), blur_px * math.exp(-blur_tolerance)
     log_size, log_peak = np.empty(count), np.empty(count)
     at, ray = np.empty((count, 2)), np.empty((count, 3))
@@ -309,7 +310,16 @@ def _centres(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _extremes(values: Array) -> tuple[float, float]:
+    """The largest and the least; ``np.max`` and ``np.min`` take longer to compile."""
+    most = least = values[0]
+    for value in values:
+        most, least = max(most, value), min(least, value)
+    return most, least
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _grid(
     at: Array, least: float
 ) -> tuple[Ints, Ints, float, float, tuple[float, float], tuple[float, float]]:
@@ -338,13 +348,13 @@ def _grid(
     return firsts, members, left, top, (float(wide), 1.0 / cell), (float(high), 1.0 / cell)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _within(glass: Array, x: float, y: float) -> bool:
     dx = abs(x - glass[0])
     return bool((dx <= glass[3]) & (abs(y - glass[1]) <= glass[2] * dx + glass[4]))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _radius(size: float, blur_px: float) -> float:
     """Radius of the disc whose `expected_size` this is; 0 below the blur."""
     if size <= blur_px:

@@ -121,7 +121,7 @@ class WindowFit:
         pattern, pose = self.constellation, refined.camera_from_target
         mirrored = mirror(pose, pattern, seen)
         facing = least_facing(
-            np.ascontiguousarray(mirrored.rotation), np.ascontiguousarray(mirrored.translation_m),
+            mirrored.rotation.copy(), mirrored.translation_m.copy(),
             pattern.positions_m[seen], pattern.normals[seen],
         )  # fmt: skip
         if facing < self._least_cosine:
@@ -170,7 +170,7 @@ class WindowFit:
         pattern = self.constellation
         expect_spots(
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
-            pose.rotation, pose.translation_m, self.camera.fx, self._blur_px, out,
+            pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, self._blur_px, out,
         )  # fmt: skip
 
     def misses(self, seen: Ints) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into
 from rendezview.sensors.reflectors.spots import (
     AMPLITUDE,
     AREA,
@@ -33,7 +34,7 @@ _Options = tuple[float, float, float, float, float, float]  # see `place_windows
 _NO_WINDOW, _NOTHING, _STRANGER, VISIBLE = range(4)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def read_windows(
     lit: Grey, dark: Grey, expected: Array, half: Array, level: Array, noise: float,
     limits: tuple[float, float], table: Array, outcome: Ints,
@@ -70,7 +71,7 @@ def read_windows(
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _search_window(
     lit: Grey, dark: Grey, expected: Array, half: float, level: float, noise: float,
     limits: tuple[float, float], box: tuple[int, int, int, int], columns: Array, rows: Array,
@@ -81,10 +82,12 @@ def _search_window(
     size_limit, least_shape = limits
     x0, x1, y0, y1 = box
     w, h = x1 - x0 + 1, y1 - y0 + 1
-    part = lit[y0 : y1 + 1, x0 : x1 + 1]
-    part_dark = dark[y0 : y1 + 1, x0 : x1 + 1] if dark.shape[0] > 0 else dark
+    # Copies: a view of a picture would be another type, for which all is compiled again.
+    part, part_dark = np.empty((h, w), np.uint8), dark
+    if dark.shape[0] > 0:
+        part_dark = np.empty((h, w), np.uint8)
     flat, stack, row = np.empty(w * h, np.uint8), np.empty(w * h, np.int32), np.empty(COLUMNS)
-    floor = _threshold(part, part_dark, level, flat)
+    floor = _threshold(lit, dark, (x0, y0), level, part, part_dark, flat)
     outcome, best = _NOTHING, np.inf
     for start in range(w * h):
         if flat[start] == 0:
@@ -114,18 +117,25 @@ def _search_window(
         score = off * off + (ratio / size_limit) ** 2
         if score < best:
             best, outcome = score, VISIBLE
-            best_row[:] = row
+            copy_into(row, best_row)
     return outcome
 
 
-@njit(cache=True, nogil=True)
-def _threshold(part: Grey, part_dark: Grey, level: float, flat: Grey) -> float:
-    """Mark the pixels of a window above its threshold in ``flat``; the threshold, grey."""
+@njit(cache=True, nogil=True, error_model="numpy")
+def _threshold(
+    lit: Grey, dark: Grey, corner: tuple[int, int], level: float, part: Grey, part_dark: Grey,
+    flat: Grey,
+) -> float:  # fmt: skip
+    """Copy a window and mark its pixels above its threshold in ``flat``; the threshold, grey."""
     h, w = part.shape
     floor = level
-    if (
-        part_dark.shape[0] == 0
-    ):  # a single picture: the threshold is added to the level of the window's rim
+    for v in range(h):
+        for u in range(w):
+            part[v, u] = lit[v + corner[1], u + corner[0]]
+            if part_dark.shape[0] > 0:
+                part_dark[v, u] = dark[v + corner[1], u + corner[0]]
+    if part_dark.shape[0] == 0:
+        # A single picture: the threshold is added to the level of the window's rim.
         rim = 0.0
         for u in range(w):
             rim += float(part[0, u]) + float(part[h - 1, u])
@@ -139,7 +149,7 @@ def _threshold(part: Grey, part_dark: Grey, level: float, flat: Grey) -> float:
     return floor
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def window_noise(lit: Grey, dark: Grey, expected: Array, half: Array) -> float:
     """Noise of one pixel of the difference from the windows' rims, grey levels.
 
@@ -169,7 +179,7 @@ def window_noise(lit: Grey, dark: Grey, expected: Array, half: Array) -> float:
     return max(total / count * math.sqrt(math.pi) / 2.0, 0.3)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def place_windows(
     expected: Array, places: Array, before: Array, brightness: Array, unseen: Ints, ratio: float,
     misses: int, options: _Options, half: Array, level: Array,
@@ -232,7 +242,7 @@ def place_windows(
             expected[i, 0] = np.nan
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def carry(table: Array, brightness: Array, since: Ints, bright: Array, unseen: Ints) -> None:
     """Brightness (N,) and readings without a spot (N,) after a reading; NaN: not visible."""
     for i in range(table.shape[0]):
