@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from rendezview.estimation import rates as bank_module
+from rendezview.estimation import rate_filters as bank_module
 from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Pose
 
