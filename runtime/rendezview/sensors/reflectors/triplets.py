@@ -174,8 +174,8 @@ def search(
     foreshortened, longest_side = limits[5:]
     # Reflectors of different diameters: small spots look alike, large ones differ by the ratio.
     widest_m, narrowest_m = _extremes(diameters_m)
-    alike = _ALIKE + math.log(widest_m / narrowest_m)
-    peak_tolerance += 4.0 * (alike - _ALIKE)
+    unlike = math.log(widest_m / narrowest_m)
+    alike, peak_tolerance = _ALIKE + unlike, peak_tolerance + 4.0 * unlike
     # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
     over = 1.1 * min(abs(glass[1]) + glass[2] * glass[3] + glass[4], math.sqrt(longest_side))
