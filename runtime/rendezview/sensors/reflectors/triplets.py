@@ -173,8 +173,7 @@ def search(
     shortest, longest, size_tolerance, peak_tolerance, blur_tolerance = limits[:5]
     foreshortened, longest_side = limits[5:]
     # Reflectors of different diameters: small spots look alike, large ones differ by the ratio.
-    widest_m, narrowest_m = _extremes(diameters_m)
-    unlike = math.log(widest_m / narrowest_m)
+    unlike = _unlikeness(diameters_m)
     alike, peak_tolerance = _ALIKE + unlike, peak_tolerance + 4.0 * unlike
     # Of the hourglass, in base lengths; 1.1 for the stretch of the flat picture
     along = 1.1 * min(abs(glass[0]) + glass[3], math.sqrt(longest_side))
@@ -317,6 +316,13 @@ def _extremes(values: Array) -> tuple[float, float]:
     for value in values:
         most, least = max(most, value), min(least, value)
     return most, least
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _unlikeness(diameters_m: Array) -> float:
+    """ln of the largest over the least."""
+    most, least = _extremes(diameters_m)
+    return math.log(most / least)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
