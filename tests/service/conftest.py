@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.service.page_feed import browser_path
+from tests.service import page_feed
 
 from rendezview.client import Client
 from rendezview.geometry.camera import Camera
@@ -177,7 +177,7 @@ _DESK = {"width": 1280, "height": 800}
 def browser() -> Iterator[Any]:
     playwright = pytest.importorskip("playwright.sync_api", reason="the page's tests want it")
     with playwright.sync_playwright() as play:
-        path = browser_path(play)
+        path = page_feed.browser_path(play)
         if path is None:
             pytest.skip("no Chromium: `playwright install chromium`, or RENDEZVIEW_TEST_BROWSER")
         flags = [*_FLAGS, *(["--no-sandbox"] if os.geteuid() == 0 else [])]
@@ -220,3 +220,10 @@ def open_page(browser: Any) -> Iterator[Callable[..., Any]]:
     for context in contexts:
         context.close()
     assert complaints == []
+
+
+@pytest.fixture
+def shoot(tmp_path: Path) -> Callable[[Any, str], None]:
+    """Pictures of a page at both widths, in the folder RENDEZVIEW_TEST_PICTURES if it is named."""
+    folder = Path(os.environ.get("RENDEZVIEW_TEST_PICTURES", tmp_path))
+    return lambda page, name: page_feed.shoot(page, folder, name)

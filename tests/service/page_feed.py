@@ -1,4 +1,4 @@
-"""Frames for the page's tests, and waiting for what it shows."""
+"""Frames for the page's tests, waiting for what it shows, and pictures of it."""
 
 from __future__ import annotations
 
@@ -15,6 +15,22 @@ import pytest
 from rendezview.client import SessionClient
 
 MOST_S = 60.0
+SIZES = {"desk": (1400, 900), "phone": (390, 844)}
+# What must be in the window at both widths: nothing hangs over the side, and words are not cut.
+_LAYOUT = """(wide) => {
+  const faults = [], window_ = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > window_) faults.push('the page is wider than the window');
+  for (const part of document.querySelectorAll('header *, #banner, #word, #alerts li, #strip *, main > *, footer, footer *')) {
+    const box = part.getBoundingClientRect();
+    if (!box.width || part.matches('option')) continue;
+    if (box.right > window_ + 1 || box.left < -1) faults.push(`${part.id || part.tagName}: ${box.left} … ${box.right}`);
+  }
+  if (wide) for (const id of ['word', 'approach', 'frame', 'plots', 'pause']) {
+    const box = document.getElementById(id).getBoundingClientRect();
+    if (box.top < 0 || (id !== 'approach' && box.bottom > innerHeight + 1)) faults.push(`${id} is outside the window`);
+  }
+  return faults;
+}"""  # noqa: E501
 
 
 def browser_path(play: Any) -> str | None:
@@ -39,6 +55,19 @@ def until(page: Any, expression: str) -> Any:
 
 def word_is(page: Any, word: str) -> None:
     until(page, f"document.getElementById('word').textContent === '{word}'")
+
+
+def text_has(page: Any, place: str, part: str) -> None:
+    until(page, f"document.querySelector('{place}').innerText.includes({part!r})")
+
+
+def shoot(page: Any, folder: Path, name: str) -> None:
+    """Pictures of a page at both widths; its layout must hold."""
+    for size, (width, height) in SIZES.items():
+        page.set_viewport_size({"width": width, "height": height})
+        time.sleep(0.5)  # plots are drawn anew
+        page.screenshot(path=folder / f"{name}-{size}.png", full_page=size == "phone")
+        assert page.evaluate(_LAYOUT, size == "desk") == [], name
 
 
 class Feed:

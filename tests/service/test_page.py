@@ -160,7 +160,7 @@ def test_another_session_can_be_picked(service, feed, open_page) -> None:
     )
 
 
-def test_a_token_is_asked_for_and_used(start_service, camera, open_page, tmp_path) -> None:
+def test_a_token_is_asked_for_and_used(start_service, camera, open_page, shoot, tmp_path) -> None:
     secret = "correct-horse-battery"
     tokens = tmp_path / "tokens.toml"
     tokens.write_text(f'[page]\nscope = "track"\ntoken = "{secret}"\n')
@@ -175,6 +175,10 @@ def test_a_token_is_asked_for_and_used(start_service, camera, open_page, tmp_pat
         page.fill("#token-value", "one with spaces")
         page.keyboard.press("Enter")
         until(page, "document.getElementById('token-why').textContent.includes('no spaces')")
+        page.keyboard.press("Escape")
+        word_is(page, "NO ACCESS")
+        shoot(page, "no-access")
+        page.click("#token")
         page.fill("#token-value", secret)
         page.keyboard.press("Enter")
         until(page, "document.getElementById('link').textContent.includes('● connected')")

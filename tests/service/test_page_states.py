@@ -1,13 +1,9 @@
-"""The page in every state, good and bad, at two widths: pictures to look at, and its layout.
-
-RENDEZVIEW_TEST_PICTURES names a folder for the pictures.
-"""
+"""The page in every state, good and bad, at two widths: pictures to look at, and its layout."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.service.page_feed import MOST_S, until, word_is
+from tests.service.page_feed import MOST_S, SIZES, text_has, until, word_is
 
 from rendezview.client import Client
 from rendezview.errors import RendezviewError
@@ -24,7 +20,6 @@ from rendezview.io.camera_files import save_camera
 
 pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
 
-_SIZES = {"desk": (1400, 900), "phone": (390, 844)}
 _STEP_S = 5.0  # between frames of the tour: a slow turn
 APPROACH = {
     "port": {"centre_m": [-1.0, 0.0, 0.0], "axis": [-1.0, 0.0, 0.0]},
@@ -36,36 +31,6 @@ APPROACH = {
         {"time_s": 200.0, "position_m": [-2.0, 0.0, 0.0]},
     ],
 }
-# What must be in the window at both widths: nothing hangs over the side, and words are not cut.
-_LAYOUT = """(wide) => {
-  const faults = [], window_ = document.documentElement.clientWidth;
-  if (document.documentElement.scrollWidth > window_) faults.push('the page is wider than the window');
-  for (const part of document.querySelectorAll('header *, #banner, #word, #alerts li, #strip *, main > *, footer, footer *')) {
-    const box = part.getBoundingClientRect();
-    if (!box.width || part.matches('option')) continue;
-    if (box.right > window_ + 1 || box.left < -1) faults.push(`${part.id || part.tagName}: ${box.left} … ${box.right}`);
-  }
-  if (wide) for (const id of ['word', 'approach', 'frame', 'plots', 'pause']) {
-    const box = document.getElementById(id).getBoundingClientRect();
-    if (box.top < 0 || (id !== 'approach' && box.bottom > innerHeight + 1)) faults.push(`${id} is outside the window`);
-  }
-  return faults;
-}"""  # noqa: E501
-
-
-@pytest.fixture
-def shoot(tmp_path: Path) -> Callable[[Any, str], None]:
-    """Pictures of a page at both widths; its layout must hold."""
-    folder = Path(os.environ.get("RENDEZVIEW_TEST_PICTURES", tmp_path))
-
-    def take(page: Any, name: str) -> None:
-        for size, (width, height) in _SIZES.items():
-            page.set_viewport_size({"width": width, "height": height})
-            time.sleep(0.5)  # plots are drawn anew
-            page.screenshot(path=folder / f"{name}-{size}.png", full_page=size == "phone")
-            assert page.evaluate(_LAYOUT, size == "desk") == [], name
-
-    return take
 
 
 class Sender(threading.Thread):
@@ -138,10 +103,6 @@ def sender(service, camera, tour) -> Iterator[Callable[..., Sender]]:
     yield start
     for one in opened:
         one.stop()
-
-
-def text_has(page: Any, place: str, part: str) -> None:
-    until(page, f"document.querySelector('{place}').innerText.includes({part!r})")
 
 
 def test_found_with_the_numbers_of_an_approach(service, sender, open_page, shoot) -> None:
@@ -262,6 +223,25 @@ def test_a_session_that_ends_and_others_at_a_glance(service, sender, open_page, 
     word_is(page, "FOUND")
 
 
+def test_a_session_that_is_not_there_yet_is_waited_for_and_no_other_is_shown(
+    service, sender, open_page, shoot
+) -> None:
+    sender("present").send(2)
+    page = open_page(f"{service.url}#later")
+    word_is(page, "NO SESSION")
+    text_has(page, "#reason", "later is not there (yet)")
+    text_has(page, "#strip", "present · tracking")
+    assert page.input_value("#sessions") == ""
+    assert page.evaluate("rendezview.received") == 0
+    shoot(page, "no-session")
+    sender("later").send(2)
+    word_is(page, "FOUND")
+    assert page.input_value("#sessions") == "later"
+    page.evaluate("location.hash = 'never'")
+    word_is(page, "NO SESSION")
+    text_has(page, "#numbers", "–")
+
+
 def test_a_full_disk_is_said_without_bursting_the_layout(service, sender, open_page, shoot) -> None:
     one = sender("fulldisk")
     page = open_page(f"{service.url}#fulldisk")
@@ -319,7 +299,7 @@ def test_a_recording_is_looked_back_at(service, client, sender, open_page, shoot
     text_has(page, "#recordings-list", "taped-")
     shoot(page, "recordings")
     look = page.locator("#recordings-list button", has_text="Look").first
-    assert look.bounding_box()["x"] + look.bounding_box()["width"] < _SIZES["phone"][0]
+    assert look.bounding_box()["x"] + look.bounding_box()["width"] < SIZES["phone"][0]
     page.click("#recordings-list tr:has-text('taped-') button:has-text('Look')")
     until(page, "document.getElementById('frame-note').textContent === 'frame 0'")
     page.keyboard.press("ArrowRight")

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pydantic import BaseModel, ConfigDict
 
 from rendezview.io.files import atomic_write_text
-from rendezview.service.approach_messages import Level
 from rendezview.service.messages import SessionRequest
 
-if TYPE_CHECKING:
-    from rendezview.service.sessions import Session
-
 SUFFIX = ".session.json"
+
+
+class Tracked(BaseModel):
+    """What a session has tracked."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    frames: int  # so far; the next one has this number
+    found: int  # of them, with a pose
+    last: str | None  # the last `State`, JSON
+    last_found: str | None  # the last one with a pose, JSON
+    found_unix_s: float | None  # when it was found
 
 
 class Checkpoint(BaseModel):
@@ -25,10 +31,7 @@ class Checkpoint(BaseModel):
 
     request: SessionRequest
     model_sha256: str
-    frames: int  # tracked so far; the next one has this number
-    last: str | None  # the last `State`, JSON
-    last_found: str | None  # the last one with a pose, JSON
-    found_unix_s: float | None  # when it was found
+    tracked: Tracked
     log: str  # common to the parts of its log
     log_base: Path | None
     log_paths: list[Path]
@@ -57,34 +60,3 @@ def read_checkpoint(path: Path) -> Checkpoint | None:
         return Checkpoint.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return None
-
-
-def checkpoint_of(session: Session) -> Checkpoint:
-    """What another service needs to continue a session."""
-    last, found = session.last, session._last_found
-    age_s = time.monotonic() - session._found_at_s
-    return Checkpoint(
-        request=session.request,
-        model_sha256=session.stored.sha256,
-        frames=session._frames,
-        last=None if last is None else last.decode(),
-        last_found=None if found is None else found.decode(),
-        found_unix_s=None if found is None else time.time() - age_s,
-        log=session.log.id,
-        log_base=session.log.base,
-        log_paths=[part.path for part in session.log.parts],
-        fused=session.is_fused or session.was_fused,
-    )
-
-
-def resume(session: Session, checkpoint: Checkpoint) -> None:
-    """Continue a session of another service; the tracker starts at its last pose."""
-    session._frames, session.was_fused = checkpoint.frames, checkpoint.fused
-    if checkpoint.last is not None:
-        session.last = checkpoint.last.encode()
-    if checkpoint.last_found is not None and checkpoint.found_unix_s is not None:
-        session._last_found = checkpoint.last_found.encode()
-        session._found_at_s = time.monotonic() - max(0.0, time.time() - checkpoint.found_unix_s)
-    session.log.resume(checkpoint.log, checkpoint.log_base, checkpoint.log_paths)
-    session.events.add("node", Level.WARNING, "another node continues the session")
-    session.reopened()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import secrets
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -29,7 +28,7 @@ from mcap.records import (
 )
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import write_error
+from rendezview.io.files import atomic_write
 from rendezview.service.log_file import content_of, is_finished, records
 from rendezview.service.log_index import MAGIC, Scan, chunk_index, ending, taken
 from rendezview.service.log_lock import lock
@@ -229,14 +228,15 @@ def mend(path: Path) -> Mended | None:
         if copy.exists():
             return None
         joined = join([LogPart(path)])
-        try:
-            finished = is_finished(path)
-        except OSError as error:
-            raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
-        if finished and not joined.damaged_bytes:
-            return None
         place = copy if joined.damaged_bytes else path
-        _write(joined, place)
+        try:
+            if is_finished(path) and not joined.damaged_bytes:
+                return None
+            with atomic_write(place) as file:
+                for block in joined.blocks():
+                    file.write(block)
+        except OSError as error:  # one of writing is explained by `atomic_write`
+            raise RendezviewError(f"{path}: cannot be read ({error.strerror})") from error
     return Mended(place, joined.cut_bytes, joined.damaged_bytes)
 
 
@@ -259,19 +259,3 @@ def locked(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(file)
-
-
-def _write(joined: Joined, place: Path) -> None:
-    trial = place.with_name(f".{place.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        with open(trial, "xb") as file:
-            for block in joined.blocks():
-                file.write(block)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(trial, place)
-    except OSError as error:
-        raise write_error(place, error) from error
-    finally:
-        with contextlib.suppress(OSError):
-            trial.unlink()

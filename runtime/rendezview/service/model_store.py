@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import logging
 import re
-import secrets
 import shutil
 import tempfile
 import threading
@@ -20,7 +19,7 @@ from functools import cached_property
 from pathlib import Path
 
 from rendezview.errors import RendezviewError
-from rendezview.io.files import atomic_write, make_folder, write_error
+from rendezview.io.files import atomic_write, make_folder
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.model_geometry import geometry
 from rendezview.service.model_messages import ModelInfo
@@ -218,25 +217,19 @@ class ModelStore:
         Raises:
             RendezviewError: the name is invalid or taken, or the content is not a model.
         """
-        path = self.path_for(name, replace)
-        trial = self.folder / f".{secrets.token_hex(8)}.tmp"
-        stored = self._stored(name, trial, own=True)
-        try:
-            trial.write_bytes(content)
-            try:
-                _ = stored.model
-            except RendezviewError as error:
-                raise RendezviewError(str(error).replace(str(trial), "the model sent")) from None
-            with self._lock:
-                self.path_for(name, replace)  # another upload may have taken it meanwhile
-                trial.replace(path)
-                stored.path = path.resolve()
-                self._models[name] = stored
-        except OSError as error:
-            raise write_error(path, error) from None
-        finally:
-            with contextlib.suppress(OSError):
-                trial.unlink()
+        with self._lock:  # no other upload takes the name meanwhile
+            path = self.path_for(name, replace)
+            with atomic_write(path) as file:
+                file.write(content)
+                file.flush()
+                stored = self._stored(name, Path(file.name), own=True)
+                try:
+                    _ = stored.model
+                except RendezviewError as error:
+                    said = str(error).replace(file.name, "the model sent")
+                    raise RendezviewError(said) from None
+            stored.path = path.resolve()
+            self._models[name] = stored
         return stored
 
     def found(self, name: str) -> StoredModel:

@@ -17,7 +17,7 @@ from typing import Any
 
 from rendezview.errors import RendezviewError
 from rendezview.io.files import make_folder
-from rendezview.service.checkpoint import Checkpoint, resume
+from rendezview.service.checkpoint import Checkpoint
 from rendezview.service.feeder import Feeder
 from rendezview.service.inputs import Full
 from rendezview.service.jobs import Jobs
@@ -257,7 +257,7 @@ class Service:
                 None if source is None else source.name,
             )
             if resumed is not None:
-                resume(session, resumed)
+                session.resume(resumed)
             try:
                 await self._place(session)
                 keep(session)

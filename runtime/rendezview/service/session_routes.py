@@ -173,7 +173,7 @@ async def get_state(
 ) -> Response:
     """The last state; 404 if there is none (for a ROS type: no pose)."""
     needs(request, Right.READ)
-    last = session_of(request, name).last
+    last = session_of(request, name).progress.last
     if last is None:
         raise HTTPException(404, "no frame has been tracked yet")
     if as_ == "state":

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from pydantic_core import to_json
 
 from rendezview.service.approach_messages import Level
+from rendezview.service.checkpoint import Checkpoint
 from rendezview.service.clock import SessionClock
 from rendezview.service.frames import Bytes
 from rendezview.service.history import Past
 from rendezview.service.inputs import Answer, Full, InputQueue, SessionInput
 from rendezview.service.lease import SOURCE, Lease
-from rendezview.service.message_parts import CAMERA, PoseMessage
-from rendezview.service.messages import (
-    Phase,
-    Recording,
-    SensorHealth,
-    SessionInfo,
-    SessionRequest,
-)
+from rendezview.service.message_parts import CAMERA
+from rendezview.service.messages import Recording, SensorHealth, SessionInfo, SessionRequest
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
+from rendezview.service.progress import Progress
 from rendezview.service.rate_limit import TokenBucket
 from rendezview.service.sensor_health import Arrivals, OtherSensors
 from rendezview.service.session_events import SessionEvents
@@ -38,7 +32,6 @@ from rendezview.service.worker_handle import WorkerHandle
 
 log = logging.getLogger("rendezview.service")
 
-_PRIOR_S = 10.0  # s, for which a pose is the prior of another worker's tracker. Source: chosen
 ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
 _STALE_S = 3.0  # s; a camera without frames for longer is not healthy. Source: chosen
 
@@ -73,8 +66,7 @@ class Session:
         self.created_unix_s = time.time()
         self.log = SessionLog(name)
         self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
-        self.last: bytes | None = None  # the last state, JSON
-        self.last_header: Header = {}
+        self.progress = Progress()
         self.watchers = Watchers()
         self.finished = False
         self.reason: str | None = None
@@ -86,13 +78,8 @@ class Session:
         self._metrics = metrics.of_session(name)
         self._queue = InputQueue()
         self.frame_base = 0  # number of frames before the present worker
-        self._frames = self._found = self._drops = 0
-        self._last_found: bytes | None = None  # the last state with a pose, JSON
-        self._found_at_s = -math.inf  # monotonic
-        self._last_pose_s: float | None = None
-        self._phase = Phase.WAITING
+        self._drops = 0
         self.events = SessionEvents(name, lambda: self.clock.unix_s(time.monotonic()))
-        self._last_at_s: float | None = None  # monotonic, of the last state
         self._arrivals = Arrivals()
         self._others = OtherSensors()
         self._lines = TokenBucket.full(settings.measurements_per_s, time.monotonic())
@@ -228,18 +215,11 @@ class Session:
 
     def tracked(self, waiting: SessionInput, header: Header, state: bytes) -> None:
         """The state of a frame."""
-        self._frames += 1
-        self.last, self.last_header = state, header
+        self.progress.add(header, state)
         self._last_fault = None
         self._refused_since_s = None
-        phase = Phase(header["phase"])
-        if phase is Phase.TRACKING:
-            self._found += 1
-            self._last_found, self._found_at_s = state, time.monotonic()
-            self._last_pose_s = header["time_s"]
-        self._phase = phase
-        now_s = self._last_at_s = time.monotonic()
-        self.events.phase(phase, header["frame"], header["status"])
+        now_s = time.monotonic()
+        self.events.phase(self.progress.phase, header["frame"], header["status"])
         self.events.limits(header.get("alarms", []), now_s)
         self.events.fault(None)
         if "recording" in header:
@@ -262,7 +242,7 @@ class Session:
 
     def add_extras(self, header: Header, picture: bytes) -> None:
         """The picture and contours of the last state, for the history and the watchers."""
-        if self.last is None:
+        if self.progress.last is None:
             return
         now_s = time.monotonic()
         marks = self._others.marks(now_s)
@@ -270,7 +250,7 @@ class Session:
             self.past.add_image(now_s, header["frame"], picture, marks)
         sensors, recording = to_json(self.sensors()), to_json(self.log.recording)
         rest = b'"sensors":%b,"recording":%b,"marks":%b' % (sensors, recording, marks)
-        self.watchers.show(now_s, self.last, header, picture, rest)
+        self.watchers.show(now_s, self.progress.last, header, picture, rest)
 
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
@@ -298,15 +278,31 @@ class Session:
 
         The tracker starts with the last pose, if it is not old.
         """
-        found_s = self._found_at_s
-        if self._last_found is not None:
-            prior = None
-            if time.monotonic() - found_s < _PRIOR_S:
-                prior = PoseMessage.model_validate(json.loads(self._last_found)["pose"])
-            self.request_now = self.request.model_copy(update={"prior": prior})
+        if self.progress.last_found is not None:
+            self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
         self._others.forget("its filter ended with the worker process; a new one starts")
-        self.frame_base = self._frames
+        self.frame_base = self.progress.frames
         self.watchers.restart()
+
+    def checkpoint(self) -> Checkpoint:
+        """What another service needs to continue it."""
+        return Checkpoint(
+            request=self.request,
+            model_sha256=self.stored.sha256,
+            tracked=self.progress.tracked(),
+            log=self.log.id,
+            log_base=self.log.base,
+            log_paths=[part.path for part in self.log.parts],
+            fused=self.is_fused or self.was_fused,
+        )
+
+    def resume(self, kept: Checkpoint) -> None:
+        """Continue a session of another service; the tracker starts at its last pose."""
+        self.was_fused = kept.fused
+        self.progress.resume(kept.tracked)
+        self.log.resume(kept.log, kept.log_base, kept.log_paths)
+        self.events.add("node", Level.WARNING, "another node continues the session")
+        self.reopened()
 
     # The source, and the end
 
@@ -363,7 +359,7 @@ class Session:
             kind="camera",
             healthy=reason is None,
             reason=reason,
-            frames=self._frames,
+            frames=self.progress.frames,
             drops=self._drops,
             rate_hz=self._arrivals.rate_hz(now_s),
             last_unix_s=self._arrivals.last_unix_s,
@@ -374,24 +370,23 @@ class Session:
     def info(self) -> SessionInfo:
         """The session as a message."""
         assert self.request.camera is not None
-        last: dict[str, Any] = self.last_header
-        time_s, at_s = last.get("time_s"), self._last_pose_s
+        progress = self.progress
         return SessionInfo(
             id=self.id,
             model=self.model,
             model_sha256=self.stored.sha256,
             camera=self.request.camera,
             source=self.source,
-            phase=self._phase,
+            phase=progress.phase,
             created_unix_s=self.created_unix_s,
-            frames=self._frames,
+            frames=progress.frames,
             drops=self._drops,
-            found_fraction=self._found / self._frames if self._frames else None,
+            found_fraction=progress.found / progress.frames if progress.frames else None,
             watchers=len(self.watchers),
-            last_frame=last.get("frame"),
-            last_time_s=time_s,
-            since_pose_s=None if at_s is None or time_s is None else time_s - at_s,
-            age_s=None if self._last_at_s is None else time.monotonic() - self._last_at_s,
+            last_frame=progress.header.get("frame"),
+            last_time_s=progress.header.get("time_s"),
+            since_pose_s=progress.since_pose_s,
+            age_s=progress.age_s,
             alarms=self.events.alarms,
             sensors=self.sensors(),
             recording=self.log.recording,

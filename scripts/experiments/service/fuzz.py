@@ -17,7 +17,7 @@ from urllib.parse import quote, urlsplit
 
 import numpy as np
 from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
+from websockets.sync.client import ClientConnection, connect
 
 from experiments.service.fuzz_cases import CAMERA, RING, Cases
 from experiments.service.fuzz_routes import Routes, raw_bytes, send_raw
@@ -26,9 +26,15 @@ from rendezview.client import Client, ServiceError
 
 SLOW_S = 10.0
 MOST_PROCESSOR_S = 1.0  # of the service and its workers, for one case
-MOST_MB = 200.0  # that their memory may grow by one case, and by all of them together
+MOST_MB = 200.0  # that their memory may take for one case at its peak, and grow by in all
 MOST_HELD = 500  # half-open connections
 SESSION = "fuzzed"  # most cases go there
+_PATHS = (
+    "/v1/sessions", "/v1/sessions/{}", "/v1/sessions/{}/state?as={}", "/v1/models/{}",
+    "/v1/sessions/{}/history?seconds={}&limit={}", "/v1/sessions/{}/images/{}", "/{}",
+    "/v1/sessions/{}/log", "/v1/models/{}/geometry", "/v1/jobs/{}", "/v1/sessions/{}/{}",
+    "/v1/sessions/{}/contour/{}",
+)  # fmt: skip
 
 
 class Fuzz(Cases):
@@ -43,8 +49,8 @@ class Fuzz(Cases):
         self.place = urlsplit(served.url)
         self.held: list[socket.socket] = []
         self.part = ""  # what it does, for the progress
-        self.worst_s, self.worst = 0.0, ""
-        self.now_mb = self.worst_mb = 0.0
+        self.worst_s: dict[str, tuple[float, str]] = {}  # of a case of each part, and what it was
+        self.worst_mb: dict[str, tuple[float, str]] = {}
 
     def ask(
         self,
@@ -75,45 +81,49 @@ class Fuzz(Cases):
 
     def by_http(self, count: int) -> None:
         """Frames and requests, some good ones between."""
-        rng, session = self.rng, SESSION
         http = HTTPConnection(self.place.hostname or "", self.place.port, timeout=30.0)
-        paths = (
-            "/v1/sessions", "/v1/sessions/{}", "/v1/sessions/{}/state?as={}", "/v1/models/{}",
-            "/v1/sessions/{}/history?seconds={}&limit={}", "/v1/sessions/{}/images/{}", "/{}",
-            "/v1/sessions/{}/log", "/v1/models/{}/geometry", "/v1/jobs/{}", "/v1/sessions/{}/{}",
-            "/v1/sessions/{}/contour/{}",
-        )  # fmt: skip
         for k in range(count):
-            what = rng.random()
-            if what < 0.25:
-                sensor, lines = self.lines()
-                path = f"/v1/sessions/{session}/measurements?sensor={quote(sensor)}"
-                self.ask(http, "POST", path, lines)
-            elif what < 0.6:
-                time_s = "" if rng.random() < 0.9 else f"?time_s={quote(str(self.value()))}"
-                self.ask(http, "POST", f"/v1/sessions/{session}/frames{time_s}", self.frame())
-            elif what < 0.8:
-                body = self.ask(http, "POST", "/v1/sessions", self.request_of_session())
-                opened = json.loads(body).get("id") if body.startswith(b'{"id"') else None
-                if opened:
-                    self.ask(http, "POST", f"/v1/sessions/{opened}/frames", self.frame())
-                    self.ask(http, "DELETE", f"/v1/sessions/{opened}", None)
-            elif what < 0.97:
-                words = [quote(str(self.value())[:200], safe="") for _ in range(3)]
-                words[0] = session if rng.random() < 0.5 else words[0]
-                methods = ("GET", "DELETE", "PUT", "POST", "PATCH", "HEAD")
-                method = "GET" if rng.random() < 0.7 else str(rng.choice(methods))
-                path = str(rng.choice(paths)).format(*words)
-                if method == "DELETE" and path == f"/v1/sessions/{session}":
-                    continue
-                self.ask(http, method, path, self.frame() if method in ("PUT", "POST") else None)
-            else:
-                self.raw(raw_bytes(rng))
+            self.measured(lambda: self.http_case(http))
             if k % 1000 == 999:
                 self.progress(k + 1)
                 self.still_tracks()
         self.let_go()
         http.close()
+
+    def http_case(self, http: HTTPConnection) -> str:
+        """One case; what it was."""
+        rng, session, what = self.rng, SESSION, self.rng.random()
+        if what < 0.25:
+            sensor, lines = self.lines()
+            path = f"/v1/sessions/{session}/measurements?sensor={quote(sensor)}"
+            self.ask(http, "POST", path, lines)
+            return f"lines {lines[:80]!r}"
+        if what < 0.6:
+            time_s = "" if rng.random() < 0.9 else f"?time_s={quote(str(self.value()))}"
+            frame = self.frame()
+            self.ask(http, "POST", f"/v1/sessions/{session}/frames{time_s}", frame)
+            return f"frame {frame[:40]!r}"
+        if what < 0.8:
+            asked = self.request_of_session()
+            body = self.ask(http, "POST", "/v1/sessions", asked)
+            opened = json.loads(body).get("id") if body.startswith(b'{"id"') else None
+            if opened:
+                self.ask(http, "POST", f"/v1/sessions/{opened}/frames", self.frame())
+                self.ask(http, "DELETE", f"/v1/sessions/{opened}", None)
+            return f"session {asked[:200]!r}"
+        if what < 0.97:
+            words = [quote(str(self.value())[:200], safe="") for _ in range(3)]
+            words[0] = session if rng.random() < 0.5 else words[0]
+            methods = ("GET", "DELETE", "PUT", "POST", "PATCH", "HEAD")
+            method = "GET" if rng.random() < 0.7 else str(rng.choice(methods))
+            path = str(rng.choice(_PATHS)).format(*words)
+            if method == "DELETE" and path == f"/v1/sessions/{session}":
+                method = "GET"
+            self.ask(http, method, path, self.frame() if method in ("PUT", "POST") else None)
+            return f"{method} {path}"
+        content = raw_bytes(rng)
+        self.raw(content)
+        return repr(content[:80])
 
     def progress(self, count: int) -> None:
         """Say how far it is."""
@@ -136,19 +146,16 @@ class Fuzz(Cases):
             connection.close()
         self.held.clear()
 
-    def measured(self, what: str, case: Callable[[], None]) -> None:
-        """One case, with the processor time and memory that it took."""
-        before_s = self.served.processor_s()
-        case()
-        spent_s = self.served.processor_s() - before_s
-        if spent_s > self.worst_s:
-            self.worst_s, self.worst = spent_s, what
+    def measured(self, case: Callable[[], str]) -> None:
+        """One case, with the processor time and the peak of memory that it took."""
+        self.served.forget_peak()
+        before_s, before_mb = self.served.processor_s(), self.served.resident_mb()
+        what = case()[:300]
+        spent_s, grew_mb = self.served.processor_s() - before_s, self.served.peak_mb() - before_mb
+        self.worst_s[self.part] = max(self.worst_s.get(self.part, (0.0, "")), (spent_s, what))
+        self.worst_mb[self.part] = max(self.worst_mb.get(self.part, (0.0, "")), (grew_mb, what))
         if spent_s > MOST_PROCESSOR_S:
             self.failures.append(f"{what}: {spent_s:.1f} s of processor time")
-        grew_mb, self.now_mb = -self.now_mb, self.served.resident_mb()
-        grew_mb += self.now_mb
-        if grew_mb > self.worst_mb:
-            self.worst_mb = grew_mb
         if grew_mb > MOST_MB:
             self.failures.append(f"{what}: memory grew by {grew_mb:.0f} MB")
 
@@ -158,17 +165,18 @@ class Fuzz(Cases):
         http.request("GET", "/openapi.json")
         routes = Routes(json.loads(http.getresponse().read()), self.rng, self.value)
         self.still_tracks()
-        self.now_mb = self.served.resident_mb()
-        for k in range(count):
+
+        def case() -> str:
             if self.rng.random() < 0.2:
                 content = raw_bytes(self.rng)
-                self.measured(repr(content[:80]), lambda: self.raw(content))  # noqa: B023
-            else:
-                asked = routes.request(SESSION, self.frame)
-                self.measured(
-                    f"{asked[0]} {asked[1][:200]}",
-                    lambda: void(self.ask(http, *asked)),  # noqa: B023
-                )
+                self.raw(content)
+                return repr(content[:80])
+            asked = routes.request(SESSION, self.frame)
+            self.ask(http, *asked)
+            return f"{asked[0]} {asked[1]}"
+
+        for k in range(count):
+            self.measured(case)
             if k % 1000 == 999:
                 self.progress(k + 1)
                 self.still_tracks()
@@ -185,29 +193,7 @@ class Fuzz(Cases):
                 with connect(url, compression=None, max_size=None) as stream:
                     for _ in range(min(left, 500)):
                         left -= 1
-                        head = struct.pack("<d", float("nan"))
-                        if self.rng.random() < 0.2:
-                            head = self.rng.bytes(self.rng.integers(0, 9))
-                        message: bytes | str = head + self.frame()
-                        if self.rng.random() < 0.05:
-                            message = json.dumps(self.value())
-                        elif self.rng.random() < 0.2:
-                            answer = {"sensor": self.value(), "record": self.value()}
-                            if self.rng.random() < 0.8:
-                                answer["sensor"] = str(
-                                    self.rng.choice(["ring", "laser", "mirrors"])
-                                )
-                            message = json.dumps(answer)
-                            if self.rng.random() < 0.8:
-                                sensor, lines = self.lines()
-                                line = lines.decode(errors="replace").split("\n")[0]
-                                message = f'{{"sensor": "{sensor}", "record": {line}}}'
-                        stream.send(message)
-                        answer = json.loads(stream.recv(SLOW_S))
-                        status = answer.get("status", 200)
-                        self.outcomes[f"stream {status if 'error' in answer else 'state'}"] += 1
-                        if "error" in answer and status >= 500 and status != 503:
-                            self.failures.append(f"stream: {answer}")
+                        self.measured(lambda: self.stream_case(stream))
             except TimeoutError:
                 self.failures.append("stream: no answer")
             except (WebSocketException, OSError) as error:
@@ -215,6 +201,31 @@ class Fuzz(Cases):
             if left // 1000 != before // 1000:
                 self.progress(count - left)
                 self.still_tracks()
+
+    def stream_case(self, stream: ClientConnection) -> str:
+        """One message and its answer; what it was."""
+        head = struct.pack("<d", float("nan"))
+        if self.rng.random() < 0.2:
+            head = self.rng.bytes(self.rng.integers(0, 9))
+        message: bytes | str = head + self.frame()
+        if self.rng.random() < 0.05:
+            message = json.dumps(self.value())
+        elif self.rng.random() < 0.2:
+            asked = {"sensor": self.value(), "record": self.value()}
+            if self.rng.random() < 0.8:
+                asked["sensor"] = str(self.rng.choice(["ring", "laser", "mirrors"]))
+            message = json.dumps(asked)
+            if self.rng.random() < 0.8:
+                sensor, lines = self.lines()
+                line = lines.decode(errors="replace").split("\n")[0]
+                message = f'{{"sensor": "{sensor}", "record": {line}}}'
+        stream.send(message)
+        answer = json.loads(stream.recv(SLOW_S))
+        status = answer.get("status", 200)
+        self.outcomes[f"stream {status if 'error' in answer else 'state'}"] += 1
+        if "error" in answer and status >= 500 and status != 503:
+            self.failures.append(f"stream: {answer}")
+        return f"message {message[:80]!r}"
 
     def open(self, client: Client) -> None:
         """The session that the cases go to."""
@@ -232,10 +243,6 @@ class Fuzz(Cases):
             except ServiceError as error:
                 self.failures.append(f"a good frame is refused: {error}")
             session.close()
-
-
-def void(_: object) -> None:
-    """For a result that does not matter."""
 
 
 def run(
@@ -297,8 +304,10 @@ def run(
     print(f"{cases}, {len(fuzz.failures)} failures")
     print(", ".join(f"{name}: {count}" for name, count in fuzz.outcomes.most_common()))
     print(f"memory {before:.0f} MB before, {after:.0f} MB after; {restarts:.0f} workers ended")
-    print(f"most for one case of the routes: {fuzz.worst_s:.2f} s of processor time ({fuzz.worst})")
-    print(f"most that memory grew by one: {fuzz.worst_mb:.0f} MB")
+    for part in fuzz.worst_s:
+        (spent_s, slow), (grew_mb, large) = fuzz.worst_s[part], fuzz.worst_mb[part]
+        print(f"{part}: most for one case {spent_s:.2f} s of processor time ({slow})")
+        print(f"{part}: most memory for one case {grew_mb:.0f} MB ({large})")
     for failure in fuzz.failures[:20]:
         print(failure)
     if fuzz.failures:

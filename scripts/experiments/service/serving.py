@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import resource
 import signal
@@ -59,6 +60,21 @@ class Processes:
     def resident_mb(self) -> float:
         """Of the service and its workers."""
         return sum(self.each_mb())
+
+    def forget_peak(self) -> None:
+        """`peak_mb` begins again. Source: the kernel's `proc(5)`, clear_refs."""
+        for pid in self.pids():
+            with contextlib.suppress(OSError):  # it has ended
+                Path(f"/proc/{pid}/clear_refs").write_text("5")
+
+    def peak_mb(self) -> float:
+        """Of the service and its workers: the most since `forget_peak`, each at its own time."""
+        kilobytes = 0
+        for pid in self.pids():
+            with contextlib.suppress(OSError, StopIteration):
+                lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+                kilobytes += int(next(li for li in lines if li.startswith("VmHWM")).split()[1])
+        return kilobytes * 1024 / 1e6
 
 
 class Served(Processes):

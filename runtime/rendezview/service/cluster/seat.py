@@ -16,7 +16,6 @@ from starlette.types import Message, Scope
 
 from rendezview.service.app import make_routes
 from rendezview.service.checkpoint import (
-    checkpoint_of,
     checkpoint_path,
     read_checkpoint,
     write_checkpoint,
@@ -90,7 +89,7 @@ class Seat:
 
         def keep(session: Session) -> None:
             if self._held == session.id:
-                write_checkpoint(path, checkpoint_of(session))
+                write_checkpoint(path, session.checkpoint())
 
         self._held = asked.id
         resumed = read_checkpoint(path) if resumes else None

@@ -39,6 +39,16 @@ export const json = async (path, options) => (await request(path, options)).json
 
 export const sessionPath = (name) => `/v1/sessions/${encodeURIComponent(name)}`;
 
+/** The session that the page's address names; empty: none. */
+export function askedSession() {
+  const name = location.hash.slice(1);
+  try {
+    return decodeURIComponent(name);
+  } catch {
+    return name;
+  }
+}
+
 /** Watches a session; `received(message, jpeg or null)` for each state, `closed(reason, ended)` once. */
 export function watch(name, { silhouette, received, opened, closed }) {
   const query = new URLSearchParams({ rate_hz: "30", width: "640", silhouette: silhouette ? "1" : "0" });

@@ -4,6 +4,7 @@ import { json, sessionPath } from "./api.js";
 import { utc } from "./approach.js";
 import { say } from "./status.js";
 
+const find = (id) => document.getElementById(id);
 const MOST = 200; // shown
 const MARKS = { tracking: ["●", "good"], coasting: ["◐", "warn"], searching: ["▲", "bad"], waiting: ["○", ""] };
 
@@ -41,8 +42,20 @@ export class Events {
   }
 }
 
+/** All sessions in the list and at a glance; the chosen one (null: none) stays when it has ended. */
+export function showSessions(sessions, chosen, choose) {
+  showStrip(find("strip"), sessions, chosen, choose);
+  const select = find("sessions");
+  const names = sessions.map((one) => one.id);
+  if (chosen !== null && !names.includes(chosen)) names.push(chosen);
+  if ([...select.options].map((option) => option.value).join("\n") !== names.join("\n")) {
+    select.replaceChildren(...names.map((name) => new Option(name, name)));
+  }
+  select.value = chosen ?? ""; // nothing is selected
+}
+
 /** One button for each session: its phase, rate, alarms and recording. */
-export function showStrip(strip, sessions, chosen, choose) {
+function showStrip(strip, sessions, chosen, choose) {
   strip.hidden = sessions.every((one) => one.id === chosen);
   while (strip.children.length > sessions.length) strip.lastChild.remove();
   sessions.forEach((one, place) => {

@@ -1,14 +1,14 @@
 // The page: receives states, decides when to draw them, and handles the operator's input.
 
 import { askToken, onToken, wasDeclined } from "./access.js";
-import { downloadLog, json, sessionPath, token, watch } from "./api.js";
+import { askedSession, downloadLog, json, sessionPath, token, watch } from "./api.js";
 import { showAlerts, showApproach, times, utc } from "./approach.js";
 import { wire } from "./controls.js";
-import { Events, showStrip } from "./events.js";
+import { Events, showSessions } from "./events.js";
 import { LiveView } from "./live.js";
 import { showRecordings } from "./library.js";
 import { Past, placeAway } from "./past.js";
-import { say, showAge, showFused, showLink, showNumbers, showRecording, showSensors, showVerdict, verdict } from "./status.js";
+import { say, showAge, showFused, showLink, showNumbers, showRecording, showSensors, showTotals, showVerdict, verdict } from "./status.js";
 import { Views } from "./views.js";
 
 const find = (id) => document.getElementById(id);
@@ -27,7 +27,7 @@ let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
 let paused = null; // states at the pause, and the index of the shown one
 let ended = null; // reason
 let recorded = null, approach = null; // name of the recording that is looked at; of the session
-let unreachable = null; // since when the service is (ms)
+let unreachable = null, refusal = null; // since when the service is (ms), and the last poll's error
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0;
@@ -39,7 +39,7 @@ const views = new Views(drawn, schedule, again);
 
 function received(message, jpeg) {
   drawn.received += 1;
-  unreachable = null;
+  unreachable = refusal = null;
   past.add(message.state);
   last = { message, jpeg, at: performance.now() };
   ended = null;
@@ -106,9 +106,11 @@ function draw(now) {
 /** The verdict on the shown state while paused; else, or with `now`, on the present. */
 function words(now = paused === null) {
   if (!now || recorded !== null) return verdict(shown?.state ?? null, 0);
+  if (refusal?.status === 401) return ["offline", "NO ACCESS", "the service requires a token: press Token"];
   if (unreachable !== null) {
     const away = (performance.now() - unreachable) / 1000;
-    return ["offline", "NO CONNECTION", `the service cannot be reached for ${away.toFixed(0)} s; trying again`];
+    const why = refusal.status ? `does not serve this page (${refusal.message})` : "cannot be reached";
+    return ["offline", "NO CONNECTION", `the service ${why} for ${away.toFixed(0)} s; trying again`];
   }
   if (ended !== null) return ["ended", "ENDED", ended];
   if (leave === null && session !== null) return ["offline", "NO CONNECTION", "trying again"];
@@ -180,37 +182,40 @@ async function poll() {
   try {
     sessions = (await json("/v1/sessions")).sessions;
   } catch (error) {
-    if (error.status === 401) {
-      showVerdict(["offline", "NO ACCESS", "the service requires a token: press Token"]);
-      if (!wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
-    } else {
-      unreachable ??= performance.now();
-      showLink("no connection", "bad");
-      if (paused === null) showVerdict(words(true));
-    }
+    refusal = error;
+    if (error.status !== 401) unreachable ??= performance.now();
+    showLink(error.status === 401 ? "no access" : "no connection", "bad");
+    if (paused === null) showVerdict(words(true));
+    if (error.status === 401 && !wasDeclined()) askToken(token() ? "The given token is not right." : "The service requires a token.");
     return;
   }
-  unreachable = null;
-  list();
+  unreachable = refusal = null;
+  showSessions(sessions, session, choose);
   if (recorded !== null) return;
   const present = sessions.find((one) => one.id === session);
   if (session !== null && present === undefined && leave === null && ended === null) showLink("session ended", "bad", (ended = "this session is not there any more: it ended, or the service was restarted"));
   info = present ?? info;
   if (session !== null && present !== undefined) events.load().catch(() => {});
   if (session === null || leave === null) {
-    const wanted = session ?? decodeURIComponent(location.hash.slice(1));
-    const next = sessions.find((one) => one.id === wanted) ?? (session === null ? sessions.at(-1) : null);
+    const wanted = session ?? askedSession();
+    const next = wanted === "" ? sessions.at(-1) : sessions.find((one) => one.id === wanted);
     if (next) choose(next.id);
-    else if (session === null) showVerdict(["waiting", "NO SESSION", "open one: rendezview serve --source …, or rendezview.client"]);
+    else if (session === null) noSession(wanted);
   }
   if (session !== null) overview();
 }
 
+/** Another session than the one that was asked for is never shown in its place. */
+function noSession(wanted) {
+  showLink("no session", "");
+  const others = sessions.length ? "; others are listed above" : "";
+  const why = wanted === "" ? "open one: rendezview serve --source …, or rendezview.client" : `${wanted} is not there (yet): waiting for it${others}`;
+  showVerdict(["waiting", "NO SESSION", why]);
+}
+
 function overview() {
   if (info === null) return;
-  const known = info.found_fraction === null ? "" : ` · ${(100 * info.found_fraction).toFixed(1)} % found`;
-  say(find("totals"), `${info.model} · sha256 ${info.model_sha256.slice(0, 12)} · ${info.camera.width} × ${info.camera.height} px · ${info.frames} frames${known}`);
-  find("totals").title = `model sha256 ${info.model_sha256}`;
+  showTotals(info);
   find("download").disabled = info.recording.state === "off";
   if (performance.now() - (last?.at ?? -Infinity) > POLL_MS) {
     showSensors(info.sensors);
@@ -219,27 +224,24 @@ function overview() {
   }
 }
 
-function list() {
-  showStrip(find("strip"), sessions, session, choose);
-  const select = find("sessions");
-  const names = sessions.map((one) => one.id);
-  if (session !== null && !names.includes(session)) names.push(session);
-  if ([...select.options].map((option) => option.value).join("\n") !== names.join("\n")) {
-    select.replaceChildren(...names.map((name) => new Option(name, name)));
-  }
-  if (session !== null) select.value = session;
-}
-
 function choose(name) {
   begin(sessions.find((one) => one.id === name) ?? null, sessionPath(name));
   session = name;
   events.clear(name);
   history.replaceState(null, "", `#${encodeURIComponent(name)}`);
-  list();
+  showSessions(sessions, session, choose);
   connect();
   overview();
   showVerdict(words());
   restore().catch(() => {});
+}
+
+/** Nothing is chosen; then the session that the address names. */
+function anew() {
+  begin(null, "");
+  session = null;
+  events.clear(null);
+  poll();
 }
 
 /** Nothing is shown yet of what comes now. */
@@ -282,7 +284,7 @@ async function look(recording) {
   recorded = recording.name;
   session = null;
   events.clear(null);
-  list();
+  showSessions(sessions, session, choose);
   showLink(`recording ${recording.name}`, "");
   showVerdict(["waiting", "READING", recording.name]);
   try {
@@ -330,11 +332,8 @@ function pause() {
 }
 
 function goLive() {
+  if (recorded !== null) return anew();
   paused = null;
-  if (recorded !== null) {
-    recorded = null;
-    poll();
-  }
   find("pause").textContent = "Pause";
   find("pause").setAttribute("aria-pressed", "false");
   find("scrub").disabled = true;
@@ -394,6 +393,7 @@ wire({
 }, live, views);
 live.changed = again;
 onToken(poll);
+addEventListener("hashchange", anew);
 
 poll();
 setInterval(() => document.querySelector("dialog[open]") || poll(), POLL_MS);

@@ -145,6 +145,13 @@ export function showRecording(recording) {
   chip.className = `chip ${{ off: "", on: "good", failed: "bad" }[recording.state]}`;
 }
 
+/** Model, camera and counts of a session or recording. */
+export function showTotals(info) {
+  const known = info.found_fraction === null ? "" : ` · ${(100 * info.found_fraction).toFixed(1)} % found`;
+  say(find("totals"), `${info.model} · sha256 ${info.model_sha256.slice(0, 12)} · ${info.camera.width} × ${info.camera.height} px · ${info.frames} frames${known}`);
+  find("totals").title = `model sha256 ${info.model_sha256}`;
+}
+
 export function showLink(text, kind) {
   const chip = find("link");
   say(chip, text);
