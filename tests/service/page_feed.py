@@ -16,6 +16,7 @@ from rendezview.client import SessionClient
 
 MOST_S = 60.0
 SIZES = {"desk": (1400, 900), "phone": (390, 844)}
+_DRAWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))"
 # What must be in the window at both widths: nothing hangs over the side, and words are not cut.
 _LAYOUT = """(wide) => {
   const faults = [], window_ = document.documentElement.clientWidth;
@@ -65,7 +66,8 @@ def shoot(page: Any, folder: Path, name: str) -> None:
     """Pictures of a page at both widths; its layout must hold."""
     for size, (width, height) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
-        time.sleep(0.5)  # plots are drawn anew
+        page.evaluate(_DRAWN)
+        time.sleep(0.1)  # and the view in space, which is drawn less often
         page.screenshot(path=folder / f"{name}-{size}.png", full_page=size == "phone")
         assert page.evaluate(_LAYOUT, size == "desk") == [], name
 

@@ -124,8 +124,19 @@ def test_without_a_model_given_the_stored_ones_warm_it_up(
     served.stop()
 
 
-def test_the_first_model_that_is_sent_warms_it_up(start_service, model_path, camera, tour):
-    served = start_service(given=False)
+def _ends_in_order(served, sent, log, states):
+    """A signal to the whole group, as a terminal and some supervisors send it: the workers, which
+    must not follow it, complete their logs."""
+    os.killpg(served.process.pid, sent)
+    assert served.process.wait(60) == 0
+    assert mend(log) is None  # it is whole already
+    assert [frame.state for frame in read_log(log).frames()] == states
+
+
+def test_the_first_model_that_is_sent_warms_it_up(
+    start_service, model_path, camera, tour, tmp_path
+):
+    served = start_service("--record", str(tmp_path), given=False)
     with served.client() as client:
         with pytest.raises(ServiceError, match="there are: none"):
             client.open(camera)
@@ -139,9 +150,10 @@ def test_the_first_model_that_is_sent_warms_it_up(start_service, model_path, cam
             # On a machine that has compiled nothing yet the first tries are turned away.
             with contextlib.suppress(ServiceError):
                 session = client.open(camera)
-        time_s, _, image = tour[0]
-        assert session.track(image, time_s)["pose"] is not None
-    served.stop()
+        states = [session.track(image, time_s) for time_s, _, image in tour[:3]]
+        assert states[0]["pose"] is not None
+    (log,) = tmp_path.glob("*.mcap")
+    _ends_in_order(served, signal.SIGINT, log, states)
 
 
 def test_a_training_runs_beside_and_its_model_tracks(client, camera, tmp_path):
@@ -210,15 +222,21 @@ def test_a_source_is_tracked_to_its_last_frame(start_service, camera, tour, tmp_
 
 
 @pytest.mark.requirement("RV-SVC-1")
-def test_the_service_outlives_a_worker(start_service, camera, tour, tmp_path):
-    served = start_service("--record", str(tmp_path))
+def test_the_service_outlives_all_its_workers(start_service, camera, tour, tmp_path):
+    """The one that tracks and the spare one at once."""
+    served = start_service("--record", str(tmp_path), RENDEZVIEW_SERVE_SPARE_WORKER="true")
     with served.client() as client:
         session = client.open(camera, prior=tour[0][1])
         before = [session.track(image, time_s) for time_s, _, image in tour[:3]]
+        until = time.monotonic() + 60
+        while not any("a spare worker is ready" in line for line in served.lines):
+            assert time.monotonic() < until
+            time.sleep(0.05)
         children = Path(f"/proc/{served.process.pid}/task/{served.process.pid}/children")
-        (worker,) = map(int, children.read_text().split())
-        os.kill(worker, signal.SIGKILL)
-        until = time.monotonic() + 30
+        workers = [*map(int, children.read_text().split())]
+        assert len(workers) == 2
+        for worker in workers:
+            os.kill(worker, signal.SIGKILL)
         while True:
             assert time.monotonic() < until
             try:
@@ -230,25 +248,10 @@ def test_the_service_outlives_a_worker(start_service, camera, tour, tmp_path):
                 time.sleep(0.1)
         assert after["frame"] == len(before)
         assert after["status"] == "ok"
-        assert "rendezview_worker_restarts_total 1.0" in client.fetch("GET", "/metrics").decode()
-    served.stop()
-    logs = sorted(tmp_path.glob("*.mcap"))
-    assert len(logs) == 2
-
-
-@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_to_the_whole_group_ends_it_in_order(start_service, camera, tour, tmp_path, sent):
-    """As a terminal and some supervisors send it: to the workers too, which must not hear it."""
-    served = start_service("--record", str(tmp_path))
-    with served.client() as client:
-        session = client.open(camera, prior=tour[0][1])
-        states = [session.track(image, time_s) for time_s, _, image in tour[:3]]
-    os.killpg(served.process.pid, sent)
-    assert served.process.wait(60) == 0
-    (path,) = tmp_path.glob("*.mcap")
-    assert mend(path) is None  # it is whole already
-    kept = [frame.state for frame in read_log(path).frames()]
-    assert kept == states
+        assert "rendezview_worker_restarts_total 2.0" in client.fetch("GET", "/metrics").decode()
+    first, second = sorted(tmp_path.glob("*.mcap"), key=lambda log: log.stat().st_mtime)
+    assert [frame.state for frame in read_log(first).frames()] == [*before, after]
+    _ends_in_order(served, signal.SIGTERM, second, [after])
 
 
 def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, client, camera, tour):

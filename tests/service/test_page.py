@@ -256,18 +256,6 @@ def test_the_fused_pose_and_what_other_sensors_saw_are_shown(
     assert page.evaluate(script, [told["ellipses"], tip])
 
 
-def test_a_full_disk_is_plain_to_see(service, feed, open_page) -> None:
-    feed("disk")
-    page = open_page(f"{service.url}#disk")
-    until(page, "document.getElementById('recording').textContent.includes('● recording')")
-    with service.full_disk():
-        until(page, "document.getElementById('recording').textContent.includes('failed')")
-        until(page, "document.getElementById('alerts').innerText.includes('cannot be written')")
-        assert "bad" in page.get_attribute("#recording", "class")
-        word_is(page, "FOUND")  # it is tracked all the same
-    until(page, "document.getElementById('recording').textContent.includes('● recording')")
-
-
 def test_a_phone_sees_all_of_it_without_moving_sideways(service, feed, open_page) -> None:
     feed("phone")
     page = open_page(f"{service.url}#phone", _PHONE, has_touch=True, is_mobile=True)

@@ -34,7 +34,7 @@ from rendezview.service.sources import Source
 from rendezview.service.tracking import camera_message
 from rendezview.service.viewers import Viewers
 from rendezview.service.worker_handle import WorkerGone
-from rendezview.service.worker_pool import COMPILING, NotReady, WorkerPool
+from rendezview.service.worker_pool import COMPILING, NotReady, Worker, WorkerPool
 from rendezview.service.worker_requests import open_request
 
 log = logging.getLogger("rendezview.service")
@@ -262,14 +262,16 @@ class Service:
                 await self._place(session)
                 keep(session)
                 session.keep = lambda: keep(session)
-            except BaseException:
+            except BaseException as error:
                 session.end("it could not be opened")
+                if isinstance(error, WorkerGone):
+                    raise NotReady from None
                 raise
         finally:
             self._opening.discard(name)
         self.sessions[name] = session
         self.metrics.sessions.set(len(self.sessions))
-        self._spawn(self._workers.prepare(stored))
+        self._spawn(self._workers.prepare(list(self.sessions.values())))
         if self._viewers.any:
             self._spawn(self._viewers.follow(session))
         log.info("session", extra={"session": name, "model": stored.name, "state": "opened"})
@@ -305,8 +307,9 @@ class Service:
     def release(self, stored: StoredModel) -> None:
         """A session, or a name, does not need a model any more."""
         used = {session.stored.sha256 for session in self.sessions.values()}
-        self._workers.forget(used)
         self.models.forget(stored, used)
+        if not self.stopping:
+            self._spawn(self._workers.prepare(list(self.sessions.values())))
 
     def uses(self, stored: StoredModel) -> bool:
         """Whether a session uses a model."""
@@ -328,9 +331,10 @@ class Service:
             )
         return stored
 
-    async def _place(self, session: Session) -> None:
-        """Give a session to the worker with the fewest sessions."""
-        worker = self._workers.least_busy()
+    async def _place(self, session: Session, worker: Worker | None = None) -> None:
+        """Give a session to a worker; None: the one with the fewest sessions."""
+        if worker is None or not worker.ready:
+            worker = self._workers.least_busy()
         worker.sessions.add(session)
         if session.request_now.record and session.log.base is None:
             session.log.base = self._log_path(session)
@@ -338,7 +342,7 @@ class Service:
             answer = await worker.ask(open_request(session, self.settings))
         except WorkerGone:
             worker.sessions.discard(session)
-            raise NotReady from None
+            raise
         if answer["kind"] == "fault":
             worker.sessions.discard(session)
             raise RendezviewError(answer["error"])
@@ -358,8 +362,13 @@ class Service:
             return place.with_name(f"{place.stem}-{session.id}{place.suffix}")
         return place / f"{session.id}-{datetime.now(UTC):%Y%m%dT%H%M%S}.mcap"
 
-    async def _reopen(self, orphans: list[Session]) -> None:
-        """Continue the sessions of a worker that ended with another worker, or end them."""
+    async def _reopen(self, orphans: list[Session], worker: Worker | None) -> list[Session]:
+        """Continue the sessions of a worker that ended with another one, or end them.
+
+        Returns:
+            those that have to wait, because no worker is ready.
+        """
+        start_s, left = time.monotonic(), []
         for session in orphans:
             if session.id not in self.sessions:
                 continue
@@ -368,9 +377,16 @@ class Service:
                 continue
             session.reopened()
             try:
-                await self._place(session)
-            except (RendezviewError, NotReady) as error:
+                await self._place(session, worker)
+                took = {"session": session.id, "took_s": round(time.monotonic() - start_s, 3)}
+                log.warning("another worker process continues a session", extra=took)
+            except NotReady:
+                left.append(session)
+            except WorkerGone:
+                pass  # its sessions, this one too, come here again
+            except RendezviewError as error:
                 await self.close(session, f"its tracker cannot be restarted: {error}")
+        return left
 
     async def _housekeeping(self) -> None:
         while True:

@@ -100,12 +100,15 @@ class SessionTracker:
         request: SessionRequest,
         most_sensors: int | None = None,
         forgotten: bool = False,
+        recognizer: Recognizer | None = None,
     ) -> None:
         """The tracker that a request describes; the request has a camera.
 
         Args:
             most_sensors: beside the camera; None: any number.
             forgotten: the session had a filter whose process ended.
+            recognizer: of the model and the request's camera and trees, which several sessions
+                may share; None: a new one.
 
         Raises:
             RendezviewError: the camera, the prior or the direction to the Sun is wrong.
@@ -119,7 +122,7 @@ class SessionTracker:
         if self.sun_camera is not None and not any(self.sun_camera):
             raise RendezviewError("sun_camera: a direction must not be zero")
         prior = None if request.prior is None else pose_of(request.prior)
-        recognizer = Recognizer(model, self.camera, trees=request.trees)
+        recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
         self.filter = SessionFilter(request.fusion, most_sensors, forgotten)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import gc
-import hashlib
 import json
 import logging
 import os
@@ -31,7 +30,7 @@ from pydantic_core import to_json
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences.frame import GreyImage
-from rendezview.sensors.appearance import AppearanceObservation, ViewModel
+from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.service.frames import read_frame
 from rendezview.service.json_logging import set_up_logging
 from rendezview.service.messages import Contour, SessionRequest
@@ -43,15 +42,14 @@ from rendezview.service.tracking import (
     pose_of,
     shown_pose,
     silhouette_px,
-    warm_up,
 )
 from rendezview.service.wire import Header, mapped, pack, receive
+from rendezview.service.worker_models import Sight, WorkerModels
 
 JPEG_QUALITY = 80  # 0 … 100, of pictures for watchers. Source: chosen
 # s of processor time to decode a frame, and more for each pixel. Source: a chosen limit
 _DECODING_S, _DECODING_PIXEL_S = 0.1, 50e-9
 _TELL_S = 1.0  # s, between messages with the progress. Source: chosen
-_SPARE_MODELS = 2  # that stay in memory without a session. Source: chosen
 _HEADER_KEYS = ("session", "frame", "time_s", "status", "phase", "track_ms")
 log = logging.getLogger("rendezview.service.worker")
 
@@ -60,7 +58,7 @@ log = logging.getLogger("rendezview.service.worker")
 class _WorkerSession:
     tracker: SessionTracker
     log: LogWriter | None
-    model: Path  # its file, named by its hash
+    sight: Sight
 
 
 class WorkerProcess:
@@ -69,10 +67,9 @@ class WorkerProcess:
     def __init__(self, connection: socket.socket, memory: Any) -> None:
         self._connection = connection
         self._memory = memoryview(memory)
-        self._models: dict[Path, ViewModel] = {}
+        self._models = WorkerModels(self._tell)
         self._sessions: dict[str, _WorkerSession] = {}
         self._told_s = 0.0
-        self._compiled = 0  # number of loops; see `warm_up`
 
     def run(self) -> None:
         """Answer until the service ends or asks to quit."""
@@ -96,10 +93,12 @@ class WorkerProcess:
             elif request["kind"] == "open":
                 self._send({"kind": "opened", "session": request["session"], **self._open(request)})
             elif request["kind"] == "warm":
-                self._model(Path(request["model_path"]))
-                self._send(
-                    {"kind": "opened", "session": request["session"], "compiled": self._compiled}
-                )
+                self._models.model(Path(request["model_path"]))
+                self._send({"kind": "opened", "session": "", "compiled": self._models.compiled})
+            elif request["kind"] == "prepare":
+                self._models.prepare([Sight.of(one) for one in request["sights"]])
+                self._drop_unused()
+                self._send({"kind": "opened", "session": ""})
             elif request["kind"] == "close":
                 self._close(request)
             elif request["kind"] == "quit":
@@ -113,16 +112,6 @@ class WorkerProcess:
             self._send(_fault(request, message) | {"internal": True})
         return True
 
-    def _model(self, path: Path) -> ViewModel:
-        """A model, read once, with its loops compiled; the file is named by its content."""
-        if path not in self._models:
-            used = {session.model for session in self._sessions.values()}
-            for other in [p for p in self._models if p not in used][:-_SPARE_MODELS]:
-                del self._models[other]
-            self._models[path] = ViewModel.load(path)
-            self._compiled += warm_up(self._models[path], self._tell)
-        return self._models[path]
-
     def _tell(self, loops: int) -> None:
         """Say how many loops are compiled, once a second."""
         if time.monotonic() - self._told_s > _TELL_S:
@@ -131,24 +120,36 @@ class WorkerProcess:
 
     def _open(self, request: Header) -> Header:
         asked = SessionRequest.model_validate(request["request"])
-        path = Path(request["model_path"])
-        model = self._model(path)
+        sight = Sight.of(request["sight"])
+        try:
+            session = self._opened(request, asked, sight)
+            self._sessions[request["session"]] = session
+        finally:
+            self._drop_unused()
+        written = None if session.log is None else str(session.log.path)
+        return {"recording": _recording(session.log), "log_path": written}
+
+    def _opened(self, request: Header, asked: SessionRequest, sight: Sight) -> _WorkerSession:
+        model = self._models.model(sight.model)
         tracker = SessionTracker(
-            request["session"], model, asked, request["sensors"], request["forgotten"]
+            request["session"],
+            model,
+            asked,
+            request["sensors"],
+            request["forgotten"],
+            self._models.recognizer(sight),
         )
         writer = None
         if request["log_path"] is not None:
             options = RecordingOptions(**request["recording"])
-            content = path.read_bytes() if request["log_model"] and options.images else None
-            notes = session_notes(request["session"], asked, model.name, path)
+            content = sight.model.read_bytes() if request["log_model"] and options.images else None
+            notes = session_notes(request["session"], asked, model.name, sight.model)
             notes["model_file"] = request["model_file"]
             notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
             notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
             writer = LogWriter(place, tracker.camera, notes, content, options)
-        self._sessions[request["session"]] = _WorkerSession(tracker, writer, path)
-        written = None if writer is None else str(writer.path)
-        return {"recording": _recording(writer), "log_path": written}
+        return _WorkerSession(tracker, writer, sight)
 
     def _frame(self, request: Header) -> None:
         session = self._sessions[request["session"]]
@@ -161,7 +162,7 @@ class WorkerProcess:
         state["frame"] += request["first_frame"]
         state["drops"] = request["drops"]
         state["recorded"] = session.log is not None
-        state["model_sha256"] = session.model.stem
+        state["model_sha256"] = session.sight.model.stem
         state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
         text = to_json(state, inf_nan_mode="null")
         if session.log is not None and not session.log.write(state, text, content):
@@ -262,11 +263,15 @@ class WorkerProcess:
 
     def _close(self, request: Header) -> None:
         session = self._sessions.pop(request["session"], None)
+        self._drop_unused()
         recording = None
         if session is not None and session.log is not None:
             session.log.close()
             recording = _recording(session.log)
         self._send({"kind": "closed", "session": request["session"], "recording": recording})
+
+    def _drop_unused(self) -> None:
+        self._models.keep({session.sight for session in self._sessions.values()})
 
     def _send(self, header: Header, content: bytes = b"") -> None:
         with contextlib.suppress(
@@ -300,7 +305,7 @@ def session_notes(
         "request": request.model_dump_json(),
         "target": model_name,
         "model_file": model_path.name,
-        "model_sha256": hashlib.sha256(model_path.read_bytes()).hexdigest(),
+        "model_sha256": model_path.stem,
         "versions": json.dumps(
             {name: metadata.version(name) for name in ("rendezview", "numpy", "numba")}
         ),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from typing import Any
 
 from rendezview.errors import RendezviewError
@@ -13,14 +13,17 @@ from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
+from rendezview.service.wire import Header
 from rendezview.service.worker_handle import WorkerGone, WorkerHandle
-from rendezview.service.worker_requests import warm_request
+from rendezview.service.worker_requests import prepare_request, sight_of, warm_request
 
 log = logging.getLogger("rendezview.service")
 
 Worker = WorkerHandle[Session]
 
 COMPILING = "loops are being compiled, which takes minutes, once: /readyz reports when it is done"
+_MOST_PREPARED = 4  # recognizers, 90 MB each, that the spare worker has ready. Source: chosen
+_SPARE_PAUSE_S = 1.0  # s, in which moved sessions have the processor alone. Source: chosen
 _RESTART_PAUSE_S = 1.0  # s, between attempts to replace a worker. Source: chosen
 _WARM_WAIT_S = 20.0  # s; enough to read compiled loops from the cache. Source: chosen
 _STOP_S = 10.0  # s, to complete the logs. Source: chosen
@@ -43,19 +46,20 @@ class WorkerPool:
         self,
         settings: Settings,
         metrics: Metrics,
-        orphaned: Callable[[list[Session]], Awaitable[None]],
+        orphaned: Callable[[list[Session], Worker | None], Awaitable[list[Session]]],
     ) -> None:
         """A pool whose workers are not started yet.
 
         Args:
-            orphaned: receives the sessions of a worker that ended, once another is ready.
+            orphaned: receives the sessions of a worker that ended, once another is ready, and
+                the spare one if it takes its place; returns those that have to wait.
         """
         self._settings = settings
         self._metrics = metrics
         self._orphaned = orphaned
         self._workers: list[Worker] = []
         self._spare: Worker | None = None
-        self._models: dict[str, StoredModel] = {}  # of the sessions, by hash
+        self._sights: list[Header] = []  # what the spare worker has ready
         self._warm_with: StoredModel | None = None  # model for the warm-up
         self._warming: asyncio.Task[None] | None = None
         self._replacing: set[asyncio.Task[None]] = set()
@@ -117,12 +121,16 @@ class WorkerPool:
             raise NotReady
         return min(ready, key=lambda worker: len(worker.sessions))
 
-    async def prepare(self, model: StoredModel) -> None:
-        """Have the spare worker read a model, so that it can take over at once."""
-        self._models[model.sha256] = model
+    async def prepare(self, sessions: Iterable[Session]) -> None:
+        """Have the spare worker ready for these sessions, so that it can take over at once."""
+        found: list[Header] = []
+        for sight in map(sight_of, sessions):
+            if sight not in found:
+                found.append(sight)
+        self._sights = found[-_MOST_PREPARED:]
         if self._spare is not None and self._spare.ready:
             with contextlib.suppress(WorkerGone):
-                await self._spare.ask(warm_request(model))
+                await self._spare.ask(prepare_request(self._sights))
 
     async def read(self, model: StoredModel) -> None:
         """Have all workers read a model."""
@@ -131,10 +139,6 @@ class WorkerPool:
             if worker.ready:
                 with contextlib.suppress(WorkerGone):
                     await worker.ask(warm_request(model))
-
-    def forget(self, used: set[str]) -> None:
-        """Sessions use only these models, by hash, from now on."""
-        self._models = {name: model for name, model in self._models.items() if name in used}
 
     async def warmed(self, model: StoredModel) -> None:
         """Warm the workers up with a model, if there was none at the start.
@@ -206,19 +210,25 @@ class WorkerPool:
             self._spawn(self._replace(None, []))
             return
         if self._spare is not None and self._spare.ready:
-            self._workers[self._workers.index(worker)], self._spare = self._spare, None
-            self._spawn(self._replace(None, orphans))
+            takes_over, self._spare = self._spare, None
+            self._workers[self._workers.index(worker)] = takes_over
+            self._spawn(self._replace(None, orphans, takes_over))
         else:
             self._spawn(self._replace(worker, orphans))
 
-    async def _replace(self, gone: Worker | None, orphans: list[Session]) -> None:
+    async def _replace(
+        self, gone: Worker | None, orphans: list[Session], takes_over: Worker | None = None
+    ) -> None:
         """Start a worker in place of one that ended, or as the spare one.
 
         Its sessions continue with new trackers, as soon as any worker is ready.
         """
         if orphans and not self.none_ready:
-            await self._orphaned(orphans)
-            orphans = []
+            orphans = await self._orphaned(orphans, takes_over)
+            if takes_over is not None:
+                with contextlib.suppress(WorkerGone):
+                    await takes_over.ask(prepare_request([]))
+                await asyncio.sleep(_SPARE_PAUSE_S)
         fresh = self._new()
         while True:
             try:
@@ -234,14 +244,13 @@ class WorkerPool:
                 fresh = self._new()
         if gone is not None:
             self._workers[self._workers.index(gone)] = fresh
-            if orphans:
-                await self._orphaned(orphans)
-            return
-        with contextlib.suppress(WorkerGone):
-            for model in list(self._models.values()):
-                await fresh.ask(warm_request(model))
+        else:
             self._spare = fresh
-            log.info("a spare worker is ready")
+            with contextlib.suppress(WorkerGone):
+                await fresh.ask(prepare_request(self._sights))
+                log.info("a spare worker is ready")
+        while orphans := await self._orphaned(orphans, None):
+            await asyncio.sleep(_RESTART_PAUSE_S)
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)

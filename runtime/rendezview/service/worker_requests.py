@@ -15,7 +15,7 @@ def open_request(session: Session, settings: Settings) -> Header:
         "kind": "open",
         "session": session.id,
         "request": session.request_now.model_dump(mode="json"),
-        "model_path": str(session.stored.copy),
+        "sight": sight_of(session),
         "model_file": session.stored.path.name,
         "sensors": settings.sensors,
         "forgotten": session.is_fused or session.was_fused,
@@ -31,6 +31,19 @@ def open_request(session: Session, settings: Settings) -> Header:
             "part_s": settings.log_part_s,
         },
     }
+
+
+def sight_of(session: Session) -> Header:
+    """What its recognizer is made for."""
+    camera, trees = session.request.camera, session.request.trees
+    assert camera is not None
+    asked = {"camera": camera.model_dump(mode="json"), "trees": trees}
+    return asked | {"model_path": str(session.stored.copy)}
+
+
+def prepare_request(sights: list[Header]) -> Header:
+    """Have these recognizers ready, and no others without a session."""
+    return {"kind": "prepare", "session": "", "sights": sights}
 
 
 def warm_request(model: StoredModel) -> Header:

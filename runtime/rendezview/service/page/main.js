@@ -209,7 +209,7 @@ async function poll() {
 function noSession(wanted) {
   showLink("no session", "");
   const others = sessions.length ? "; others are listed above" : "";
-  const why = wanted === "" ? "open one: rendezview serve --source …, or rendezview.client" : `${wanted} is not there (yet): waiting for it${others}`;
+  const why = wanted === "" ? "open one: rendezview serve --source …, or rendezview.client" : `“${wanted}” is not there (yet): waiting for it${others}`;
   showVerdict(["waiting", "NO SESSION", why]);
 }
 
