@@ -240,6 +240,7 @@ def test_a_session_that_is_not_there_yet_is_waited_for_and_no_other_is_shown(
     page.evaluate("location.hash = 'never'")
     word_is(page, "NO SESSION")
     text_has(page, "#numbers", "–")
+    assert page.is_visible("#space-note")
 
 
 def test_a_full_disk_is_said_without_bursting_the_layout(service, sender, open_page, shoot) -> None:
@@ -272,6 +273,7 @@ def test_a_dead_service_and_one_that_came_back_without_the_session(
     word_is(page, "NO CONNECTION")
     text_has(page, "#reason", "cannot be reached for")
     until(page, "document.body.classList.contains('stale')")
+    until(page, "rendezview.plotted === rendezview.frame")  # the last frames too
     shoot(page, "dead-service")
     file = tmp_path / "camera.yaml"
     save_camera(camera, file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 import threading
 import time
 from pathlib import Path
@@ -60,16 +61,17 @@ class Sender:
         self._thread.join()
 
 
-def run(model: Path, scene: Path, *, kills: int = 20, seed: int = 0) -> None:
+def run(model: Path, scene: Path, *, kills: int = 20, seed: int = 0, record: bool = False) -> None:
     """Kill the worker of a session; the longest time between two poses around each kill.
 
     One worker and a spare one that is ready. Frames go as fast as they are answered. The gap is
     set against the floor of the same run: the longest time between two poses in the same time
-    before the kill.
+    before the kill. With --record the session has a log, with the model in each of its parts.
     """
     rng = np.random.default_rng(seed)
     loop = Loop(scene)
-    served = Served(model, "--workers", "1")
+    folder = tempfile.TemporaryDirectory()
+    served = Served(model, "--workers", "1", *(["--record", folder.name] if record else []))
     served.await_ready()
     gaps, floors = [], []
     for number in range(kills):
@@ -88,6 +90,7 @@ def run(model: Path, scene: Path, *, kills: int = 20, seed: int = 0) -> None:
         sender.end()
         print(f"{number + 1}: {gaps[-1]:.2f} s, before {floors[-1]:.2f} s", flush=True)
     served.stop()
+    folder.cleanup()
     print(f"seed {seed}: {kills} kills, gap median {np.median(gaps):.2f} s, longest "
           f"{max(gaps):.2f} s; before the kills median {np.median(floors):.2f} s, longest "
           f"{max(floors):.2f} s")  # fmt: skip

@@ -32,7 +32,7 @@ let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0;
 /** For tests and experiment service-page: what was drawn, and how often. */
-const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, webgl: null });
+const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, plotted: null, webgl: null });
 const views = new Views(drawn, schedule, again);
 
 // Messages
@@ -124,7 +124,7 @@ const ageS = () => (last === null || paused !== null ? null : (performance.now()
 /** What changes without a message too. */
 function tick() {
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
-  if (shown !== null) sayWhen();
+  if (shown !== null) sayWhen(), views.catchUp(shown, paused === null ? past.states : []);
   if (session === null && recorded === null) return;
   if (paused === null) showVerdict(words());
 }
@@ -254,7 +254,7 @@ function begin(of, path) {
   past = new Past(path);
   last = ended = approach = null;
   present(null);
-  views.zoomed(null);
+  views.clear();
   live.camera = info?.camera ?? null;
   live.geometry = null;
   live.unzoom();

@@ -93,8 +93,8 @@ export class Plots {
       scales: { x: { time: true }, y: {}, ...(right ? { right: share ? { range: [0, 1] } : {} } : {}) },
       axes: [
         { ...axis, size: 20, space: 70 },
-        { ...axis, size: 46, space: 22, values: ticks },
-        ...(right ? [{ ...axis, values: ticks, scale: "right", side: 1, size: 44, space: 22, grid: { show: false } }] : []),
+        { ...axis, size: 52, space: 22, values: ticks },
+        ...(right ? [{ ...axis, values: ticks, scale: "right", side: 1, size: 52, space: 22, grid: { show: false } }] : []),
       ],
       series: [{}, ...curves.map(([name, stroke, , side]) => ({ label: name, stroke, width: 1.4, points: { show: false }, scale: side ?? "y" }))],
       hooks: { drawClear: [(u) => this._gaps(u)], draw: [(u) => this._mark(u)], setCursor: [say], setSelect: [select] },

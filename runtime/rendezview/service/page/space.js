@@ -75,6 +75,14 @@ export class SpaceView {
     this._aim([0.8, -0.55, 0.35], geometry.sphere_radius_m);
   }
 
+  /** Shows nothing. */
+  clear() {
+    this.scene.clear();
+    this.geometry = undefined;
+    this.place = null;
+    this.stale = true;
+  }
+
   /** Shows a state, and the states before it as the trajectory. */
   update(state, states) {
     if (!this.geometry) return;

@@ -56,6 +56,16 @@ export class Views {
     this.renew();
   }
 
+  /** Nothing of another session stays. */
+  clear() {
+    this.drawn.plotted = null;
+    this.plots?.show([], Date.now() / 1000, span());
+    this.space?.clear();
+    if (this.space !== null) find("space-note").hidden = false;
+    say(find("space-scale"), "");
+    this.zoomed(null);
+  }
+
   /** Everything is drawn with the next frame. */
   renew() {
     this.plotAt = 0;
@@ -90,11 +100,18 @@ export class Views {
     if (space.draw(now)) this.drawn.spaces += 1;
   }
 
+  /** What was left out in favour of the picture is drawn when no frames come. */
+  catchUp(shown, states) {
+    if (this.drawn.plotted !== shown.state.frame) this.plot(performance.now(), shown, states, false);
+    if (this.moved) this.schedule();
+  }
+
   /** All states, with the shown one marked while paused. */
   plot(now, shown, states, paused) {
     if (this.plots === null || states.length === 0) return;
     if (now - this.plotAt < Math.max(PLOT_MS, Math.min(MOST_MS, SHARE * this.plotCost)) && !paused) return;
     this.plotAt = now;
+    this.drawn.plotted = shown.state.frame;
     const hasPort = shown.state.approach?.along_m != null;
     if (this.plots.hasPort !== hasPort) this._plots(this.plots.constructor, hasPort);
     const at = shown.state.received_unix_s, newest = states.at(-1).received_unix_s;
