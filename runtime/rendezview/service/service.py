@@ -96,9 +96,7 @@ class Service:
             if self._temporary is not None:
                 self._temporary.cleanup()
             raise
-        place = settings.record
-        folder = place.parent if place is not None and place.suffix == ".mcap" else place
-        self.recordings = Recordings(folder)
+        self.recordings = Recordings(settings.record_folder)
         self._viewers = Viewers(settings)
         self._speed = speed
         self.jobs = Jobs(self.models, settings.jobs, settings.job_s, settings.job_bytes)
@@ -121,13 +119,14 @@ class Service:
         Raises:
             RendezviewError: logs cannot be written to their folder.
         """
-        place = self.settings.record
-        if place is not None:
-            folder = place.parent if place.suffix == ".mcap" else place
-            if place.suffix != ".mcap":
-                make_folder(place)
+        folder = self.settings.record_folder
+        if folder is not None:
+            if folder == self.settings.record:
+                make_folder(folder)
             elif not folder.is_dir():
-                raise RendezviewError(f"{place}: its folder does not exist: create it first")
+                raise RendezviewError(
+                    f"{self.settings.record}: its folder does not exist: create it first"
+                )
             limits = self.settings.logs_bytes, self.settings.logs_s
             self._spawn(keep_logs(folder, *limits))
         self._begun = asyncio.create_task(self._begin())

@@ -97,6 +97,13 @@ class Settings(BaseSettings):
         return init_settings, env_settings
 
     @property
+    def record_folder(self) -> Path | None:
+        """The folder of the logs; None: nothing is recorded."""
+        if self.record is None or self.record.suffix != ".mcap":
+            return self.record
+        return self.record.parent
+
+    @property
     def is_loopback(self) -> bool:
         """Whether only this machine can reach the service."""
         return self.host in LOOPBACK or self.host.startswith("127.")

@@ -67,7 +67,7 @@ class Steward:
         """Begin to look after nodes and seats."""
         if self._looking is None:
             self._looking = asyncio.create_task(self._look())
-            folder = self._settings.record
+            folder = self._settings.record_folder
             if folder is not None:
                 limits = self._settings.logs_bytes, self._settings.logs_s
                 self._repairing = asyncio.create_task(keep_logs(folder, *limits))
