@@ -323,11 +323,8 @@ class Service:
         stored = self.given or self.models.only() if name is None else self.models.get(name)
         if stored is None:
             known = ", ".join(self.models.names()) or "none"
-            raise RendezviewError(
-                f"model {name}: not here (there are: {known})"
-                if name is not None
-                else f"model: name one (there are: {known})"
-            )
+            said = "model: name one" if name is None else f"model {name}: not here"
+            raise RendezviewError(f"{said} (there are: {known})")
         return stored
 
     async def _place(self, session: Session, worker: Worker | None = None) -> None:
