@@ -87,7 +87,7 @@ def test_a_card_is_written_and_read_without_a_mesh(run, tmp_path):
     ran = run("calibrate", "card", "-o", tmp_path / "card")
     assert ran.code == 0, ran
     assert (tmp_path / "card" / "card.pdf").stat().st_size > 500
-    run("reflectors", tmp_path / "card" / "target.toml", "0").says("no camera file")
+    run("reflectors", tmp_path / "card" / "target.toml", "93").says("no such camera")
     run("train", tmp_path / "card", "-o", tmp_path / "m.rvm").says("has no mesh")
 
 
@@ -97,8 +97,10 @@ def test_cameras_are_told_from_paths(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "7").mkdir()
     assert not is_live("7")
-    with pytest.raises(RendezviewError, match="cannot be opened"):
+    with pytest.raises(RendezviewError, match=r"93: no such camera|cannot be opened"):
         live_frames("93", CAMERA)
+    with pytest.raises(RendezviewError, match="cannot be opened"):
+        live_frames("http://127.0.0.1:9/nothing", CAMERA)
 
 
 def test_a_rate_gives_pictures_their_times(boards):

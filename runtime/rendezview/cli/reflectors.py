@@ -86,7 +86,7 @@ def reflectors(
     ] = None,
     mode: Annotated[
         Mode | None,
-        typer.Option(help="How pictures make readings; a camera: single, two folders: splitter."),
+        typer.Option(help="Default: pairs; a camera or --invert: single; two folders: splitter."),
     ] = None,
     calibration: Annotated[
         Path | None, typer.Option(help="Give the closed form too, with this calibration.")
@@ -221,7 +221,9 @@ def _pairs(
         say(note)
     if rate is not None:
         sequences = [with_rate(sequence, rate) for sequence in sequences]
-    chosen = mode or (Mode.SPLITTER if len(places) == 2 else Mode.PAIRS)
+    # Black dots do not shine: no picture shows them lit and none dark.
+    one = Mode.SINGLE if invert else Mode.PAIRS
+    chosen = mode or (Mode.SPLITTER if len(places) == 2 else one)
     pairs = pair_up(sequences, chosen, _affine(lit_from_dark), invert)
     return pairs, len(pairs) if readings is None else min(readings, len(pairs))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,6 +18,7 @@ from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 
 _STREAM = re.compile(r"(rtsp|rtsps|http|https|udp|tcp)://.+")
+_DEVICES = Path("/dev")
 _TRIES = 30  # frames in a row that do not come, at most: a second. Source: by construction
 
 
@@ -37,22 +39,36 @@ def live_frames(source: str, camera: Camera | None) -> Iterator[Frame]:
     Raises:
         RendezviewError: no calibration, the camera cannot be opened, or it stops.
     """
-    if camera is None:
-        raise RendezviewError(
-            f"{source}: this camera has no camera file: make one with `rendezview calibrate "
-            "camera` and give it with --camera"
-        )
     with quiet_opencv():
         capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
     if not capture.isOpened():
+        raise RendezviewError(_not_opened(source))
+    if camera is None:
+        capture.release()
         raise RendezviewError(
-            f"{source}: this camera cannot be opened: check its number or address, and that no "
-            "other program uses it"
+            f"{source}: this camera has no camera file: make one with `rendezview calibrate "
+            "camera` and give it with --camera"
         )
     if not _STREAM.fullmatch(source):
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height)
     return _frames(capture, source, camera)
+
+
+def _not_opened(source: str) -> str:
+    """Why a camera does not open, as far as can be seen: on Linux each is a file."""
+    device = Path(f"/dev/video{source}" if source.isdigit() else source)
+    if sys.platform == "linux" and device.parent == _DEVICES and not device.exists():
+        others = sorted(str(path) for path in _DEVICES.glob("video*"))
+        there = f"there are {', '.join(others)}" if others else "no camera is connected"
+        return (
+            f"{source}: no such camera ({device}): {there}; pictures can also come from a video, a "
+            "folder or rtsp://…"
+        )
+    return (
+        f"{source}: this camera cannot be opened: check its number or address, and that no other "
+        "program uses it"
+    )
 
 
 def _frames(capture: cv2.VideoCapture, source: str, camera: Camera) -> Iterator[Frame]:

@@ -14,7 +14,8 @@ from rendezview.io.files import atomic_write, atomic_write_text
 
 _PAGE_MM = (297.0, 210.0)  # A4 across. Source: ISO 216
 _PANELS_MM = (70.0, 35.0, 60.0, 35.0, 70.0)  # flat, riser, top, riser, flat. Source: fits 297 mm
-_WIDTH_MM = 60.0  # of the strip. Source: by construction, three dots of 16 mm with white about them
+# Of the strip: white about the largest dot as far again as its diameter, with room for tilt.
+_WIDTH_MM = 90.0  # Source: by construction
 _OUTER_MM = 35.0  # of an outer dot from its end of the strip. Source: the middle of a flat
 _POINTS_PER_MM = 72.0 / 25.4  # Source: ISO 32000-1, the unit of PDF
 _ROUND = 0.5522847498  # of a circle's Bézier handles over its radius. Source: 4/3 (√2 − 1)

@@ -35,7 +35,7 @@ _SAME_SHARE = 0.02  # of the range, between poses that agree. Source: by constru
 _BLURRED = 0.75  # blur over size from which a size tells the blur. Source: by construction, σ / 2
 _TOLD_DIAMETER, _TOLD_BLUR = 0.05, 0.25  # ln, that is worth a word. Source: by construction
 _TOLD_SIGMA = 2.0  # of what a blur that is not known makes of the diameter. Source: by construction
-_READINGS = 5  # whose diameters are averaged. Source: by construction
+_FEWEST, _READINGS = 3, 5  # whose diameters are averaged. Source: by construction
 _NEARER = 0.8  # × the range: the dots tell more and are measured again. Source: by construction
 
 
@@ -150,7 +150,7 @@ class DotSizes:
     @property
     def note(self) -> str | None:
         """What is different, in words; None where nothing is sure to be."""
-        if self.told or not self._steps:
+        if self.told or len(self._steps) < _FEWEST:
             return self.told
         step = sum(self._steps) / len(self._steps)
         sure = abs(step) > max(_TOLD_DIAMETER, _TOLD_SIGMA * self._sigma)
