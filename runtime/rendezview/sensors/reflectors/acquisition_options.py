@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
 from rendezview.sensors.reflectors.refinement import Refined
@@ -104,6 +104,15 @@ class Acquisition:
     roll_ambiguous: bool = (
         False  # a symmetry of the visible reflectors leaves the picture unchanged
     )
+
+    def is_near(self, pose: Pose, centre_m: Array) -> bool:
+        """Whether it has a pose near another: a tenth of the range, half a radian."""
+        if self.refined is None:
+            return False
+        own = self.refined.camera_from_target
+        where, was = own.apply(centre_m), pose.apply(centre_m)
+        near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
+        return bool(near and own.angle_to(pose) < 0.5)
 
     def names(self, constellation: ReflectorPattern, count: int) -> tuple[str | None, ...]:
         """The reflector of every one of so many spots."""

@@ -150,7 +150,7 @@ class ReflectorSensor:
             )  # fmt: skip
         names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
-        if self.tracking.confirm and prior is None and not self._agrees(time_s, pose):
+        if self.tracking.confirm and prior is None and not self._agrees(found):
             self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
             return ReflectorObservation(
                 Status.UNCONFIRMED, "found for the first time: the next reading must agree",
@@ -159,7 +159,6 @@ class ReflectorSensor:
             )  # fmt: skip
         ambiguous = found.roll_ambiguous
         if prior is not None and self._track is not None:  # it stays as well known as it was
-            assert found.reflectors is not None
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
 
@@ -209,14 +208,10 @@ class ReflectorSensor:
             time_s, found.refined, spots, names, found.group, stage_ms, ambiguous, tracked=False
         )
 
-    def _agrees(self, time_s: float, pose: Pose) -> bool:
-        """Whether a second find is near the first: a tenth of the range, half a radian."""
-        if self._unconfirmed is None:
-            return False
-        _, first, _ = self._unconfirmed
-        where, was = pose.apply(self._centre), first.apply(self._centre)
-        near = np.linalg.norm(where - was) < 0.1 * np.linalg.norm(was)
-        return bool(near and np.trace(pose.rotation @ first.rotation.T) > 1.0 + 2.0 * np.cos(0.5))
+    def _agrees(self, found: Acquisition) -> bool:
+        """Whether a second find is near the first."""
+        first = self._unconfirmed
+        return first is not None and found.is_near(first[1], self._centre)
 
     # --- tracking
 
@@ -273,6 +268,7 @@ class ReflectorSensor:
 
         It is searched while a reflector that should be visible is not, or while the roll is open
         and another group could tell it. A second reading in a row that agrees takes the track over.
+        Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
         if not (several or refined is None or self._fit.misses(seen)):
@@ -281,7 +277,11 @@ class ReflectorSensor:
         begin = time.perf_counter()
         spots = self._spots(frames)
         found = self.acquirer.acquire(spots) if len(spots) > max(len(seen), 2) else None
+        jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
+        if jerked is not None and jerked.is_near(track.pose, self._centre):
+            ambiguous = track.roll_ambiguous and not self._resolves(jerked.reflectors)
+            return self._adopt(time_s, jerked, spots, ambiguous, stage_ms)
         if found is None or found.refined is None or found.reflectors is None:
             return None
         pose = found.refined.camera_from_target
@@ -289,7 +289,7 @@ class ReflectorSensor:
             explained = len(found.reflectors) > len(seen)
             if not explained or self.acquirer.alike(found, refined.camera_from_target):
                 return None
-        if self._agrees(time_s, pose):
+        if self._agrees(found):
             self._track = None
             return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
         self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
@@ -344,9 +344,9 @@ class ReflectorSensor:
 
     # --- both
 
-    def _resolves(self, seen: npt.NDArray[np.int64]) -> bool:
+    def _resolves(self, seen: npt.NDArray[np.int64] | None) -> bool:
         """Whether reflectors of two groups are visible: their offset fixes the roll."""
-        return len({self._group_of[k] for k in seen}) > 1
+        return seen is not None and len({self._group_of[k] for k in seen}) > 1
 
     def _remember(
         self,
