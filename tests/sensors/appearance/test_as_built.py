@@ -71,13 +71,16 @@ def test_a_corrected_model_gives_better_poses_of_other_frames(
     assert np.median(after) < 0.4 * np.median(before)
 
 
-def test_the_overall_size_stays_where_no_length_is_known(refining_model, camera, fly_around):
+def test_without_a_length_most_dimensions_stay_and_the_odd_one_changes(
+    refining_model, camera, fly_around
+):
+    """One camera sees x shorter beside y and z; that y and z are longer beside x fits as well."""
     frames, _, priors = fly_around
     found = ShapeEstimator(refining_model, camera).estimate(frames[:16], priors[:16])
     assert not found.size_known
-    assert abs(np.trace(found.strain)) < 0.003
-    ratio = found.strain[0, 0] - found.strain[1, 1]
-    assert ratio == pytest.approx(STRAIN[0, 0] - STRAIN[1, 1], abs=0.005)
+    x, y, z = np.diag(found.strain)
+    assert x - y == pytest.approx(STRAIN[0, 0] - STRAIN[1, 1], abs=0.005)
+    assert max(abs(y), abs(z)) < 0.25 * abs(x)
 
 
 def test_what_calibration_left_is_in_the_covariance_of_poses(

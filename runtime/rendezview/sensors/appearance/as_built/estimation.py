@@ -6,7 +6,9 @@ Gauss–Newton; each frame's pose is eliminated (Schur complement), as in bundle
 al. 2000, section 6.1). A strain S moves a point from view centre + q to view centre + (I + S) q.
 
 One camera does not see the overall size: a larger target further away gives the same picture. The
-strain is then that of a target of unchanged size, unless a length is known.
+strain is then the one that leaves most dimensions as they are, unless a length is known: its
+components have Student's t distribution, in which one large component is likelier than three of
+half its size (Lange et al. 1989).
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ from rendezview.sensors.appearance.sky import Sky
 # σ of the strain while it is not yet known: edges are looked for further away, without profiles.
 _ROUGH = 0.02  # Source: by construction
 _ROUGH_ROUNDS = 3  # Source: by construction
+_PRIOR_ROUNDS = 30  # Source: by construction, the weights no longer change
 _MOST_SHOWN = 6000  # edges in a picture. Source: by construction
 # Mean of the strain along the axes. Source: by construction
 _SIZE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) / 3.0
@@ -246,7 +249,7 @@ class ShapeEstimator:
         known: Mapping[int, tuple[float, float]],
     ) -> Array:
         """(6,) change of the strain; the poses follow it."""
-        matrix, right = self._prior(strain, known)
+        matrix, right = np.zeros((6, 6)), np.zeros(6)
         good = self._good(rms)
         if not good.any():
             raise RendezviewError("no frame's edges fit the model")
@@ -257,7 +260,11 @@ class ShapeEstimator:
                 parts[k] = self._reduced(edges)
                 matrix += parts[k][0]
                 right += parts[k][1]
-        step = np.linalg.solve(matrix, right)
+        about = None
+        for _ in range(_PRIOR_ROUNDS):  # the prior's weights follow the strain
+            information, towards = self._prior(strain, known, about)
+            step = np.linalg.solve(matrix + information, right + towards)
+            about = strain + step
         for k, (_, _, answer, response) in parts.items():
             edges = measured[k]
             if edges is not None:
@@ -267,13 +274,22 @@ class ShapeEstimator:
         return np.asarray(step)
 
     def _prior(
-        self, strain: Array, known: Mapping[int, tuple[float, float]]
+        self,
+        strain: Array,
+        known: Mapping[int, tuple[float, float]],
+        about: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Information (6, 6) and right side (6,) of what is known without frames."""
-        information = self.options.prior_sigma**-2 * np.eye(6)
-        information += self.options.size_sigma**-2 * np.outer(_SIZE, _SIZE)
-        if known:  # a length says more about the size than the model does
-            information = self.options.prior_sigma**-2 * np.eye(6)
+        """Information (6, 6) and right side (6,) of what is known without frames.
+
+        ``about``: (6,) a strain: the smaller a component of it beside the largest, the less is
+        the variance of that component; None: all have the same.
+        """
+        variance = np.ones(6)
+        if about is not None:
+            variance = self.options.usual_sigma**2 + about**2
+        information = np.diag(variance.max() / variance) / self.options.prior_sigma**2
+        if not known:  # a length says more about the size than the model does
+            information += self.options.size_sigma**-2 * np.outer(_SIZE, _SIZE)
         right = -information @ strain
         for component, (value, sigma) in known.items():
             information[component, component] += sigma**-2

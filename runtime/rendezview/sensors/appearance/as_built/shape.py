@@ -15,6 +15,8 @@ class ShapeOptions:
     """How the strain is estimated."""
 
     prior_sigma: float = 0.05  # of each component. Source: by construction, a coarse CAD model
+    # Scale of the components in Student's t distribution: most are right, a few far off.
+    usual_sigma: float = 0.005  # Source: by construction, a careful CAD model
     size_sigma: float = 0.02  # of the mean of xx, yy, zz. Source: by construction, a known craft
     rounds: int = 10  # Gauss–Newton, at most. Source: experiment pose-shape, twice what it took
     stop: float = 2e-4  # largest change of a component. Source: a tenth of an edge's error
@@ -26,7 +28,7 @@ class ShapeOptions:
     least_spread_rad: float = np.deg2rad(30.0)  # between two views. Source: by construction
     # Neighbouring edges err together: as many edges count as one. A third of the inflation of
     # sketch/error_model.json: most of that is of meshes 2 % wrong, which is what is estimated here.
-    edges_as_one: float = 10.0  # Source: by construction
+    edges_as_one: float = 5.0  # Source: by construction
     # Times the median frame's residual; frames beyond are wrong poses.
     most_rms: float = 2.5  # Source: by construction
 

@@ -20,10 +20,10 @@ _INT16 = 32767  # Source: by construction, the largest stored coordinate
 def strained(
     model: ViewModel, strain: Array, covariance: Array | None = None, shape_error: float = 0.0
 ) -> ViewModel:
-    """The model with its contour and surface points moved by a strain (3, 3) about the view centre.
+    """The model with its points and sketches moved by a strain (3, 3) about the view centre.
 
-    The outline's signatures, trees and sketches stay: they tell views apart, which strains of a
-    few percent do not change.
+    The outline's signatures and trees stay: they tell views apart, which strains of a few percent
+    do not change.
 
     Args:
         model: any; its own shape error and an earlier calibration's covariance are replaced.
@@ -45,10 +45,14 @@ def strained(
     if surface is not None:
         normal = _directions(surface.normal, np.linalg.inv(matrix).T)
         surface = replace(surface, point=_points(surface.point, matrix / grown), normal=normal)
+    sketches = model.sketches
+    if sketches is not None:
+        sketches = sketches.deformed(matrix / grown)
     return replace(
         model,
         contours=contours,
         surface=surface,
+        sketches=sketches,
         target_radius_m=grown * model.target_radius_m,
         shape_error=shape_error,
         shape_covariance=covariance,

@@ -52,6 +52,41 @@ class ViewSketches:
         """(…, MAPS, GRID, GRID) of some views, 0 … 1."""
         return self.maps[views].astype(np.float32) / np.float32(255.0)
 
+    def deformed(self, matrix: Array) -> ViewSketches:
+        """The views of the target with its points moved by a matrix (3, 3) near unity.
+
+        Seen from afar, the moved target from direction M z looks like the target from z but for a
+        linear map of the picture: directions of sight move with the points, and so do the maps.
+        """
+        maps = np.empty_like(self.maps)
+        rotation = self.rotation.astype(np.float64)
+        centre, size = self.centre_radii.astype(np.float64), self.size_radii.astype(np.float64)
+        middle = np.full(2, 0.5 * (GRID - 1))
+        for view, old in enumerate(rotation.copy()):
+            ahead = matrix @ old[2]
+            right = old[0] - ahead * (old[0] @ ahead) / (ahead @ ahead)
+            new = np.stack(
+                [right / np.linalg.norm(right), np.zeros(3), ahead / np.linalg.norm(ahead)]
+            )
+            new[1] = np.cross(new[2], new[0])
+            plane = new[:2] @ matrix @ old[:2].T
+            growth = float(np.sqrt(np.linalg.det(plane)))
+            rotation[view], centre[view], size[view] = (
+                new,
+                plane @ centre[view],
+                growth * size[view],
+            )
+            linear = plane / growth
+            warp = np.column_stack([linear, middle - linear @ middle])
+            for k in range(MAPS):
+                maps[view, k] = cv2.warpAffine(self.maps[view, k], warp, (GRID, GRID))
+        return ViewSketches(
+            rotation.astype(np.float32),
+            maps,
+            centre.astype(np.float32),
+            size.astype(np.float32),
+        )
+
 
 def encoded(maps: Float32s) -> npt.NDArray[np.uint8]:
     """The inverse of ``ViewSketches.decoded``, for (…, MAPS, h, w)."""
