@@ -7,7 +7,7 @@ random skies. None of them is a photograph.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -26,6 +26,7 @@ from rendezview.sensors.appearance.sketch.choice import (
     PACKAGED,
     POSE_FEATURES,
     Looks,
+    SketchChoice,
     SketchPose,
     chosen,
     packaged,
@@ -86,7 +87,16 @@ class Searched:
     symmetries: tuple[Symmetry, ...]
     prior: bool
     cut: bool
+    pose: Pose  # the one given: a mean of several
+    spread_deg: float
     nees: float | None
+
+    @property
+    def choice(self) -> SketchChoice:
+        """The choice that the present merit makes."""
+        choice = chosen(self.looks, self.symmetries, prior=self.prior, cut=self.cut)
+        assert choice is not None  # a frame without any pose is none of those searched
+        return replace(choice, spread_deg=self.spread_deg)
 
     def error_deg(self, pose: SketchPose) -> float:
         return float(np.rad2deg(angle_between(pose.pose, self.truth, self.symmetries)))
@@ -119,13 +129,23 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
         )
         if choice is None:
             continue
-        nees, best = None, choice.best.pose
+        nees, best = None, choice.pose
         spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
         if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
             error = np.concatenate([spin, best.translation_m - truth.translation_m])
             nees = float(error @ np.linalg.solve(choice.covariance, error))
         found.append(
-            Searched(choice.looks, truth, model.centre_m, model.symmetries, prior, choice.cut, nees)
+            Searched(
+                choice.looks,
+                truth,
+                model.centre_m,
+                model.symmetries,
+                prior,
+                choice.cut,
+                choice.pose,
+                choice.spread_deg,
+                nees,
+            )
         )
     return found
 
@@ -153,7 +173,7 @@ def fitted_merit(searches: list[Searched]) -> np.ndarray:
 
 
 def fitted_odds(features: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """(14,) coefficients of ``CHOICE_FEATURES``; the first is the constant."""
+    """(15,) coefficients of ``CHOICE_FEATURES``; the first is the constant."""
     mean, spread = features[:, 1:].mean(0), features[:, 1:].std(0) + 1e-9
     weight = np.where(good, 1.0, WEIGHT_OF_WRONG)
     fit = LogisticRegression(C=1.0, max_iter=5000)
@@ -195,7 +215,7 @@ def run(
     packaged().merit[:] = merit  # the features and choices are those of the new merit
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
-        choices = [chosen(s.looks, s.symmetries, prior=prior, cut=s.cut) for s in some]
+        choices = [s.choice for s in some]
         features = np.array([c.features for c in choices])
         good = np.array([s.right(c.best) for s, c in zip(some, choices, strict=True)])
         wrong = np.array(

@@ -82,17 +82,6 @@ def test_a_sketch_is_no_larger_than_asked_and_as_sharp_as_the_frame(sketcher):
     assert outside is None
 
 
-def test_the_finer_sketch_of_a_mirrored_picture_is_the_mirrored_sketch(sketcher):
-    """It is the mean of both, so neither side is drawn otherwise than the other."""
-    frame = (20.0 + 180.0 * disc(300, 400, 150.0, 140.0, 90.0)).astype(np.uint8)
-    whole, side = (-0.5, -0.5, 399.5, 299.5), (2 * SIDE_PX, 2 * SIDE_PX)
-    sketch = sketcher.look(frame, whole, side, mirrored=True)
-    other = sketcher.look(np.ascontiguousarray(frame[:, ::-1]), whole, side, mirrored=True)
-    assert other.maps[:, :, ::-1] == pytest.approx(sketch.maps, abs=1e-5)
-    single = sketcher.look(frame, whole, side)
-    assert np.abs(single.maps - sketch.maps).max() > 1e-3  # the two do differ
-
-
 @pytest.mark.parametrize("size", [(1, 1), (3, 700), (33, 31)])
 def test_frames_of_any_size_are_sketched_or_show_nothing(sketcher, size):
     assert sketcher.find(np.zeros(size, np.uint8)) is None

@@ -21,12 +21,14 @@ from rendezview.sensors.appearance.sketch.choice import (
     chosen,
     distinct,
 )
-from rendezview.sensors.appearance.sketch.network import MAPS
+from rendezview.sensors.appearance.sketch.network import EDGE, MAPS
 from rendezview.sensors.appearance.sketch.retrieval import PartialViews
 from rendezview.sensors.appearance.sketch.search import SketchSearch
-from rendezview.sensors.appearance.sketch.views import GRID, centroid, on_grid
+from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches, centroid, on_grid
 from rendezview.sensors.observation import Status
 from rendezview.simulation.scene import SceneOptions, render_frame
+from rendezview.training.options import ViewGeometry
+from rendezview.training.sketch_maps import sketched_view
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +81,37 @@ def test_a_turned_grid_is_the_turned_picture():
     assert on_grid(turned, centre, 40.0, np.pi / 2)[0] == pytest.approx(straight[0], abs=2e-2)
 
 
+def test_views_of_a_deformed_body_are_the_views_deformed(bumpy_mesh, refining_model):
+    """Beside sketches drawn anew of the deformed mesh, from where its points say."""
+    matrix = np.array([[1.03, 0.02, 0.0], [0.02, 0.98, 0.0], [0.0, 0.0, 1.07]])
+    centre = np.array(refining_model.centre_m)
+    moved = (bumpy_mesh.vertices_m - centre) @ matrix.T + centre
+    radius_m = refining_model.target_radius_m
+    geometry = ViewGeometry(centre, radius_m, 3.0 * radius_m, 256, 300.0, 300.0, 300.0)
+    some = slice(0, None, 30)
+    fields = ("rotation", "maps", "centre_radii", "size_radii")
+    views = ViewSketches(*(getattr(refining_model.sketches, name)[some] for name in fields))
+    deformed = views.deformed(matrix)
+    gains = []
+    for k in range(len(views.size_radii)):
+        drawn = sketched_view(
+            replace(bumpy_mesh, vertices_m=moved), geometry, -deformed.rotation[k, 2].astype(float)
+        )
+        assert deformed.size_radii[k] == pytest.approx(float(drawn["size_radii"]), rel=0.01)
+        between = drawn["rotation"] @ deformed.rotation[k].T
+        turn = np.arctan2(between[1, 0], between[0, 0])
+        planes = drawn["maps"].astype(np.float32)
+        middle, cells = np.full(2, 0.5 * (GRID - 1)), GRID / (2.0 * REACH)
+        again = on_grid(planes, middle, cells, turn)
+        likeness = [
+            np.corrcoef(maps[EDGE].ravel(), again[EDGE].ravel())[0, 1]
+            for maps in (deformed.maps[k], views.maps[k])
+        ]
+        gains.append(likeness[0] - likeness[1])
+        assert likeness[0] > 0.93
+    assert np.mean(gains) > 0.01
+
+
 def test_centroid_and_size_of_a_cover():
     cover = np.zeros((50, 60), np.float32)
     cover[10:20, 30:50] = 1.0
@@ -94,12 +127,14 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
     for seed in range(8):
         frame, truth = hard_frame(bumpy_mesh, refining_model, camera, seed)
         choice = search.anywhere(frame)
-        errors.append(180.0 if choice is None else np.rad2deg(choice.best.pose.angle_to(truth)))
+        errors.append(180.0 if choice is None else np.rad2deg(choice.pose.angle_to(truth)))
         start = truth.perturbed([0.05, -0.06, 0.04, 0.05, -0.05, 0.2])
         near = search.near(frame, start, np.deg2rad(10.0))
         assert near is not None
         assert near.prior
-        assert near.best.pose.angle_to(start) < np.deg2rad(20.0)
+        assert near.pose.angle_to(start) < np.deg2rad(20.0)
+        # The mean of sketches of three scales is another pose than that of one, and near it.
+        assert 0.0 < near.pose.angle_to(near.best.pose) < np.deg2rad(2.0 * near.spread_deg)
         assert np.linalg.eigvalsh(near.covariance).min() > 0.0
     assert np.sum(np.array(errors) < 10.0) >= 5, errors
 

@@ -18,6 +18,8 @@ from rendezview.sensors.appearance.edges.edge_search import (
 # Components of a symmetric strain, in the order of all arrays. Source: by construction
 STRAINS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
+_LEAST_RMS_PX = 0.3  # px; no frame's edges fit better. Source: by construction
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredEdges:
@@ -56,6 +58,12 @@ class MeasuredEdges:
         return np.stack(
             [j[:, a] * q[:, b] + (j[:, b] * q[:, a] if a != b else 0.0) for a, b in STRAINS], axis=1
         )
+
+    @property
+    def information(self) -> Array:
+        """(6, 6) of the pose as ``pose_slopes`` has it, edges taken as independent."""
+        sigma2 = max(self.residual_rms_px, _LEAST_RMS_PX) ** 2
+        return np.asarray((self.pose_slopes * (self.weight / sigma2)[:, None]).T @ self.pose_slopes)
 
     @property
     def residual_rms_px(self) -> float:

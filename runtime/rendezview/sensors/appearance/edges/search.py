@@ -102,10 +102,13 @@ class PoseSearch:
         sun_camera: Array | None = None,
         *,
         brief: bool = False,
+        give_up: float = 0.0,
     ) -> Found | None:
         """The pose without a prior, from one or several readings of the outline.
 
-        ``brief``: of the likeliest starts only, confident or not.
+        Args:
+            brief: of the likeliest starts only, confident or not.
+            give_up: confidence that the likeliest starts must reach, else no others are tried.
         """
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
@@ -140,7 +143,8 @@ class PoseSearch:
                 candidates.add(self._half_turned(image, sky, best))
                 turned.append(best)
             found = candidates.choose()
-            if found is not None and found.confidence >= _CONFIDENT:
+            confidence = 0.0 if found is None else found.confidence
+            if confidence >= _CONFIDENT or confidence < give_up:
                 return found
         return self._around_best_two(image, sky, candidates, found, turned)
 

@@ -18,7 +18,8 @@ PACKAGED = Path(__file__).with_name("error_model.json")
 POSE_FEATURES = ("outline", "inner", "contrast", "visible", "overlap", "edges", "creases")
 # … and the choice of one: in the closer look, in the first one, and both together.
 CHOICE_FEATURES = (
-    "constant", "margin", "cut", "lead", "basin", "converged", "scatter", *POSE_FEATURES
+    "constant", "margin", "cut", "lead", "basin", "converged", "scatter", "spread",
+    *POSE_FEATURES,
 )  # fmt: skip
 # Source: the spacing of the nodes' views
 _RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
@@ -91,6 +92,8 @@ class SketchChoice:
     looks: Looks
     prior: bool  # found near a prior
     cut: bool  # the target leaves the frame
+    pose: Pose  # the mean of those that the best leads to in sketches of several scales
+    spread_deg: float = 0.0  # °; the largest angle between the mean and one of them
     overflows: bool = False  # … on two opposite sides: what is seen does not tell poses apart
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
     residual_px: float = float("nan")  # root mean square over the edges found
@@ -102,10 +105,11 @@ class SketchChoice:
 
     @property
     def features(self) -> Array:
-        """(14,) ``CHOICE_FEATURES``."""
+        """(15,) ``CHOICE_FEATURES``."""
         pose, looks = self.best.pose, self.looks
         margin = min(self.margin, _MOST_MARGIN)
         seen = [looks.lead(pose), looks.basin(pose), *looks.scattered(pose)]
+        seen.append(min(self.spread_deg, _MOST_SCATTER_DEG))
         return np.array([1.0, margin, float(self.cut), *seen, *self.best.features])
 
     @property
@@ -139,7 +143,7 @@ def chosen(
         return None
     others = [p for p in poses if angle_between(p.pose, best.pose, symmetries) > _RIVAL_RAD]
     rival = max(others, key=lambda p: p.merit, default=None)
-    return SketchChoice(best, rival, looks, prior, cut)
+    return SketchChoice(best, rival, looks, prior, cut, best.pose)
 
 
 def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[SketchPose]:
@@ -158,7 +162,7 @@ class SketchErrorModel:
     """Coefficients fitted to frames of known pose (``experiments sketch-confidence``)."""
 
     merit: Array  # (7,) of POSE_FEATURES
-    anywhere: Array  # (14,) of CHOICE_FEATURES, log odds without a prior …
+    anywhere: Array  # (15,) of CHOICE_FEATURES, log odds without a prior …
     near: Array  # (14,) … and near one
     inflation: float  # of the covariance of independent edges
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.refinement import Refined
 from rendezview.sensors.appearance.sketch.choice import SketchChoice, SketchPose
@@ -24,26 +25,28 @@ class SketchFound(Found):
     def of(cls, choice: SketchChoice, *, dark: bool) -> SketchFound:
         """The choice as the recognizer gives it; ``dark``: the sky is."""
         return cls(
-            best=_refined(choice.best, choice),
+            best=_refined(choice.best, choice.pose, choice),
             overshoot=0.0,
             margin=choice.margin,
             dark=dark,
             prior=choice.prior,
-            rival=None if choice.rival is None else _refined(choice.rival, choice),
+            rival=None
+            if choice.rival is None
+            else _refined(choice.rival, choice.rival.pose, choice),
             probability=choice.confidence,
         )
 
 
-def _refined(pose: SketchPose, choice: SketchChoice) -> Refined:
-    """A pose of a sketch with the covariance and residual of the choice."""
+def _refined(agrees: SketchPose, pose: Pose, choice: SketchChoice) -> Refined:
+    """A pose of a sketch with what agrees, and the covariance and residual of the choice."""
     if choice.covariance is None:
         raise ValueError("the choice has no covariance")
     return Refined(
-        pose.pose,
+        pose,
         choice.covariance,
-        outline=pose.outline,
-        inner=pose.inner,
-        visible=pose.visible,
+        outline=agrees.outline,
+        inner=agrees.inner,
+        visible=agrees.visible,
         residual_px=choice.residual_px,
         light=0.0,
     )

@@ -107,30 +107,23 @@ class Sketcher:
         return sketch if better is not None else None
 
     def near(self, frame: Picture, box: Box, side_px: int = SIDE_PX) -> Sketch | None:
-        """The sketch of a target whose box is known roughly; None where it is out of the frame.
-
-        A finer sketch is the mean of two, the other one drawn of the mirrored picture: the
-        network's errors differ in the two.
-        """
+        """The sketch of a target whose box is known roughly; None where it is out of the frame."""
         height, width = frame.shape
         left, top, right, bottom = box
         if right < 0.0 or bottom < 0.0 or left > width - 1.0 or top > height - 1.0:
             return None
-        finer = side_px > SIDE_PX
-        sketch = self.look(frame, _around(box), (side_px, side_px), mirrored=finer)
+        sketch = self.look(frame, _around(box), (side_px, side_px))
+        if side_px > SIDE_PX:
+            return sketch
         better = _box_of(sketch)
-        if not finer and better is not None and _differ(box, better):
+        if better is not None and _differ(box, better):
             sketch = self.look(frame, _around(better))
         return sketch
 
     def look(
-        self, frame: Picture, box: Box, most_px: tuple[int, int] = (SIDE_PX, SIDE_PX), *,
-        mirrored: bool = False,
-    ) -> Sketch:  # fmt: skip
-        """The sketch of a box of the frame, as far as it lies within, at most ``most_px`` large.
-
-        ``mirrored``: the mean with that of the mirrored picture.
-        """
+        self, frame: Picture, box: Box, most_px: tuple[int, int] = (SIDE_PX, SIDE_PX)
+    ) -> Sketch:
+        """The sketch of a box of the frame, as far as it lies within, at most ``most_px`` large."""
         height, width = frame.shape
         left, top = max(0, round(box[0] + 0.5)), max(0, round(box[1] + 0.5))
         right, bottom = min(width, round(box[2] + 0.5)), min(height, round(box[3] + 0.5))
@@ -143,9 +136,6 @@ class Sketcher:
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
         grey = cv2.resize(part, (columns, rows), interpolation=how).astype(np.float32, copy=False)
         odds = self._log_odds(grey)
-        if mirrored:
-            other = self._log_odds(grey[:, ::-1])[:, :, ::-1]
-            odds = np.asarray(0.5 * (odds + other), np.float32)
         likely = 1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))
         maps = np.ascontiguousarray(likely, dtype=np.float32)
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.

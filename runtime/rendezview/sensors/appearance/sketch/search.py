@@ -17,6 +17,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.so3 import exp, log
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
@@ -60,6 +61,7 @@ _COARSE = np.array(
 # mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
 _FINE = np.array([[12.0, 5.0, 10.0, 1.0, 1.0]])
 _FINER = 2  # times SIDE_PX. Source: experiment photo-accuracy
+_FINEST = 3  # times SIDE_PX, for the last mean only. Source: experiment photo-accuracy
 # Source: experiment photo-accuracy
 _RETRIEVED = 80  # views and rolls that are aligned without a prior
 _RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
@@ -68,6 +70,7 @@ _APART_RAD = np.deg2rad(4.0)  # rad, between them. Source: experiment photo-accu
 # Source: experiment photo-accuracy
 _ASIDE_RAD = np.deg2rad(4.0)  # rad; the pose that fits best is looked for that far around
 _VIEW_RAD = np.deg2rad(6.0)  # rad; from any attitude to the nearest view. Source: the node sphere
+_UNKNOWN = 1e-9  # of the information, added: it can be solved for. Source: by construction
 _SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: half their width
 # Source: experiment photo-accuracy
 _CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
@@ -99,7 +102,7 @@ class SketchSearch:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
         poses = self.aligned(sketch, rotations, centres, _COARSE)
-        return self._closer(frame, poses, prior=False)
+        return self._closer(frame, sketch, poses, prior=False)
 
     def near(self, frame: Picture, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
@@ -115,7 +118,7 @@ class SketchSearch:
         poses = self.aligned(sketch, rotations, centres, _COARSE)
         furthest = 1.1 * error_rad + _VIEW_RAD
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, within, prior=True)
+        return self._closer(frame, sketch, within, prior=True)
 
     def with_tables(self, model: ViewModel, views: ViewTables) -> SketchSearch:
         """The same search for the model with its contour points moved."""
@@ -160,9 +163,9 @@ class SketchSearch:
         return found
 
     def _closer(
-        self, frame: Picture, poses: list[SketchPose], *, prior: bool
+        self, frame: Picture, first: Sketch, poses: list[SketchPose], *, prior: bool
     ) -> SketchChoice | None:
-        """The best of some poses after a closer look at the target."""
+        """The best of some poses of a first sketch after a closer look at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
         if not best:
             return None
@@ -178,13 +181,35 @@ class SketchSearch:
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
-        choice = replace(choice, overflows=sketch.overflows)
-        pose = choice.best.pose
+        finest = self.sketcher.near(frame, self._box(choice.best.pose), _FINEST * SIDE_PX)
+        sketches = [first, sketch] if finest is None else [first, sketch, finest]
+        pose, spread_deg = self._mean(choice.best.pose, sketches)
+        choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
         covariance, strained, residual_px = pose_covariance(
             maps, self._lens, self._views, _FINE[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained, residual_px / sketch.scale)
+
+    def _mean(self, best: Pose, sketches: list[Sketch]) -> tuple[Pose, float]:
+        """The mean of the poses that one leads to in some sketches, weighted by what each knows;
+        the largest angle between the mean and one of them, °."""
+        centre = best.apply(self.model.centre_m)
+        found = [edges for s in sketches if (edges := self.measured(s, best)) is not None]
+        if not found:
+            return best, 0.0
+        moves = [
+            np.concatenate([log(edges.rotation @ best.rotation.T), edges.centre_m - centre])
+            for edges in found
+        ]
+        known = [edges.information for edges in found]
+        total = sum(known, np.zeros((6, 6)))
+        total += _UNKNOWN * np.diag(np.diag(total))
+        move = np.linalg.solve(total, sum((k @ m for k, m in zip(known, moves, strict=True))))
+        rotation = exp(move[:3]) @ best.rotation
+        spread = max(float(np.linalg.norm(one[:3] - move[:3])) for one in moves)
+        place = centre + move[3:] - rotation @ self.model.centre_m
+        return Pose(rotation, place), float(np.rad2deg(spread))
 
     def _in_sketch(self, sketch: Sketch, centre: Array) -> tuple[Array, float]:
         """Place (2,) of the view centre in a sketch, and a target radius there, sketch px."""
