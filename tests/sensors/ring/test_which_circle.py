@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -95,6 +96,31 @@ def test_an_open_circle_is_no_measurement_and_its_candidates_are_recorded():
     assert sure.status is Status.OK
     assert sure.record()["candidates"] == []
     assert np.linalg.norm(sure.circle.centre_m - CENTRE_M) < 0.002
+
+
+def test_a_circle_of_the_right_size_that_stands_alone_is_open_at_first():
+    """A ring has two edges; a lone one among other circles may be a rim, or a tank's."""
+    groups = (1, 0, 1, 1, 0)
+
+    class Given(RingSensor):
+        def read(self, time_s, kept, prior):
+            found = [
+                replace(edge, group=group) for edge, group in zip(edges(0.3), groups, strict=True)
+            ]
+            return self._read(time_s, Detection(tuple(found[k] for k in kept), 1.0, None), prior)
+
+    sensor = Given(CAMERA, RADIUS_M)
+    axis = np.array([math.sin(0.3), 0.0, -math.cos(0.3)])
+    prior = RingPrior(axis=axis, range_m=6.08, range_sigma_m=0.06)
+    lone = sensor.read(0.0, (0, TRUE, 2), prior)
+    assert (lone.status, lone.edge) == (Status.AMBIGUOUS, 1)
+    assert lone.measurement("ring") is None
+    assert [one["ellipse"] for one in lone.record()["candidates"]] == [1]
+    assert lone.record()["poses"] == []
+    assert sensor.read(1.0, (TRUE,), prior).status is Status.OK  # nothing else to confuse it with
+    assert sensor.read(2.0, (0, TRUE, 2), prior).status is Status.OK  # it is known by now
+    with_inner = Given(CAMERA, RADIUS_M).read(0.0, range(5), prior)
+    assert (with_inner.status, with_inner.edge) == (Status.OK, TRUE)
 
 
 def test_on_frames_of_the_client_the_ring_is_taken_and_not_the_foot():

@@ -28,6 +28,12 @@ class RingObservation(Observation):
     # Other edges that may be the ring's, best first, and the poses that they allow; none of them
     # and none of `circles` is fused.
     rivals: tuple[tuple[int, tuple[CirclePose, ...]], ...] = ()
+    doubtful: bool = False  # the edge may be no ring's at all; the same holds
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it is open which edge is the ring's."""
+        return bool(self.rivals) or self.doubtful
 
     @property
     def circle(self) -> CirclePose | None:
@@ -43,7 +49,7 @@ class RingObservation(Observation):
 
         None where it is open which edge is the ring's: a wrong one is a wrong range.
         """
-        if self.rivals:
+        if self.is_open:
             return None
         circles = ((c.centre_m, c.axis, c.covariance) for c in self.circles)
         candidates = ring_candidates(circles)
@@ -78,7 +84,7 @@ class RingObservation(Observation):
             ],
             "ellipse": self.edge,
             "poses": []
-            if self.rivals
+            if self.is_open
             else [
                 _pose(circle)
                 | {
@@ -91,7 +97,7 @@ class RingObservation(Observation):
                 {"ellipse": edge, "poses": [_pose(circle) for circle in circles]}
                 for edge, circles in ((self.edge, self.circles), *self.rivals)
             ]
-            if self.rivals
+            if self.is_open
             else [],
             "stage_ms": self.stage_ms,
         }

@@ -132,7 +132,8 @@ class RingSensor:
         circles, misfits = self._poses(detection, edge, which.by_score)
         if not circles:
             return self._nothing(time_s, detection, "the ellipse is no circle's picture")
-        if which.rivals or which.others:
+        doubtful = which.alone and self._last is None
+        if which.rivals or which.others or doubtful:
             return RingObservation(
                 Status.AMBIGUOUS, which.reason, time_s=time_s, edges=detection.edges, edge=edge,
                 circles=circles, choice=Choice(None, which.reason),
@@ -140,6 +141,7 @@ class RingSensor:
                     *((k, self._poses(detection, k, which.by_score)[0]) for k in which.rivals),
                     *((k, self._through(detection, k, j)) for k, j in which.others),
                 ),
+                doubtful=doubtful,
                 stage_ms=detection.stage_ms,
             )  # fmt: skip
         choice = self._choose(circles, misfits, prior)
