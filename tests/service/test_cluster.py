@@ -125,9 +125,22 @@ def test_nodes_gateways_and_models_change_under_a_session(
     ended.start()
     states += [_patient(cluster, 0, image, time_s) for time_s, _, image in tour[8:12]]
     ended.join()
-    assert cluster.node_of("run") != place
+    place, before = cluster.node_of("run"), place
+    assert place != before
+
+    # kill -9 of the steward: the session stays where it is, and gets no second seat.
+    cluster.nodes.kill_steward()
+    health = httpx.get(cluster.gateways[0].url + "healthz", timeout=_MOST_S)
+    assert (health.status_code, health.json()["status"]) == (200, "not ready")
+    until_s = time.monotonic() + _MOST_S
+    while httpx.get(cluster.gateways[0].url + "readyz", timeout=_MOST_S).status_code != 200:
+        states.append(_patient(cluster, 0, tour[12][2], tour[12][0] + 0.001 * len(states)))
+        assert time.monotonic() < until_s
+        time.sleep(0.1)
+    assert cluster.node_of("run") == place
+
     cluster.gateways[0].kill()
-    states += [_patient(cluster, 1, image, time_s) for time_s, _, image in tour[12:16]]
+    states += [_patient(cluster, 1, image, time_s) for time_s, _, image in tour[13:17]]
     frames = [state["frame"] for state in states]
     assert frames == sorted(set(frames))
     assert all(state["recorded"] and state["pose"] is not None for state in states)
@@ -137,6 +150,7 @@ def test_nodes_gateways_and_models_change_under_a_session(
         ]
         assert "node" in kinds
         assert [one["id"] for one in client.sessions()] == ["run"]
+        assert client.session("run").info()["found_fraction"] == 1.0  # of all nodes
         client.request("DELETE", "/v1/sessions/run")
     until_s = time.monotonic() + _MOST_S
     while list(cluster.work.glob("open/*")):

@@ -273,7 +273,9 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
         metrics = client.fetch("GET", "/metrics").decode()
         assert 'rendezview_log_failed{session="full"} 1.0' in metrics
         assert 'rendezview_log_lost_states{session="full"} 3.0' in metrics
-        assert client.request("GET", "/healthz")["recording_failures"] >= 1
+        health = client.request("GET", "/healthz")
+        assert (health["status"], health["recording_failures"]) == ("degraded", 1)
+        assert "session full is not recorded" in health["reasons"][0]
     until_s = time.monotonic() + 20.0
     while not track()["recorded"]:  # a new file is tried every few seconds
         assert time.monotonic() < until_s

@@ -335,7 +335,7 @@ class Health(Message):
     """``/healthz`` and ``/readyz``."""
 
     status: Literal["ok", "degraded", "not ready", "stopping"] = Field(
-        description="degraded: it tracks, but not for every session"
+        description="degraded: it tracks, but not for every session, or cannot record"
     )
     reasons: list[str] = Field(default=[])
     version: str

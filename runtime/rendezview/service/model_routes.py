@@ -61,7 +61,9 @@ async def put_model(request: Request, name: Name, replace: bool = False) -> Mode
     service = service_of(request)
     present = service.models.get(name)
     if present is not None and not (replace and present.own):
-        raise HTTPException(409, f"model {name}: there is one already: choose another name")
+        raise HTTPException(
+            409, f"model {name}: there is one already: choose another name, or ?replace=true"
+        )
     content = await body_of(request, service.settings.model_bytes)
     stored = await run_in_threadpool(service.models.add, name, content, replace)
     if present is not None:

@@ -205,7 +205,9 @@ class ModelStore:
             raise RendezviewError(f"model name {name[:80]!r}: use letters, digits, - and _")
         taken = self._models.get(name)
         if taken is not None and not (replace and taken.own):
-            raise RendezviewError(f"model {name}: there is one already: choose another name")
+            raise RendezviewError(
+                f"model {name}: there is one already: choose another name, or ?replace=true"
+            )
         return self.folder / f"{name}{SUFFIX}"
 
     def add(self, name: str, content: bytes, replace: bool = False) -> StoredModel:

@@ -188,9 +188,9 @@ class Service:
         if self._workers.compiling:
             reasons.append(COMPILING)
         blind = [said for session in self.sessions.values() if (said := session.blind_reason)]
-        failures = sum(
-            s.log.recording.state is RecordingState.FAILED for s in self.sessions.values()
-        )
+        logs = {name: session.log.recording for name, session in self.sessions.items()}
+        failed = {name: r for name, r in logs.items() if r.state is RecordingState.FAILED}
+        blind += [f"session {name} is not recorded: {r.reason}" for name, r in failed.items()]
         status = "stopping" if self.stopping else "not ready" if reasons else "ok"
         if status == "ok" and blind:
             status = "degraded"
@@ -200,7 +200,7 @@ class Service:
             version=self.version,
             uptime_s=time.monotonic() - self.started_s,
             sessions=len(self.sessions),
-            recording_failures=failures,
+            recording_failures=len(failed),
         )
 
     # Sessions
@@ -247,14 +247,8 @@ class Service:
         try:
             await self._workers.warmed(stored)
             request = await asyncio.to_thread(self.defaults.planned, request, stored)
-            session = Session(
-                name,
-                stored,
-                request,
-                self.settings,
-                self.metrics,
-                None if source is None else source.name,
-            )
+            of = None if source is None else source.name
+            session = Session(name, stored, request, self.settings, self.metrics, of)
             if resumed is not None:
                 session.resume(resumed)
             try:
@@ -302,6 +296,10 @@ class Service:
     async def warm(self, stored: StoredModel) -> None:
         """Have the workers read a model before a session uses it."""
         await self._workers.read(stored)
+
+    async def expect(self, sights: list[dict[str, Any]]) -> None:
+        """Have the workers ready for sessions of other services; see `sight_of`."""
+        await self._workers.expect(sights)
 
     def release(self, stored: StoredModel) -> None:
         """A session, or a name, does not need a model any more."""
@@ -374,8 +372,8 @@ class Service:
             session.reopened()
             try:
                 await self._place(session, worker)
-                took = {"session": session.id, "took_s": round(time.monotonic() - start_s, 3)}
-                log.warning("another worker process continues a session", extra=took)
+                took_s = round(time.monotonic() - start_s, 3)
+                log.warning("session moved", extra={"session": session.id, "took_s": took_s})
             except NotReady:
                 left.append(session)
             except WorkerGone:

@@ -124,13 +124,21 @@ class WorkerPool:
     async def prepare(self, sessions: Iterable[Session]) -> None:
         """Have the spare worker ready for these sessions, so that it can take over at once."""
         found: list[Header] = []
-        for sight in map(sight_of, sessions):
+        for session in sessions:
+            sight = sight_of(session.request, session.stored.copy)
             if sight not in found:
                 found.append(sight)
         self._sights = found[-_MOST_PREPARED:]
         if self._spare is not None and self._spare.ready:
             with contextlib.suppress(WorkerGone):
                 await self._spare.ask(prepare_request(self._sights))
+
+    async def expect(self, sights: list[Header]) -> None:
+        """Have all workers ready for sessions that may come."""
+        for worker in self._workers:
+            if worker.ready:
+                with contextlib.suppress(WorkerGone):
+                    await worker.ask(prepare_request(sights[-_MOST_PREPARED:]))
 
     async def read(self, model: StoredModel) -> None:
         """Have all workers read a model."""

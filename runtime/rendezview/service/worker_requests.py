@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+from rendezview.service.messages import SessionRequest
 from rendezview.service.model_store import StoredModel
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
@@ -15,7 +18,7 @@ def open_request(session: Session, settings: Settings) -> Header:
         "kind": "open",
         "session": session.id,
         "request": session.request_now.model_dump(mode="json"),
-        "sight": sight_of(session),
+        "sight": sight_of(session.request, session.stored.copy),
         "model_file": session.stored.path.name,
         "sensors": settings.sensors,
         "forgotten": session.is_fused or session.was_fused,
@@ -33,12 +36,11 @@ def open_request(session: Session, settings: Settings) -> Header:
     }
 
 
-def sight_of(session: Session) -> Header:
-    """What its recognizer is made for."""
-    camera, trees = session.request.camera, session.request.trees
-    assert camera is not None
-    asked = {"camera": camera.model_dump(mode="json"), "trees": trees}
-    return asked | {"model_path": str(session.stored.copy)}
+def sight_of(request: SessionRequest, model: Path) -> Header:
+    """What a session's recognizer is made for; the file of the model is named by its hash."""
+    assert request.camera is not None
+    camera = request.camera.model_dump(mode="json")
+    return {"camera": camera, "trees": request.trees, "model_path": str(model)}
 
 
 def prepare_request(sights: list[Header]) -> Header:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -11,6 +12,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,22 @@ class Nodes:
         """kill -9 of a node and all its processes."""
         kill_tree(self.nodes[place].all_processes["raylet"][0].process.pid)
 
+    def kill_steward(self) -> None:
+        """kill -9 of the steward; Ray starts it again."""
+        raylet = self.cluster.head_node.all_processes["raylet"][0].process.pid
+        for pid in tree(raylet):
+            with contextlib.suppress(OSError):
+                if Path(f"/proc/{pid}/cmdline").read_bytes().startswith(b"ray::Steward"):
+                    os.kill(pid, signal.SIGKILL)
+                    return
+        raise SystemExit("no steward is found")
+
+    def kill_head(self) -> None:
+        """kill -9 of the head node: of Ray's directory and of the steward."""
+        for kind in ("gcs_server", "raylet"):
+            for started in self.cluster.head_node.all_processes[kind]:
+                kill_tree(started.process.pid)
+
     def replace(self, place: int) -> None:
         """A new node takes the place of one that was killed."""
         node = self.nodes[place]
@@ -56,14 +74,19 @@ class Nodes:
         self.nodes[place] = self.add()
 
 
-def kill_tree(pid: int) -> None:
+def tree(pid: int) -> list[int]:
+    """A process and all that descend from it."""
     pids = [pid]
     for known in pids:
         with contextlib.suppress(OSError):
             tasks = Path(f"/proc/{known}/task")
             for task in tasks.iterdir():
                 pids += map(int, (task / "children").read_text().split())
-    for known in pids:
+    return pids
+
+
+def kill_tree(pid: int) -> None:
+    for known in tree(pid):
         with contextlib.suppress(ProcessLookupError):
             os.kill(known, signal.SIGKILL)
 
@@ -136,6 +159,7 @@ class Sender:
                     turn += error.status == 409
                 except (RendezviewError, OSError):
                     turn += 1
+                    time.sleep(0.01)
 
     def send(self, session, k: int) -> None:
         time_s, image = self.loop(k)
@@ -181,16 +205,50 @@ def wait_for(gateway: Gateway, seats: int) -> None:
     raise SystemExit("the seats are not ready in time")
 
 
+def without_head(ray_nodes: Nodes, gateways: list[Gateway], sender: Sender) -> str:
+    """What becomes of the session when the head node is killed."""
+    since_s = time.monotonic()
+    ray_nodes.kill_head()
+    told = ""
+    while any(gateway.process.poll() is None for gateway in gateways):
+        if time.monotonic() - since_s > 150.0:
+            break
+        time.sleep(1.0)
+        with (
+            contextlib.suppress(OSError),
+            urllib.request.urlopen(f"{gateways[0].url}healthz", timeout=10.0) as answer,
+        ):
+            told = json.loads(answer.read())["reasons"][0]
+    answered_s = [at_s - since_s for at_s in sender.at_s if at_s > since_s]
+    codes = [gateway.process.poll() for gateway in gateways]
+    return (f"head: {len(answered_s)} answers after its end, the last after "
+            f"{max(answered_s, default=0.0):.0f} s; gateways said {told!r} and ended with codes "
+            f"{codes} after {time.monotonic() - since_s:.0f} s")  # fmt: skip
+
+
+def renewed(ray_nodes: Nodes, gateways: list[Gateway], count: int, work: Path):
+    """A new cluster, as an operator starts it after the head node is lost."""
+    for gateway in gateways:
+        gateway.kill()
+    ray_nodes.cluster.shutdown()
+    ray_nodes = Nodes(count)
+    gateways = [Gateway(ray_nodes.cluster.address, work) for _ in gateways]
+    wait_for(gateways[0], count)
+    return ray_nodes, gateways
+
+
 def run(
     model: Path, scene: Path, *, nodes: int = 3, kills: int = 50, seed: int = 0,
     minutes: float = 1000.0,
 ) -> None:  # fmt: skip
-    """Kill nodes and gateways in turn while one session tracks.
+    """Kill nodes, gateways and the steward while one session tracks; at last the head node.
 
     Nodes are processes on this machine, one core each, all of them killed with kill -9 together
     with their children. One client sends frames over two gateways. Every answer with
     "recorded": true must be in the logs; a gap is the longest time between two answers around a
-    kill. After --minutes no further one is begun.
+    kill, and each tenth kill is the steward's. After --minutes no further one is begun. When the
+    head node is killed, frames are sent for as long as they are answered; then a new cluster on
+    the same folders must continue the session.
     """
     rng = np.random.default_rng(seed)
     end_s = time.monotonic() + 60.0 * minutes
@@ -206,17 +264,20 @@ def run(
             wait_for(gateways[0], nodes)
             sender = Sender(gateways, "run", Loop(scene))
             wait_for(gateways[0], nodes)
-            gaps: dict[str, list[float]] = {"node": [], "gateway": []}
+            gaps: dict[str, list[float]] = {"node": [], "gateway": [], "steward": []}
             floors: list[float] = []
             for number in range(kills):
                 if time.monotonic() > end_s:
                     break
                 time.sleep(float(rng.uniform(0.5, 1.5)))
                 kind = "gateway" if number % 2 else "node"
+                kind = "steward" if number % 10 == 9 else kind
                 since_s = time.monotonic()
                 if kind == "gateway":
                     place = int(rng.integers(2))
                     gateways[place].kill()
+                elif kind == "steward":
+                    ray_nodes.kill_steward()
                 else:
                     node = next(s["node"] for s in seats_of(gateways[0]) if s["session"])
                     place = [n.node_id for n in ray_nodes.nodes].index(node)
@@ -224,20 +285,26 @@ def run(
                     ray_nodes.kill_only(place)
                 while sender.at_s[-1] < since_s + 0.05 and time.monotonic() < since_s + 20.0:
                     time.sleep(0.02)
-                time.sleep(1.0)
+                time.sleep(10.0 if kind == "steward" else 1.0)  # while it starts again
                 gaps[kind].append(sender.gap_s(since_s))
                 floors.append(sender.floor_s(since_s))
                 if kind == "gateway":
                     gateways[place] = Gateway(address, work)
-                else:
+                elif kind == "node":
                     ray_nodes.replace(place)
-                    wait_for(gateways[0], nodes)
+                wait_for(gateways[0], nodes)
                 print(f"{number + 1} {kind}: gap {gaps[kind][-1]:.2f} s, "
                       f"before {floors[-1]:.2f} s", flush=True)  # fmt: skip
+            print(without_head(ray_nodes, gateways, sender), flush=True)
             sender.stop = True
             sender.thread.join()
-            with Client(gateways[0].url) as client:
-                client.session("run").close()
+            ray_nodes, gateways = renewed(ray_nodes, gateways, nodes, work)
+            last = sender.states[-1]["frame"]
+            with Client(gateways[0].url, sender="one") as client:
+                session = client.session("run")
+                again = session.track(sender.loop.images[0], 1e6)
+                print(f"a new cluster continues with frame {again['frame']} after {last}")
+                session.close()
             lost = sender.lost(work / "logs")
             for kind, all_s in gaps.items():
                 if all_s:

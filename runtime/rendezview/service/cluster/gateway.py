@@ -35,6 +35,11 @@ _TRIES = 4  # seats that a request is sent to. Source: chosen
 _GRACE_S = 2.0  # s, beyond `frame_timeout_s`, for a seat's answer. Source: chosen
 _KNOW_S = 1.0  # s, between looks for new seats. Source: chosen
 _PAUSE_S = 0.05  # s, before a session that moves is looked for again. Source: chosen
+_HEALTH_S = 5.0  # s, for the steward's answer to a look at the health. Source: chosen
+_NO_STEWARD = (
+    "the cluster's steward does not answer: it starts again, or Ray's head node is gone. Open "
+    "sessions go on; none is opened or moved"
+)
 _TRY_AGAIN = 1012  # WebSocket: the service restarts. Source: IANA's registry
 
 
@@ -59,8 +64,7 @@ class Gateway:
             try:
                 status, headers, body = await self._answer(scope, await _body(receive))
             except ray.exceptions.RayActorError:
-                said = "the cluster's steward starts again: try again in a moment"
-                await fault(503, said)(scope, receive, send)
+                await fault(503, _NO_STEWARD)(scope, receive, send)
                 return
             except (NotReady, Full, RendezviewError, HTTPException) as error:
                 response = fault_of(error.cause if hasattr(error, "cause") else error)
@@ -104,9 +108,7 @@ class Gateway:
         path, method, right = scope["path"], scope["method"], scope["state"]["right"]
         parts = path.strip("/").split("/")
         if path in ("/healthz", "/readyz"):
-            seats = await self._steward.seats.remote()
-            good = bool(seats) or path == "/healthz"
-            return _json({"status": "ok" if seats else "not ready", "seats": seats}, good)
+            return await self._health(path == "/healthz")
         if parts[:2] == ["v1", "sessions"] and len(parts) == 2:
             if method == "POST":
                 if right < Right.TRACK:
@@ -122,6 +124,21 @@ class Gateway:
             return _json({"moved": await self._steward.roll.remote(parts[2])})
         result: tuple[int, list[Any], bytes] = await self._steward.http.remote(packed(scope), body)
         return result
+
+    async def _health(self, of_itself: bool) -> tuple[int, list[Any], bytes]:
+        """The gateway lives without the steward; it is ready with one that has seats."""
+        seats: list[dict[str, Any]] = []
+        reasons = []
+        try:
+            seats = await asyncio.wait_for(self._steward.seats.remote(), _HEALTH_S)
+        except NotReady as error:
+            reasons.append(str(getattr(error, "cause", error)))
+        except (ray.exceptions.RayError, TimeoutError):
+            reasons.append(_NO_STEWARD)
+        if not seats and not reasons:
+            reasons.append("no seat is ready: the cluster's nodes start")
+        told = {"status": "ok" if seats else "not ready", "reasons": reasons, "seats": seats}
+        return _json(told, bool(seats) or of_itself)
 
     async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
         try:

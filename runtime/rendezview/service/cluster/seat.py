@@ -24,9 +24,12 @@ from rendezview.service.cluster.lifeline import Beacon
 from rendezview.service.cluster.tunnel import Sockets, exchange
 from rendezview.service.json_logging import set_up_logging
 from rendezview.service.messages import SessionRequest
+from rendezview.service.model_store import BY_HASH
+from rendezview.service.model_store import SUFFIX as RVM
 from rendezview.service.service import Service
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
+from rendezview.service.worker_requests import sight_of
 
 # Of a seat, whatever the cluster's settings say.
 _OWN = {"workers": 1, "spare_worker": False, "foxglove_port": None, "rerun_port": None}
@@ -74,6 +77,15 @@ class Seat:
         stored = self._service.models.know(name, Path(copy))
         await asyncio.to_thread(lambda: stored.model)
         await self._service.warm(stored)
+
+    async def expect(self, sessions: list[str]) -> None:
+        """Be ready to continue one of these sessions."""
+        models, sights = self._service.models.folder / BY_HASH, []
+        for name in sessions:
+            kept = read_checkpoint(checkpoint_path(self._folder, name))
+            if kept is not None:
+                sights.append(sight_of(kept.request, models / f"{kept.model_sha256}{RVM}"))
+        await self._service.expect(sights)
 
     async def take(self, request: dict[str, Any], copy: str, resumes: bool) -> str:
         """Open a session, or continue one where its checkpoint says; its name.

@@ -58,13 +58,18 @@ class Steward:
         self._processes: dict[str, int] = {}  # of the seats
         self._changes: Counter[str] = Counter()  # of what a seat has: an older answer is too old
         self._asked: set[str] = set()  # seats, at least once
+        self._knows = False  # what all seats have: after a restart it takes a moment
         self._models: dict[str, Path] = {}  # of the open sessions, files by name
         self._warm: set[tuple[str, Path]] = set()  # seats that have read a model
+        self._expects: dict[str, list[str]] = {}  # sessions that a seat is ready for
         self._busy: dict[str, asyncio.Task[None]] = {}  # seats and sessions
         self._looking: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
         """Begin to look after nodes and seats."""
+        self._start()
+
+    def _start(self) -> None:
         if self._looking is None:
             self._looking = asyncio.create_task(self._look())
             folder = self._settings.record_folder
@@ -95,12 +100,22 @@ class Steward:
         used = set(self._held) | set(self._busy)
         self._locks = {n: lock for n, lock in self._locks.items() if n in used or lock.locked()}
         # After a restart the seats must have said what they have, before a session gets another.
-        if not set(wanted) <= self._asked:
+        self._knows = self._knows or set(wanted) <= self._asked
+        if not self._knows:
             return
         for path in self._folder.glob(f"*{SUFFIX}"):
             name = path.name.removesuffix(SUFFIX)
             if name not in self._held:
                 self._begin(name, self._continue(name))
+
+    def _must_know(self) -> None:
+        """A steward that has just started must not give a session a second seat.
+
+        Nobody starts one that Ray has started again: the first call does.
+        """
+        self._start()
+        if not self._knows:
+            raise NotReady("the steward has just started and asks the seats: try again in a moment")
 
     def _begin(self, name: str, work: Coroutine[Any, Any, None]) -> None:
         """Do something about a seat or session, unless it is being done."""
@@ -147,6 +162,11 @@ class Steward:
                     with contextlib.suppress(ray.exceptions.RayError):
                         await actor.warm.remote(name, str(copy))
                         self._warm.add((seat, copy))
+            sessions = list(self._held)
+            if self._expects.get(seat) != sessions:
+                with contextlib.suppress(ray.exceptions.RayError):
+                    await actor.expect.remote(sessions)
+                    self._expects[seat] = sessions
         elif self._held.setdefault(held, seat) != seat:
             self._end(seat)  # the session has another seat by now
 
@@ -161,6 +181,7 @@ class Steward:
         self._changes[seat] += 1
         self._ready.discard(seat)
         self._warm = {known for known in self._warm if known[0] != seat}
+        self._expects.pop(seat, None)
         names = [n for n, s in self._held.items() if s == seat]
         for name in names:
             del self._held[name]
@@ -187,6 +208,7 @@ class Steward:
         Raises:
             RendezviewError, Full, NotReady: as `Service.open`.
         """
+        self._must_know()
         asked = SessionRequest.model_validate(request)
         name = asked.id or f"s-{secrets.token_hex(4)}"
         stored = self._service.model_named(asked.model)
@@ -208,8 +230,9 @@ class Steward:
             dead: a seat that did not answer: it is ended, and the session takes another one.
 
         Raises:
-            NotReady: no seat is free.
+            NotReady: no seat is free, or the steward does not know yet.
         """
+        self._must_know()
         async with self._lock(name):
             seat = self._held.get(name)
             if seat is not None and seat != dead:
@@ -261,6 +284,7 @@ class Steward:
 
         Each takes a free seat that has read the file before, with its last pose as prior.
         """
+        self._must_know()
         stored = self._service.model_named(model)
         copy, moved = await asyncio.to_thread(lambda: stored.copy), 0
         for name, seat in list(self._held.items()):
@@ -285,11 +309,17 @@ class Steward:
         return moved
 
     async def sessions(self) -> dict[str, str]:
-        """Seats by session."""
+        """Seats by session; raises NotReady if it does not know yet."""
+        self._must_know()
         return dict(self._held)
 
     async def seats(self) -> list[dict[str, Any]]:
-        """The seats that are ready: node, session, and whether it has read the models in use."""
+        """The seats that are ready: node, session, and whether it has read the models in use.
+
+        Raises:
+            NotReady: it does not know yet.
+        """
+        self._must_know()
         held = {seat: name for name, seat in self._held.items()}
         used = set(self._models.values())
         return [
