@@ -144,6 +144,18 @@ def test_logs_of_other_programs_and_open_logs_are_left_alone(tmp_path, camera):
     assert _by_other_reader(own.path) == [0, 1, 2, 3]
 
 
+def test_copies_of_a_repair_that_was_killed_are_removed(tmp_path):
+    old, new, other = (
+        tmp_path / f".{name}.tmp" for name in ("a.mcap.0123abcd0123", "b.01234567", "c")
+    )
+    for path in (old, new, other):
+        path.write_bytes(b"half")
+    for path in (old, other):
+        os.utime(path, (0.0, 0.0))
+    assert list(mend_folder(tmp_path)) == []
+    assert sorted(tmp_path.iterdir()) == sorted([new, other])
+
+
 def test_two_writers_of_one_name_have_a_file_each(tmp_path, camera):
     writers = [LogWriter(tmp_path / "run.mcap", camera, {}, None) for _ in range(3)]
     assert [w.path.name for w in writers] == ["run.mcap", "run-2.mcap", "run-3.mcap"]

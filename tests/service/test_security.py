@@ -157,30 +157,7 @@ def test_unknown_settings_are_refused(tmp_path):
         load_settings(path, {})
 
 
-def test_a_service_with_tokens_lets_each_do_his_part(start_service, tokens_path, camera):
-    served = start_service("--tokens", str(tokens_path))
-    with Client(served.url) as nobody, pytest.raises(ServiceError) as refused:
-        nobody.sessions()
-    assert refused.value.status == 401
-    with Client(served.url, "eve-may-only-look-here") as eve:
-        assert eve.sessions() == []
-        with pytest.raises(ServiceError, match="scope track"):
-            eve.open(camera)
-    with Client(served.url, "bob-may-send-his-frames") as bob:
-        session = bob.open(camera)
-        with pytest.raises(ServiceError, match="scope admin"):
-            bob.send_model("mine", tokens_path)
-        with session.stream() as stream:
-            stream.send(b"\x89PNG\r\n\x1a\n" + bytes(50))
-            with pytest.raises(ServiceError, match="cut short"):
-                stream.receive(10.0)
-        session.close()
-    served.stop()
-    assert served.process.returncode == 0
-    assert not any("eve-may" in line or "bob-may" in line for line in served.lines)
-
-
-def test_a_service_with_a_certificate_is_trusted_by_who_knows_it(
+def test_a_service_with_tokens_and_a_certificate_lets_each_do_his_part(
     start_service, tokens_path, camera, tmp_path
 ):
     authority = trustme.CA()
@@ -195,19 +172,36 @@ def test_a_service_with_a_certificate_is_trusted_by_who_knows_it(
     assert served.url.startswith("https://127.0.0.1")
     with Client(served.url) as stranger, pytest.raises(RendezviewError, match="CERTIFICATE"):
         stranger.sessions()
-    with Client(served.url, "bob-may-send-his-frames", certificate=known) as bob:
-        session = bob.open(camera)
-        black = np.zeros((camera.height, camera.width), np.uint8)
-        assert session.track(black, 0.0)["status"] == "empty"
-        with session.stream() as stream:
-            stream.send(black, 1.0)
-            assert stream.receive(20.0)["frame"] == 1
-        session.close()
     plain = served.url.replace("https", "http")
     with Client(plain) as client, pytest.raises(RendezviewError, match="cannot be reached"):
         client.sessions()
+
+    def client_of(token: str | None) -> Client:
+        return Client(served.url, token, certificate=known)
+
+    with client_of(None) as nobody, pytest.raises(ServiceError) as refused:
+        nobody.sessions()
+    assert refused.value.status == 401
+    with client_of("eve-may-only-look-here") as eve:
+        assert eve.sessions() == []
+        with pytest.raises(ServiceError, match="scope track"):
+            eve.open(camera)
+    with client_of("bob-may-send-his-frames") as bob:
+        session = bob.open(camera)
+        with pytest.raises(ServiceError, match="scope admin"):
+            bob.send_model("mine", tokens_path)
+        black = np.zeros((camera.height, camera.width), np.uint8)
+        assert session.track(black, 0.0)["status"] == "empty"
+        with session.stream() as stream:
+            stream.send(b"\x89PNG\r\n\x1a\n" + bytes(50))
+            with pytest.raises(ServiceError, match="cut short"):
+                stream.receive(10.0)
+            stream.send(black, 1.0)
+            assert stream.receive(20.0)["frame"] == 1
+        session.close()
     served.stop()
     assert served.process.returncode == 0
+    assert not any("eve-may" in line or "bob-may" in line for line in served.lines)
 
 
 def test_what_is_no_certificate_is_refused(tmp_path):

@@ -30,6 +30,8 @@ log = logging.getLogger("rendezview.service")
 
 SESSION_METADATA = "rendezview.session"
 _SUFFIX = ".mcap"
+_UNFINISHED = re.compile(r"\..+\.[0-9a-f]{8,12}\.tmp")  # a file that is being written
+_UNFINISHED_S = 3600.0  # s, since its last write: then who wrote it has ended. Source: chosen
 _REMOVE_EVERY_S = 60.0  # s, between looks for old logs. Source: chosen
 
 
@@ -89,7 +91,15 @@ def parts_from(path: Path) -> list[Path]:
 
 
 def mend_folder(folder: Path) -> Iterator[dict[str, object]]:
-    """Repair the service's own unfinished logs that nobody writes; what was done, log by log."""
+    """Repair the service's own unfinished logs that nobody writes; what was done, log by log.
+
+    Copies that a repair left when it was killed are removed.
+    """
+    for path in folder.iterdir():
+        with contextlib.suppress(OSError):
+            old = time.time() - path.stat().st_mtime > _UNFINISHED_S
+            if old and _UNFINISHED.fullmatch(path.name):
+                path.unlink()
     for path in sorted(folder.glob(f"*{_SUFFIX}")):
         try:
             if is_finished(path) or not is_own(path):
