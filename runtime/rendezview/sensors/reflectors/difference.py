@@ -240,7 +240,9 @@ def faint_mask(lit: Grey, behind: Grey, noise: float, factor: float) -> Grey:
     difference = cv2.subtract(lit, behind, dtype=cv2.CV_32F)
     soft = cv2.GaussianBlur(difference, (0, 0), _FILTER_PX)
     passed = 1.0 / (2.0 * math.sqrt(math.pi) * _FILTER_PX)
-    level = factor * max(noise * passed, _LEAST_NOISE * passed, _dips(soft))
+    level = factor * max(
+        noise * passed, _LEAST_NOISE * passed, _dips(np.asarray(soft, dtype=np.float32))
+    )
     return np.asarray(cv2.threshold(soft, level, 255.0, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 

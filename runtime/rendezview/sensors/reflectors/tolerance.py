@@ -81,6 +81,7 @@ def fit_dots(
         return None
     _, diameter, blur, found = best
     assert found.refined is not None
+    assert found.reflectors is not None
     step, share = _size_error(
         camera, merged(scaled(patterns, diameter)), blur * options.blur_px,
         found.refined.camera_from_target, found.reflectors, spots.size_px[found.spot_indices],
@@ -111,7 +112,7 @@ def _size_error(
     pattern: ReflectorPattern,
     blur_px: float,
     pose: Pose,
-    which: npt.ArrayLike,
+    which: npt.NDArray[np.int64] | list[int],
     sizes_px: Array,
 ) -> tuple[float, float]:
     """Mean ln of size over expected size, and mean share of the blur in the size."""

@@ -185,7 +185,8 @@ def search(
     )  # fmt: skip
     widest_px = math.hypot(along, over) * shortest * focal_px
     firsts, members, left, top, columns, rows = _grid(at, widest_px)
-    found = np.int64(0)  # a plain 0 would be a type of its own for what is called
+    # A plain 0 would be a type of its own for what is called.
+    found: int = np.int64(0)  # type: ignore[assignment]
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)
         break_px = widest * most * focal_px
