@@ -185,8 +185,7 @@ def search(
     )  # fmt: skip
     widest_px = math.hypot(along, over) * shortest * focal_px
     firsts, members, left, top, columns, rows = _grid(at, widest_px)
-    # A plain 0 would be a type of its own for what is called.
-    found: int = np.int64(0)  # type: ignore[assignment]
+    found: int = np.int64(0)  # type: ignore[assignment]  # a 0 would be a type of its own for callees
     for i in range(count):
         least, most = max(low[i], shortest), min(high[i], longest)
         break_px = widest * most * focal_px
