@@ -27,7 +27,6 @@ from rendezview.sensors.appearance.sketch.choice import (
     POSE_FEATURES,
     Looks,
     SketchChoice,
-    SketchPose,
     chosen,
     packaged,
 )
@@ -87,22 +86,25 @@ class Searched:
     symmetries: tuple[Symmetry, ...]
     prior: bool
     cut: bool
-    pose: Pose  # the one given: a mean of several
+    best: Pose
+    pose: Pose  # the one given: the mean of those that the best leads to
     spread_deg: float
     nees: float | None
 
     @property
     def choice(self) -> SketchChoice:
-        """The choice that the present merit makes."""
-        choice = chosen(self.looks, self.symmetries, prior=self.prior, cut=self.cut)
-        assert choice is not None  # a frame without any pose is none of those searched
-        return replace(choice, spread_deg=self.spread_deg)
+        """What the present merit chooses; where that is the same, with the mean that was given."""
+        now = chosen(self.looks, self.symmetries, prior=self.prior, cut=self.cut)
+        assert now is not None  # a frame without any pose is none of those searched
+        if now.best.pose is self.best:
+            return replace(now, pose=self.pose, spread_deg=self.spread_deg)
+        return replace(now, spread_deg=self.spread_deg)
 
-    def error_deg(self, pose: SketchPose) -> float:
-        return float(np.rad2deg(angle_between(pose.pose, self.truth, self.symmetries)))
+    def error_deg(self, pose: Pose) -> float:
+        return float(np.rad2deg(angle_between(pose, self.truth, self.symmetries)))
 
-    def right(self, pose: SketchPose) -> bool:
-        centre, place = (p.apply(self.centre_m) for p in (self.truth, pose.pose))
+    def right(self, pose: Pose) -> bool:
+        centre, place = (p.apply(self.centre_m) for p in (self.truth, pose))
         aside = np.linalg.norm(place - centre) / np.linalg.norm(centre)
         return self.error_deg(pose) < RIGHT_DEG and bool(aside < RIGHT_SHARE)
 
@@ -142,6 +144,7 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
                 model.symmetries,
                 prior,
                 choice.cut,
+                choice.best.pose,
                 choice.pose,
                 choice.spread_deg,
                 nees,
@@ -155,8 +158,8 @@ def fitted_merit(searches: list[Searched]) -> np.ndarray:
     groups = []
     for search in searches:
         poses = search.looks.around + search.looks.others
-        clear = [p for p in poses if search.right(p) or search.error_deg(p) > WRONG_DEG]
-        good = np.array([search.right(p) for p in clear], dtype=bool)
+        clear = [p for p in poses if search.right(p.pose) or search.error_deg(p.pose) > WRONG_DEG]
+        good = np.array([search.right(p.pose) for p in clear], dtype=bool)
         if good.any() and not good.all():
             groups.append((np.array([p.features for p in clear]), good))
 
@@ -217,13 +220,13 @@ def run(
         some = [s for s in searches if s.prior == prior]
         choices = [s.choice for s in some]
         features = np.array([c.features for c in choices])
-        good = np.array([s.right(c.best) for s, c in zip(some, choices, strict=True)])
+        good = np.array([s.right(c.pose) for s, c in zip(some, choices, strict=True)])
         wrong = np.array(
-            [s.error_deg(c.best) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
+            [s.error_deg(c.pose) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
         )
         given = probabilities(features, good, np.arange(len(some)) % FOLDS) > LEAST_CONFIDENCE
         print(
-            f"{kind}: {len(some)} looks, best pose right {good.mean():.3f}; given and right "
+            f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; given and right "
             f"{(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
         )
         odds = fitted_odds(features, good)

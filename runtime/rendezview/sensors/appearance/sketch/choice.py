@@ -124,12 +124,12 @@ class SketchChoice:
         odds = float(self.features @ (model.near if self.prior else model.anywhere))
         return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))
 
-    def with_covariance(
-        self, covariance: Array, strained: Array, residual_px: float
-    ) -> SketchChoice:
-        """The choice with the covariance of independent edges, inflated as errors of poses show,
-        and that of a strained craft."""
-        inflated = covariance * packaged().inflation + strained
+    def with_covariance(self, covariance: Array, others: Array, residual_px: float) -> SketchChoice:
+        """The choice with the covariance of independent edges, inflated as errors of poses show.
+
+        ``others``: (6, 6) of a strained craft and of the scatter between sketches.
+        """
+        inflated = covariance * packaged().inflation + others
         return replace(self, covariance=inflated, residual_px=residual_px)
 
 

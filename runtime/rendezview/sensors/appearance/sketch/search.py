@@ -183,33 +183,41 @@ class SketchSearch:
             return None
         finest = self.sketcher.near(frame, self._box(choice.best.pose), _FINEST * SIDE_PX)
         sketches = [first, sketch] if finest is None else [first, sketch, finest]
-        pose, spread_deg = self._mean(choice.best.pose, sketches)
+        pose, spread_deg, scatter = self._mean(choice.best.pose, sketches)
         choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
         covariance, strained, residual_px = pose_covariance(
             maps, self._lens, self._views, _FINE[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
-        return choice.with_covariance(covariance, strained, residual_px / sketch.scale)
+        return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
 
-    def _mean(self, best: Pose, sketches: list[Sketch]) -> tuple[Pose, float]:
-        """The mean of the poses that one leads to in some sketches, weighted by what each knows;
-        the largest angle between the mean and one of them, °."""
+    def _mean(self, best: Pose, sketches: list[Sketch]) -> tuple[Pose, float, Array]:
+        """The mean of the poses that one leads to in some sketches, weighted by what each knows.
+
+        Returns:
+            The mean; the largest angle between it and one of them, °; (6, 6) its covariance as
+            their scatter shows it, of the rotation vector and the target's origin.
+        """
         centre = best.apply(self.model.centre_m)
         found = [edges for s in sketches if (edges := self.measured(s, best)) is not None]
         if not found:
-            return best, 0.0
-        moves = [
-            np.concatenate([log(edges.rotation @ best.rotation.T), edges.centre_m - centre])
-            for edges in found
-        ]
-        known = [edges.information for edges in found]
-        total = sum(known, np.zeros((6, 6)))
+            return best, 0.0, np.zeros((6, 6))
+        moves = np.array(
+            [np.append(log(e.rotation @ best.rotation.T), e.centre_m - centre) for e in found]
+        )
+        known = np.array([edges.information for edges in found])
+        total = known.sum(0)
         total += _UNKNOWN * np.diag(np.diag(total))
-        move = np.linalg.solve(total, sum((k @ m for k, m in zip(known, moves, strict=True))))
+        move = np.linalg.solve(total, np.einsum("kij,kj->i", known, moves))
+        off = moves - move
         rotation = exp(move[:3]) @ best.rotation
-        spread = max(float(np.linalg.norm(one[:3] - move[:3])) for one in moves)
-        place = centre + move[3:] - rotation @ self.model.centre_m
-        return Pose(rotation, place), float(np.rad2deg(spread))
+        arm = rotation @ self.model.centre_m
+        carry = np.eye(6)  # from the view centre to the target's origin
+        carry[3:, :3] = np.cross(np.eye(3), arm)
+        count = len(found)
+        scatter = carry @ (off.T @ off) @ carry.T / (count * max(count - 1, 1))
+        spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
+        return Pose(rotation, centre + move[3:] - arm), spread_deg, scatter
 
     def _in_sketch(self, sketch: Sketch, centre: Array) -> tuple[Array, float]:
         """Place (2,) of the view centre in a sketch, and a target radius there, sketch px."""
