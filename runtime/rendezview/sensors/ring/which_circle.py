@@ -46,7 +46,9 @@ _PLANE_TILT_RAD = math.radians(10.0)
 _KNOWN_SHARE, _KNOWN_PX = 0.015, 1.0
 # A ring has two edges at least. Of the circles that fitted the range by chance (ring-vehicle of
 # HST, seed 25) 19 of 26 stood alone, of the right ones on client, HST and ISS none of 194.
-_ALONE = "only one edge has the size of the ring, and the other circles are not about its axis"
+_ALONE = (
+    "the circle that may be the ring stands alone: no other edge of the frame is about its axis"
+)
 # Cost gained by a known circle that is found, and of one that is not. Source: 2 ln of the odds of
 # 60 % (client, ring-vehicle, seed 22) to 10 % (by chance)
 _KNOWN_FOUND, _KNOWN_MISSED = 3.6, 1.6
@@ -209,6 +211,8 @@ def without_range(
         same = abs(ranges[k] / ranges[0] - 1.0) < _SAME_RANGE
         if aside < _ASIDE * long and not (one_plane or weak or same):
             rivals.append(k)
+    if not rivals and not circles and _is_alone(edges, 0):
+        return Which(0, (), _ALONE, by_score=True, alone=True)
     return Which(0, tuple(rivals), _words(0, rivals, ranges, "no range is given to tell"), True)
 
 
