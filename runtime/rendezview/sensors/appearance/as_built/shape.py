@@ -26,9 +26,8 @@ class ShapeOptions:
     look_again: float = 5e-3  # Source: a pixel or two of an edge
     least_frames: int = 5  # with a pose. Source: by construction
     least_spread_rad: float = np.deg2rad(30.0)  # between two views. Source: by construction
-    # Neighbouring edges err together: as many edges count as one. A third of the inflation of
-    # sketch/error_model.json: most of that is of meshes 2 % wrong, which is what is estimated here.
-    edges_as_one: float = 5.0  # Source: by construction
+    # Neighbouring edges err together: as many edges count as one.
+    edges_as_one: float = 5.0  # Source: experiment photo-accuracy --folds
     # Times the median frame's residual; frames beyond are wrong poses.
     most_rms: float = 2.5  # Source: by construction
 
