@@ -22,9 +22,9 @@ from experiments.stereo.accuracy import (
     by_paper,
     by_pictures,
     by_tracker,
-    leds_of,
     turned_deg,
 )
+from experiments.stereo.cases import leds_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target

@@ -13,7 +13,7 @@ from experiments.reflectors import acquisition, speed
 from experiments.reflectors.accuracy import random_pose
 from experiments.reflectors.run import CAMERA
 from experiments.ring import accuracy as ring_accuracy
-from experiments.stereo import accuracy as stereo_accuracy
+from experiments.stereo import cases as stereo_cases
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
@@ -158,12 +158,12 @@ def ring(seed: int) -> Trial:
 def stereo(seed: int) -> Trial:
     """Faults of photodiodes, unnamed spots of pictures, a run that turns, a drawn picture pair."""
     target = Target.load(MODELS_CAD / "scole")
-    laboratory = stereo_accuracy.Job(seed, None, 200.0).laboratory(target)
+    laboratory = stereo_cases.Job(seed, None, 200.0).laboratory(target)
     rng = np.random.default_rng(seed)
     leds, count = laboratory.leds, len(laboratory.leds)
     singles = []
     for k in range(50):
-        pose = stereo_accuracy.random_pose(rng, 40.0)
+        pose = stereo_cases.random_pose(rng, 40.0)
         light = laboratory.currents([pose], rng)[0]
         a, b, c = rng.choice(count, 3, replace=False)
         if k % 5 == 1:
@@ -174,12 +174,12 @@ def stereo(seed: int) -> Trial:
             light[0, [a, b]] = light[0, [b, a]]
         elif k % 5 == 4:
             light[1] = np.nan
-        singles.append((pose, stereo_accuracy.spots_of(laboratory.rig, light)))
+        singles.append((pose, stereo_cases.spots_of(laboratory.rig, light)))
     full = Laboratory(leds, LaboratoryOptions(distorted=False), seed)
     rig = picture_rig(full, PictureOptions())
     unnamed = []
     for k in range(24):
-        pose = stereo_accuracy.random_pose(rng, 30.0)
+        pose = stereo_cases.random_pose(rng, 30.0)
         views = []
         for camera in rig.cameras:
             seen = camera.project(pose.apply(leds))[rng.permutation(count)[k % 2 :]]
@@ -191,7 +191,7 @@ def stereo(seed: int) -> Trial:
     turning = laboratory.stage(swing)
     currents = laboratory.currents(turning, rng)
     currents[40:44] = np.nan
-    pose = stereo_accuracy.random_pose(rng, 20.0)
+    pose = stereo_cases.random_pose(rng, 20.0)
     pictures = [draw(rig, c, pose.apply(leds), PictureOptions(), rng) for c in range(len(rig))]
 
     def trial() -> Figures:
@@ -199,7 +199,7 @@ def stereo(seed: int) -> Trial:
         for truth, spots in singles:
             tracker = StereoTracker.of_target(laboratory.rig, target)
             sights = tracker.rig.sights(spots, count)
-            verdict = stereo_accuracy.judge(tracker, sights, tracker.locate(sights), truth)
+            verdict = stereo_cases.judge(tracker, sights, tracker.locate(sights), truth)
             right, wrong = right + (verdict == "right"), wrong + (verdict == "wrong")
             refused += verdict == "refused"
         named = 0
@@ -214,7 +214,7 @@ def stereo(seed: int) -> Trial:
             options = TrackerOptions(motion=motion)
             tracker = StereoTracker.of_target(laboratory.rig, target, options)
             for k, reading in enumerate(currents):
-                answer = tracker.update(0.1 * k, stereo_accuracy.spots_of(laboratory.rig, reading))
+                answer = tracker.update(0.1 * k, stereo_cases.spots_of(laboratory.rig, reading))
                 given = answer.estimate or answer.fit
                 if given is None:
                     continue

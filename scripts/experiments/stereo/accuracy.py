@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import nees, show
+from experiments.frame import show
+from experiments.peers.pnp import rig as by_peers
+from experiments.stereo.cases import Job, leds_of, spots_of, squared
+from experiments.stereo.starts import convergence, faults, identity, recovery
 from rendezview.geometry.pose import Pose
-from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
 from rendezview.sensors.stereo import (
     MotionOptions,
     Normalisation,
     Rig,
     Sights,
-    Spots,
-    StereoObservation,
     StereoTracker,
     TrackerOptions,
     yaw_pitch_roll,
 )
-from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
+from rendezview.sensors.stereo.agreement import iterate
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.spots import find_spots
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
@@ -35,20 +35,6 @@ PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it
 RATE_HZ = 10.0
 AVERAGED = 60  # the paper: "several"; its calibration averages 60
-
-
-@dataclass(frozen=True)
-class Job:
-    """The options of the parts."""
-
-    seed: int
-    cases: int | None
-    snr: float
-
-    def laboratory(self, target: Target) -> Laboratory:
-        """Cameras without distortion, which nobody has to calibrate."""
-        options = LaboratoryOptions(signal_to_noise=self.snr, distorted=False)
-        return Laboratory(leds_of(target), options, self.seed)
 
 
 def run(
@@ -73,14 +59,6 @@ def run(
     start = time.perf_counter()
     parts[part](Job(seed, cases, snr), Target.load(target))
     print(f"{time.perf_counter() - start:.0f} s")
-
-
-def leds_of(target: Target) -> np.ndarray:
-    return np.array([led.position_m for led in target.leds])
-
-
-def spots_of(rig: Rig, currents: np.ndarray) -> list[Spots]:
-    return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
 
 
 def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
@@ -137,6 +115,8 @@ def figure8(job: Job, target: Target) -> None:
                 rotations, off = by_tracker(cameras, target, given, motion, poses)
                 rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
                 squares.setdefault(name, []).extend(off)
+            for name, rotations in by_others(rig, target, currents).items():
+                rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
         table.add_row(f"{step}°", "paper, as printed", "several scans", "≠ 1", f"{PAPER[step]}°")
         for name, lines in rows.items():
             scans = AVERAGED if f"{AVERAGED}" in name else 1
@@ -187,13 +167,6 @@ def by_paper(rig: Rig, target: Target, currents: np.ndarray, first: Pose) -> np.
     return np.rad2deg(np.unwrap(yaws))
 
 
-def squared(rig: Rig, observation: StereoObservation, rig_from_target: Pose) -> float:
-    """NEES of a pose; 6 is right."""
-    truth, pose = rig.cameras[0].camera_from_rig @ rig_from_target, observation.pose
-    turned, moved = between(pose.rotation, truth.rotation), pose.translation_m - truth.translation_m
-    return nees(np.append(turned, moved), observation.covariance)
-
-
 def by_tracker(
     rig: Rig, target: Target, currents: np.ndarray, motion: MotionOptions | None, poses: list[Pose]
 ) -> tuple[np.ndarray, list[float]]:
@@ -207,6 +180,18 @@ def by_tracker(
         rotations.append((observation.estimate or observation.fit).rotation)
         squares.append(squared(rig, observation, poses[k]))
     return np.stack(rotations), squares
+
+
+def by_others(rig: Rig, target: Target, currents: np.ndarray) -> dict[str, np.ndarray]:
+    """Rotations by OpenCV in one camera and by poselib in both, from the same places."""
+    rotations: dict[str, list[np.ndarray]] = {"solvePnP, one camera": [], "poselib, both": []}
+    for reading in currents:
+        sights = rig.sights(spots_of(rig, reading), len(target.leds))
+        answers = by_peers(leds_of(target), sights, rig).values()
+        for own, pose in zip(rotations.values(), answers, strict=True):
+            if pose is not None:
+                own.append(pose.rotation)
+    return {name: np.stack(own) for name, own in rotations.items() if own}
 
 
 def by_pictures(
@@ -224,177 +209,3 @@ def by_pictures(
         rotations.append(observation.fit.rotation)
         squares.append(squared(rig, observation, pose))
     return np.stack(rotations), squares
-
-
-def random_pose(rng: np.random.Generator, tilt_deg: float) -> Pose:
-    """Any yaw, tilted up to so much any way, lights towards the cameras."""
-    tilt = np.deg2rad(tilt_deg) * np.sqrt(rng.uniform())
-    around = rng.uniform(0.0, 2.0 * np.pi)
-    tilted = Rotation.from_rotvec(tilt * np.array([np.cos(around), np.sin(around), 0.0]))
-    turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
-    place = rng.uniform(-1.0, 1.0, 3) * (0.1, 0.1, 0.5)
-    return Pose((tilted * turn).as_matrix(), place)
-
-
-def convergence(job: Job, target: Target) -> None:
-    cases = job.cases or 10_000
-    laboratory = job.laboratory(target)
-    rng = np.random.default_rng(job.seed)
-    rig, leds = laboratory.rig, laboratory.leds
-    from_end, from_truth, end_truth, unsolved = [], [], [], 0
-    for _ in range(cases):
-        before = random_pose(rng, 20.0)
-        after = Pose(Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.0)]).as_matrix(), np.zeros(3))
-        after = after @ before
-        first, second = laboratory.currents([before, after], rng)
-        last = iterate(rig, leds, rig.sights(spots_of(rig, first), len(leds)),
-                       before.rotation, before.translation_m)  # fmt: skip
-        sights = rig.sights(spots_of(rig, second), len(leds))
-        if last is None:
-            unsolved += 1
-            continue
-        once = iterate(rig, leds, sights, last.rotation, last.translation, iterations=1)
-        end = iterate(rig, leds, sights, last.rotation, last.translation)
-        if once is None or end is None:
-            unsolved += 1
-            continue
-        from_end.append(Rotation.from_matrix(once.rotation @ end.rotation.T).as_rotvec())
-        from_truth.append(Rotation.from_matrix(once.rotation @ after.rotation.T).as_rotvec())
-        end_truth.append(Rotation.from_matrix(end.rotation @ after.rotation.T).as_rotvec())
-    print(f"{cases} steps of 2° from the last estimate, tilt to 20°, any yaw; {unsolved} unsolved")
-    for name, vectors in (("one iteration, from where iteration ends", from_end),
-                          ("one iteration, from the truth", from_truth),
-                          ("all iterations, from the truth", end_truth)):  # fmt: skip
-        turn = np.rad2deg(np.abs(vectors))
-        for what, angle in (("yaw", turn[:, 2]), ("attitude", np.linalg.norm(turn, axis=1))):
-            print(f"{name}, {what}: below 1° in {(angle < 1.0).sum()}, r.m.s. "
-                  f"{np.sqrt((angle**2).mean()):.3f}°, worst {angle.max():.3f}°")  # fmt: skip
-
-
-def recovery(job: Job, target: Target) -> None:
-    cases = job.cases or 10_000
-    laboratory = job.laboratory(target)
-    rng = np.random.default_rng(job.seed)
-    tracker = StereoTracker.of_target(laboratory.rig, target)
-    outcome = {"right": 0, "refused": 0, "wrong": 0}
-    spent, yaws = [], []
-    for _ in range(cases):
-        pose = random_pose(rng, 60.0)
-        sights = tracker.rig.sights(spots_of(tracker.rig, laboratory.currents([pose], rng)[0]), 6)
-        start = time.perf_counter()
-        found = tracker.locate(sights)
-        spent.append(time.perf_counter() - start)
-        verdict = judge(tracker, sights, found, pose)
-        outcome[verdict] += 1
-        if isinstance(found, LightsFit):
-            yaws.append(abs(Rotation.from_matrix(found.rotation @ pose.rotation.T).as_rotvec()[2]))
-    print(f"{cases} readings, any yaw, tilt to 60°, nothing known: {outcome}, "
-          f"median {1e3 * np.median(spent):.1f} ms")  # fmt: skip
-    print(f"turn about the boresight against the truth: worst {np.rad2deg(max(yaws)):.2f}°")
-
-
-def at_pose(pose: Pose, found: LightsFit) -> LightsFit:
-    """A pose in the place of that of a fit."""
-    return LightsFit(pose.rotation, pose.translation_m, found.information, 0.0, 0, 0, found.sights)
-
-
-def judge(
-    tracker: StereoTracker, sights: Sights, found: LightsFit | Disagreement, pose: Pose
-) -> str:
-    """right: the minimum next to the truth, and the truth within its covariance."""
-    if isinstance(found, Disagreement):
-        return "refused"
-    near = iterate(tracker.rig, tracker.leds, found.sights, pose.rotation, pose.translation_m)
-    same = near is not None and distance(found, near) < 0.5
-    if same and distance(found, at_pose(pose, found)) < 60.0:
-        return "right"
-    return "wrong"
-
-
-def faults(job: Job, target: Target) -> None:
-    cases = job.cases or 2000
-    laboratory = job.laboratory(target)
-    rng = np.random.default_rng(job.seed)
-    tracker = StereoTracker.of_target(laboratory.rig, target)
-    count = len(tracker.leds)
-
-    def missing(light: np.ndarray) -> None:
-        light[:, rng.choice(count, 2, replace=False)] = np.nan
-
-    def half_missing(light: np.ndarray) -> None:
-        light[0, rng.choice(count, 3, replace=False)] = np.nan
-
-    def exchanged(light: np.ndarray) -> None:
-        a, b = rng.choice(count, 2, replace=False)
-        light[:, [a, b]] = light[:, [b, a]]
-
-    def exchanged_once(light: np.ndarray) -> None:
-        a, b = rng.choice(count, 2, replace=False)
-        light[0, [a, b]] = light[0, [b, a]]
-
-    def reflected(light: np.ndarray) -> None:
-        place = rng.uniform(-0.8, 0.8, 2) * laboratory.options.half_width_m
-        light[rng.integers(2), rng.integers(count)] = laboratory.light(0, place)
-
-    def one_camera(light: np.ndarray) -> None:
-        light[1] = np.nan
-
-    table = Table("fault", "start", "right", "refused", "wrong", "NEES")
-    for fault in (missing, half_missing, exchanged, exchanged_once, reflected, one_camera):
-        for known in (True, False):
-            outcome, squares = dict.fromkeys(("right", "refused", "wrong"), 0), []
-            for _ in range(cases if known else cases // 4):
-                pose = random_pose(rng, 20.0)
-                light = laboratory.currents([pose], rng)[0]
-                fault(light)
-                sights = tracker.rig.sights(spots_of(tracker.rig, light), count)
-                found: LightsFit | Disagreement
-                if known:
-                    last = pose.perturbed(np.append(rng.normal(0.0, np.deg2rad(2.0), 3), [0, 0, 0]))
-                    other = StereoTracker.of_target(tracker.rig, target)
-                    other.update(0.0, spots_of(tracker.rig, laboratory.currents([last], rng)[0]))
-                    observation = other.update(0.1, spots_of(tracker.rig, light))
-                    found = observation.fit or Disagreement(observation.reason or "")
-                else:
-                    found = tracker.locate(sights)
-                verdict = judge(tracker, sights, found, pose)
-                outcome[verdict] += 1
-                if verdict == "right":
-                    squares.append(distance(found, at_pose(pose, found)))
-            cells = [*map(str, outcome.values()), f"{np.mean(squares):.1f}"]
-            start = "tracking" if known else "nothing"
-            table.add_row(fault.__name__.replace("_", " "), start, *cells)
-    show(table, width=100)
-
-
-def identity(job: Job, target: Target) -> None:
-    cases = job.cases or 300
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(distorted=False), job.seed)
-    rig = picture_rig(laboratory, PictureOptions())
-    rng = np.random.default_rng(job.seed)
-    sigma_px = 0.05
-    table = Table("spots", "right", "refused", "wrong", "median ms")
-    for name, hidden, false in (("all six", 0, 0), ("one hidden", 1, 0), ("two false", 0, 2),
-                                ("one hidden, two false", 1, 2)):  # fmt: skip
-        outcome, spent = {"right": 0, "refused": 0, "wrong": 0}, []
-        for _ in range(cases):
-            pose = random_pose(rng, 30.0)
-            tracker = StereoTracker.of_target(rig, target)
-            spots = []
-            for camera in rig.cameras:
-                seen = camera.project(pose.apply(tracker.leds))
-                seen = seen[rng.permutation(len(seen))[hidden:]]
-                seen = np.concatenate([seen, rng.uniform(0.0, 1023.0, (false, 2))])
-                seen = seen[rng.permutation(len(seen))]
-                seen = seen + rng.normal(0.0, sigma_px, seen.shape)
-                spots.append(Spots(seen, np.full(seen.shape, sigma_px), np.full(len(seen), -1)))
-            start = time.perf_counter()
-            observation = tracker.update(0.0, spots)
-            spent.append(1e3 * (time.perf_counter() - start))
-            if observation.fit is None:
-                outcome["refused"] += 1
-                continue
-            sights = rig.sights(observation.spots, len(tracker.leds))
-            outcome[judge(tracker, sights, observation.fit, pose)] += 1
-        table.add_row(name, *(str(n) for n in outcome.values()), f"{np.median(spent):.0f}")
-    show(table, width=100)

@@ -6,6 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, nees, show, table_of
+from experiments.peers.pnp import PEERS, median_deg
+from experiments.peers.pnp import rig as by_peers
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
@@ -64,13 +66,14 @@ def run(
     leds = 0.25 * np.array([led.position_m for led in Target.load(MODELS_CAD / "scole").leds])
     table = table_of(
         f"{rigs} rigs of {pairs} board pairs, {poses} poses each, seed {seed}",
-        "spots σ px | poses | with the calibration: NEES | worst rig | without: NEES",
+        "spots σ px | poses | with the calibration: NEES | worst rig | without: NEES | median turn "
+        "off, °: ours | solvePnP, one camera | poselib, both",
         left=0,
     )
     for spot_px in (0.05, 0.15):
         rng = np.random.default_rng(seed)
         kept: dict[bool, list[list[float]]] = {True: [], False: []}
-        found = 0
+        found, turns = 0, {name: list[float]() for name in ("ours", *PEERS)}
         for _ in range(rigs):
             truth = true_rig(rng)
             made = calibrate_board(views_of(truth, rng, pairs, corner_px)).rig
@@ -79,8 +82,9 @@ def run(
                 rng.bit_generator.state = state  # the same poses and noise
                 options = TrackerOptions(calibration_error=with_error)
                 ours = errors(
-                    truth, StereoTracker(made, leds, options=options), rng, poses, spot_px
-                )
+                    truth, StereoTracker(made, leds, options=options), rng, poses, spot_px,
+                    turns if with_error else {},
+                )  # fmt: skip
                 squares.append(ours)
                 found += with_error * len(ours)
         means = [float(np.mean(ours)) for ours in kept[True] if ours]
@@ -88,15 +92,16 @@ def run(
         table.add_row(
             f"{spot_px:g}", f"{found} of {rigs * poses}",
             f"{np.mean(np.concatenate(kept[True])):.1f}", f"{max(means):.1f}",
-            f"{np.mean(without):.0f}",
+            f"{np.mean(without):.0f}", *[median_deg(own) for own in turns.values()],
         )  # fmt: skip
     show(table)
 
 
 def errors(
-    truth: Rig, tracker: StereoTracker, rng: np.random.Generator, poses: int, spot_px: float
-) -> list[float]:
-    """Normalised squared errors of single poses, first camera's frame."""
+    truth: Rig, tracker: StereoTracker, rng: np.random.Generator, poses: int, spot_px: float,
+    turns: dict[str, list[float]],
+) -> list[float]:  # fmt: skip
+    """Normalised squared errors of single poses, first camera's frame; angles into ``turns``."""
     squares = []
     for k in range(poses):
         turn = Rotation.from_euler(
@@ -117,4 +122,12 @@ def errors(
         turned = between(reading.pose.rotation, pose.rotation)
         off = np.append(turned, reading.pose.translation_m - pose.translation_m)
         squares.append(nees(off, reading.covariance))
+        if turns:
+            turns["ours"].append(float(np.linalg.norm(turned)))
+            sights = tracker.rig.sights(spots, len(tracker.leds))
+            for name, other in by_peers(tracker.leds, sights, tracker.rig).items():
+                if other is not None:
+                    turns[name].append(
+                        (tracker.rig.cameras[0].camera_from_rig @ other).angle_to(pose)
+                    )
     return squares

@@ -15,7 +15,13 @@ import cv2
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.reflectors.difference import Grey, LitDark, noise_grey
+from rendezview.sensors.reflectors.difference import (
+    Grey,
+    LitDark,
+    background_of,
+    dips,
+    noise_grey,
+)
 from rendezview.sensors.reflectors.spots import AMPLITUDE, SIGMA, SIZE
 
 _CELLS_PX = (4, 8, 16)  # Source: by construction, the extents of spots of σ 1 to 4 px
@@ -51,7 +57,7 @@ class HiddenNoise:
         """Measured in whole pictures."""
         compression = _STEP_VARIANCE * quantisation_step(frames.lit) ** 2
         if frames.dark is None:
-            return cls(np.zeros(len(_CELLS_PX)), compression)
+            return cls(_rough(frames.lit, noise_grey(frames)), compression)
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
         return cls(_slow(frames.lit, frames.dark, noise_grey(frames)), compression)
 
@@ -84,6 +90,18 @@ def _slow(lit: Grey, dark: Grey, noise: float) -> Array:
         # Spots and edges are few: the median of |steps| is 0.6745 √2 σ of a normal distribution.
         sigma = float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(2.0))
         variance = (cell * sigma) ** 2
+        found[k] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
+    return found
+
+
+def _rough(lit: Grey, noise: float) -> Array:
+    """(3,) as `_slow`, of a single picture, from what is darker than its background."""
+    difference = cv2.subtract(lit, background_of(lit), dtype=cv2.CV_32F)
+    found = np.zeros(len(_CELLS_PX))
+    for k, cell in enumerate(_CELLS_PX):
+        sigma_px = cell / _CELLS_A_SIZE
+        passed = 1.0 / (2.0 * math.sqrt(math.pi) * sigma_px)  # of white noise
+        variance = (dips(cv2.GaussianBlur(difference, (0, 0), sigma_px)) / passed) ** 2
         found[k] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
     return found
 

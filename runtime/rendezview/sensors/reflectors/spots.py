@@ -30,7 +30,10 @@ from rendezview.sensors.reflectors.difference import (
 )
 
 SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
+_FEWEST = 3  # spots that can be a target. Source: by construction
 _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
+# σ between two centroids of one spot: further apart, something overlaps it. Source: reflector-nees
+_OVERLAP = 4.0
 # more than that is no picture of a target. Source: by construction, a bound of time
 MOST_SPOTS = 400
 # Columns of the spot table that the compiled loops fill.
@@ -113,8 +116,11 @@ def find_spots(
         count = _label_faint(frames.lit, noise, chosen, table)
     else:
         level = threshold_of(chosen, noise, frames)
-        mask = spot_mask(frames, level, chosen)
-        count = _label(mask, frames.lit, frames.dark_or_nothing, level, table)
+        dark = frames.dark_or_nothing
+        count = _label(spot_mask(frames, level, chosen), frames.lit, dark, level, table)
+        if 0 <= count < _FEWEST and chosen.lower_grey is None:  # faint ones
+            mask = faint_mask(frames.lit, dark, noise, chosen.faint_factor)
+            count = _label(mask, frames.lit, dark, noise, table)
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
     place(frames.lit, frames.dark_or_nothing, found, noise)
@@ -267,6 +273,12 @@ def window_centroid(
     ran = max(abs(x - row[WEIGHTED_X]), abs(y - row[WEIGHTED_Y])) > away
     if ran or not error > 0.0:
         x, y, error = row[WEIGHTED_X], row[WEIGHTED_Y], max(error, away)
+    if dark.shape[0] > 0 and row[ABOVE] > 0.0:
+        # What overlaps a spot moves the mean of all its light more than that of a window.
+        gap = math.hypot(x - row[WEIGHTED_X], y - row[WEIGHTED_Y])
+        chance = math.hypot(error, noise * row[SIZE] * math.sqrt(row[AREA]) / row[ABOVE])
+        if gap > _OVERLAP * chance:
+            error = math.hypot(error, gap)
     row[X], row[Y], row[SIZE] = x, y, size
     row[SIGMA] = saturated_error(error, int(row[SATURATED]))
     if amplitude > 0.0:

@@ -112,7 +112,7 @@ def _size_error(
     pattern: ReflectorPattern,
     blur_px: float,
     pose: Pose,
-    which: npt.NDArray[np.int64] | list[int],
+    which: npt.NDArray[np.int64],
     sizes_px: Array,
 ) -> tuple[float, float]:
     """Mean ln of size over expected size, and mean share of the blur in the size."""
@@ -173,7 +173,7 @@ class DotSizes:
         rows = [k for k, name in enumerate(names) if name is not None and whole[k]]
         if not rows:
             return
-        which = [pattern.names.index(name) for k in rows if (name := names[k]) is not None]
+        which = np.array([pattern.names.index(str(names[k])) for k in rows])
         step, share = _size_error(camera, pattern, blur_px, pose, which, spots.size_px[rows])
         if share < _BLURRED:
             size, blur = self._sigmas

@@ -1,0 +1,87 @@
+"""Poses of named points by OpenCV's solvePnP and by poselib, on the same spots."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.stereo import Rig, Sights
+
+try:
+    import poselib
+except ImportError:  # a development tool
+    poselib = None
+
+PEERS = ("solvePnP", "poselib")
+
+
+def by_opencv(points_m: np.ndarray, spots_px: np.ndarray, camera: Camera) -> Pose | None:
+    """SQPNP, and least squares after it where there are more than three spots."""
+    spots = np.ascontiguousarray(spots_px)
+    lens = np.array(camera.distortion) if camera.distortion else None
+    given = (points_m, spots, camera.matrix, lens)
+    found, turn, shift = cv2.solvePnP(*given, flags=cv2.SOLVEPNP_SQPNP)
+    if not found:
+        return None
+    if len(points_m) > 3:
+        turn, shift = cv2.solvePnPRefineLM(*given, turn, shift)
+    return Pose(cv2.Rodrigues(turn)[0], shift.ravel())
+
+
+def by_poselib(points_m: np.ndarray, spots_px: np.ndarray, camera: Camera) -> Pose | None:
+    """Its RANSAC and least squares; a camera without distortion."""
+    if poselib is None:
+        return None
+    model = {
+        "model": "PINHOLE", "width": camera.width, "height": camera.height,
+        "params": [camera.fx, camera.fy, camera.cx, camera.cy],
+    }  # fmt: skip
+    pose, info = poselib.estimate_absolute_pose(
+        spots_px, points_m, model, {"max_reproj_error": 1.0}, {}
+    )
+    return Pose(pose.R, pose.t) if info["num_inliers"] >= 3 else None
+
+
+def one_camera(
+    points_m: np.ndarray, spots_px: np.ndarray, camera: Camera
+) -> dict[str, Pose | None]:
+    """Both answers, by name."""
+    answers = by_opencv(points_m, spots_px, camera), by_poselib(points_m, spots_px, camera)
+    return dict(zip(PEERS, answers, strict=True))
+
+
+def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> dict[str, Pose | None]:
+    """Rig from target: OpenCV's solvePnP in the first camera, poselib's with all of them.
+
+    Both have the same directions as this project, without the lens's distortion.
+    """
+    seen = [np.flatnonzero(lights) for lights in sights.visible]
+    first = cameras.cameras[0].camera_from_rig
+    plane = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
+    alone = by_opencv(points_m[seen[0]], sights.xy[0][seen[0]], plane)
+    answers: dict[str, Pose | None] = {
+        "solvePnP": None if alone is None else first.inverse() @ alone, "poselib": None,
+    }  # fmt: skip
+    if poselib is not None:
+        mounts = []
+        for camera in cameras.cameras:
+            mount = poselib.CameraPose()
+            mount.R, mount.t = camera.camera_from_rig.rotation, camera.camera_from_rig.translation_m
+            mounts.append(mount)
+        scale = 1000.0  # of its camera: thresholds are pixels
+        model = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [scale, 0.0, 0.0]}
+        pose, _ = poselib.estimate_generalized_absolute_pose(
+            [scale * sights.xy[c][k] for c, k in enumerate(seen)], [points_m[k] for k in seen],
+            mounts, [model] * len(mounts), {"max_reproj_error": 20.0}, {},
+        )  # fmt: skip
+        answers["poselib"] = Pose(pose.R, pose.t)
+    return answers
+
+
+def median_deg(errors_rad: list[float]) -> str:
+    """Median of angles as a cell."""
+    return f"{math.degrees(float(np.median(errors_rad))):.3f}" if errors_rad else "–"
