@@ -60,6 +60,7 @@ EXPERIMENTS = {
         ),
         "reflector-solvers": ("reflectors.solvers", "a million P3P problems, beside peers"),
         "reflector-speed": ("reflectors.speed", "time of a reading beside OpenCV's moments"),
+        "reflector-webcam": ("reflectors.webcam", "the webcam tutorial with a simulated camera"),
         "reflector-run": ("reflectors.run", "writes a simulated run as files"),
     },
     "stereo": {

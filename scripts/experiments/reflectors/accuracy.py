@@ -186,7 +186,9 @@ def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) 
     sizes = table_of(title, columns, left=0)
     plain = table_of("closed form with calibration: median / 95 %", columns, left=0)
     beside = table_of(
-        "median turn off the truth (wrong readings), the same spots", ("range m", *SOLVERS), left=0
+        "median turn off the truth, right readings (wrong ones), the same spots",
+        ("range m", *SOLVERS),
+        left=0,
     )
     constants = learn(seed + 1000)
     for range_m in RANGES_M:
@@ -219,14 +221,15 @@ def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) 
 
 
 def against_peers(readings: list[Reading], pattern: ReflectorPattern) -> list[str]:
-    """Cells: median turn off the truth, degrees, and how many are wrong, of each solver."""
+    """Cells: median turn off the truth of the right ones, and how many are wrong, by solver."""
     turns: dict[str, list[float]] = {name: [] for name in SOLVERS}
     for reading in readings:
         answers = one_camera(pattern.positions_m, reading.spots_px, CAMERA)
         for name, pose in ({"this sensor": reading.refined} | answers).items():
             turns[name].append(math.pi if pose is None else pose.angle_to(reading.pose))
+    right = {name: [t for t in own if t < math.radians(5.0)] for name, own in turns.items()}
     return [
-        f"{median_deg(own)}° ({sum(t > math.radians(5.0) for t in own)})" for own in turns.values()
+        f"{median_deg(right[name])}° ({len(own) - len(right[name])})" for name, own in turns.items()
     ]
 
 

@@ -88,7 +88,7 @@ def recovery(job: Job, target: Target) -> None:
             yaws.append(abs(Rotation.from_matrix(found.rotation @ pose.rotation.T).as_rotvec()[2]))
             squares.append(distance(found, at_pose(pose, found)))
         for name, other in by_peers(tracker.leds, sights, tracker.rig).items():
-            wrong[name] += other is None or other.angle_to(pose) > np.deg2rad(10.0)
+            wrong[name] += int(other is None or other.angle_to(pose) > np.deg2rad(10.0))
     print(f"{cases} readings, any yaw, tilt to 60°, nothing known: {outcome}, "
           f"median {1e3 * np.median(spent):.1f} ms")  # fmt: skip
     print(f"NEES (6 is right) {np.mean(squares):.2f}; more than 10° off on the same spots: {wrong}")

@@ -241,11 +241,11 @@ def faint_mask(lit: Grey, behind: Grey, noise: float, factor: float) -> Grey:
     difference = cv2.subtract(lit, behind, dtype=cv2.CV_32F)
     soft = cv2.GaussianBlur(difference, (0, 0), _FILTER_PX)
     passed = 1.0 / (2.0 * math.sqrt(math.pi) * _FILTER_PX)
-    level = factor * max(noise * passed, _LEAST_NOISE * passed, dips(soft))
+    level = factor * max(noise * passed, _LEAST_NOISE * passed, _dips(soft))
     return np.asarray(cv2.threshold(soft, level, 255.0, cv2.THRESH_BINARY)[1], dtype=np.uint8)
 
 
-def dips(soft: npt.NDArray[Any]) -> float:
+def _dips(soft: npt.NDArray[Any]) -> float:
     """Standard deviation of a filtered picture from its darker side, where no spot is.
 
     Neighbouring pixels of a compressed picture hardly differ, but its blocks do.
