@@ -162,7 +162,8 @@ class Steward:
                     with contextlib.suppress(ray.exceptions.RayError):
                         await actor.warm.remote(name, str(copy))
                         self._warm.add((seat, copy))
-            sessions = list(self._held)
+            # One that is being opened has no checkpoint yet.
+            sessions = [n for n in self._held if checkpoint_path(self._folder, n).exists()]
             if self._expects.get(seat) != sessions:
                 with contextlib.suppress(ray.exceptions.RayError):
                     await actor.expect.remote(sessions)
