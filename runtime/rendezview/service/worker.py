@@ -263,12 +263,13 @@ class WorkerProcess:
 
     def _close(self, request: Header) -> None:
         session = self._sessions.pop(request["session"], None)
-        self._drop_unused()
         recording = None
         if session is not None and session.log is not None:
             session.log.close()
             recording = _recording(session.log)
         self._send({"kind": "closed", "session": request["session"], "recording": recording})
+        del session  # its memory is free before the next line
+        self._drop_unused()
 
     def _drop_unused(self) -> None:
         self._models.keep({session.sight for session in self._sessions.values()})
