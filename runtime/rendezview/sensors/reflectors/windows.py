@@ -100,7 +100,7 @@ def _search_window(
             if flat[start] == 0:
                 continue
             gather(flat, w, h, start, part, part_dark, floor, stack, row)
-            if row[AREA] < 3:  # single pixels: noise
+            if row[AREA] < max(3.0, expected[2] ** 2):  # noise, or a spot's tip: whole it has 7 σ²
                 continue
             if outcome == _NOTHING:
                 outcome = _STRANGER
