@@ -7,7 +7,7 @@ random skies. None of them is a photograph.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import cv2
@@ -15,21 +15,22 @@ import numpy as np
 from joblib import Parallel, delayed
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
-from sklearn.linear_model import LogisticRegression
+from sklearn.ensemble import RandomForestClassifier
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.sketch.choice import (
-    CHOICE_FEATURES,
     PACKAGED,
+    PACKAGED_TREES,
     POSE_FEATURES,
     Looks,
     SketchChoice,
     chosen,
     packaged,
 )
+from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
 from rendezview.simulation.cloudy_skies import cloudy_sky
 from rendezview.simulation.hard_light import photograph
 from rendezview.simulation.mesh_error import deformed
@@ -44,7 +45,8 @@ MESH_ERRORS = (0.0, 0.008, 0.02)  # of the radius
 PRIOR_DEG, PRIOR_SHARE, SEARCH_DEG = 12.0, 0.03, 10.0
 RIGHT_DEG, RIGHT_SHARE, WRONG_DEG = 5.0, 0.1, 8.0
 NEES_DEG = 8.0  # larger errors are wrong poses, not inaccurate ones
-WEIGHT_OF_WRONG = 1.5  # a wrong answer costs more than one that is not given
+WEIGHT_OF_WRONG = 1.25  # a wrong answer costs more than one that is not given
+TREES, LEAST_IN_LEAF = 100, 10
 RIDGE = 0.02  # of the weights of the merit
 UNKNOWNS = 6
 FOLDS = 5  # frames are judged by a fit to the other folds
@@ -175,14 +177,12 @@ def fitted_merit(searches: list[Searched]) -> np.ndarray:
     return minimize(unlikely, np.zeros(len(POSE_FEATURES)), jac=True, method="L-BFGS-B").x
 
 
-def fitted_odds(features: np.ndarray, good: np.ndarray) -> np.ndarray:
-    """(15,) coefficients of ``CHOICE_FEATURES``; the first is the constant."""
-    mean, spread = features[:, 1:].mean(0), features[:, 1:].std(0) + 1e-9
+def fitted_trees(features: np.ndarray, good: np.ndarray) -> ProbabilityForest:
+    """Trees that tell from ``CHOICE_FEATURES`` whether the pose is right."""
     weight = np.where(good, 1.0, WEIGHT_OF_WRONG)
-    fit = LogisticRegression(C=1.0, max_iter=5000)
-    fit.fit((features[:, 1:] - mean) / spread, good, sample_weight=weight)
-    slopes = fit.coef_[0] / spread
-    return np.concatenate([fit.intercept_ - slopes @ mean, slopes])
+    fit = RandomForestClassifier(TREES, min_samples_leaf=LEAST_IN_LEAF, random_state=0)
+    fit.fit(features, good, sample_weight=weight)
+    return ProbabilityForest.of([tree.tree_ for tree in fit.estimators_])
 
 
 def probabilities(features: np.ndarray, good: np.ndarray, folds: np.ndarray) -> np.ndarray:
@@ -190,8 +190,8 @@ def probabilities(features: np.ndarray, good: np.ndarray, folds: np.ndarray) -> 
     found = np.empty(len(good))
     for fold in np.unique(folds):
         out = folds == fold
-        odds = features[out] @ fitted_odds(features[~out], good[~out])
-        found[out] = 1.0 / (1.0 + np.exp(-odds))
+        trees = fitted_trees(features[~out], good[~out])
+        found[out] = [trees.probability(one) for one in features[out]]
     return found
 
 
@@ -216,6 +216,7 @@ def run(
     merit = fitted_merit(searches)
     record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
     packaged().merit[:] = merit  # the features and choices are those of the new merit
+    arrays: dict[str, np.ndarray] = {}
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
         choices = [s.choice for s in some]
@@ -229,8 +230,8 @@ def run(
             f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; given and right "
             f"{(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
         )
-        odds = fitted_odds(features, good)
-        record["log_odds"][kind] = dict(zip(CHOICE_FEATURES, odds.tolist(), strict=True))
+        trees = fitted_trees(features, good)
+        arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
     nees = np.array([s.nees for s in searches if s.nees is not None])
     print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
     record["inflation"] *= float(nees.mean()) / UNKNOWNS
@@ -244,3 +245,4 @@ def run(
     print(text)
     if write:
         PACKAGED.write_text(text, encoding="utf-8")
+        np.savez_compressed(PACKAGED_TREES, **arrays)

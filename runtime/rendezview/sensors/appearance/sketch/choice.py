@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -12,13 +12,15 @@ import numpy as np
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
 
 PACKAGED = Path(__file__).with_name("error_model.json")
+PACKAGED_TREES = Path(__file__).with_name("confidence.npz")
 # What a pose is judged by, in the order of the fields of ``SketchPose`` …
 POSE_FEATURES = ("outline", "inner", "contrast", "visible", "overlap", "edges", "creases")
 # … and the choice of one: in the closer look, in the first one, and both together.
 CHOICE_FEATURES = (
-    "constant", "margin", "cut", "lead", "basin", "converged", "scatter", "spread",
+    "margin", "cut", "lead", "basin", "converged", "scatter", "spread",
     *POSE_FEATURES,
 )  # fmt: skip
 # Source: the spacing of the nodes' views
@@ -26,7 +28,6 @@ _RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
 _MOST_MARGIN = 4.0  # of log odds; a larger margin says no more. Source: by construction
 _SAME_RAD = np.deg2rad(1.5)  # rad; poses nearer have converged. Source: error of a pose
 _MOST_SCATTER_DEG = 10.0  # °; more says no more. Source: by construction
-_MOST_ODDS = 30.0  # of the log odds: exp stays finite. Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,24 +106,23 @@ class SketchChoice:
 
     @property
     def features(self) -> Array:
-        """(15,) ``CHOICE_FEATURES``."""
+        """(14,) ``CHOICE_FEATURES``."""
         pose, looks = self.best.pose, self.looks
         margin = min(self.margin, _MOST_MARGIN)
         seen = [looks.lead(pose), looks.basin(pose), *looks.scattered(pose)]
         seen.append(min(self.spread_deg, _MOST_SCATTER_DEG))
-        return np.array([1.0, margin, float(self.cut), *seen, *self.best.features])
+        return np.array([margin, float(self.cut), *seen, *self.best.features])
 
     @property
     def confidence(self) -> float:
         """Probability that the best pose is right, 0 … 1; 0 where the target overflows the frame.
 
-        The regression has hardly seen such frames, and is sure of wrong poses there.
+        The trees have hardly seen such frames, and are sure of wrong poses there.
         """
         if self.overflows:
             return 0.0
-        model = packaged()
-        odds = float(self.features @ (model.near if self.prior else model.anywhere))
-        return float(1.0 / (1.0 + np.exp(-np.clip(odds, -_MOST_ODDS, _MOST_ODDS))))
+        trees = packaged().near if self.prior else packaged().anywhere
+        return trees.probability(self.features)
 
     def with_covariance(self, covariance: Array, others: Array, residual_px: float) -> SketchChoice:
         """The choice with the covariance of independent edges, inflated as errors of poses show.
@@ -159,21 +159,24 @@ def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[S
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SketchErrorModel:
-    """Coefficients fitted to frames of known pose (``experiments sketch-confidence``)."""
+    """What was fitted to frames of known pose (``experiments sketch-confidence``)."""
 
     merit: Array  # (7,) of POSE_FEATURES
-    anywhere: Array  # (15,) of CHOICE_FEATURES, log odds without a prior …
-    near: Array  # (14,) … and near one
+    anywhere: ProbabilityForest  # of CHOICE_FEATURES: is the pose right, without a prior …
+    near: ProbabilityForest  # … and near one
     inflation: float  # of the covariance of independent edges
 
 
 @cache
 def packaged() -> SketchErrorModel:
-    """The coefficients that come with the package."""
+    """What comes with the package."""
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
     merit = [record["merit"][name] for name in POSE_FEATURES]
-    anywhere, near = (
-        np.array([record["log_odds"][kind][name] for name in CHOICE_FEATURES])
-        for kind in ("anywhere", "near")
-    )
+    with np.load(PACKAGED_TREES) as arrays:
+        anywhere, near = (
+            ProbabilityForest(
+                *(arrays[f"{kind}_{field.name}"] for field in fields(ProbabilityForest))
+            )
+            for kind in ("anywhere", "near")
+        )
     return SketchErrorModel(np.array(merit), anywhere, near, float(record["inflation"]))
