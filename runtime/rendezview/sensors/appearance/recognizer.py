@@ -224,7 +224,7 @@ class Recognizer:
     def second_look(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
 
-        It takes 0.1 s. ``None``: there is no sketch, or it gives no confident pose.
+        It takes a quarter of a second. ``None``: there is no sketch, or it gives no confident pose.
         """
         if self.sketch is None:
             return None
