@@ -9,6 +9,7 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.sensors.reflectors import ReflectorObservation, ReflectorPattern
 from rendezview.sensors.stereo import Rig, Sights
 
 try:
@@ -52,6 +53,15 @@ def one_camera(
     """Both answers, by name."""
     answers = by_opencv(points_m, spots_px, camera), by_poselib(points_m, spots_px, camera)
     return dict(zip(PEERS, answers, strict=True))
+
+
+def of_reading(
+    reading: ReflectorObservation, pattern: ReflectorPattern, camera: Camera
+) -> dict[str, Pose | None]:
+    """Both answers, by name, on the spots of a reading that have a name."""
+    named = [k for k, name in enumerate(reading.reflectors) if name]
+    which = [pattern.names.index(str(reading.reflectors[k])) for k in named]
+    return one_camera(pattern.positions_m[which], reading.spots.centroids_px[named], camera)
 
 
 def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> dict[str, Pose | None]:

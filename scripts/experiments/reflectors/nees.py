@@ -9,11 +9,25 @@ import cv2
 import numpy as np
 
 from experiments.frame import nees, show, table_of
-from experiments.peers.pnp import PEERS, median_deg, one_camera
-from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, THREE, apart, plain
+from experiments.peers.pnp import PEERS, median_deg, of_reading
+from experiments.reflectors.plain import (
+    CAMERA,
+    FIVE,
+    PINHOLE,
+    THREE,
+    Simulator,
+    apart,
+    pictures,
+    plain,
+)
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.reflectors import LitDark, ReflectorSensor, TrackingOptions
+from rendezview.sensors.reflectors import (
+    LitDark,
+    ReflectorPattern,
+    ReflectorSensor,
+    TrackingOptions,
+)
 from rendezview.sensors.reflectors.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
@@ -31,8 +45,14 @@ def jpeg(picture: np.ndarray, quality: int = 75) -> np.ndarray:
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE))
 
 
-def frames_of(kind: str, light: np.ndarray, look: plain.Look, rng: np.random.Generator) -> LitDark:
+def frames_of(
+    kind: str, simulator: Simulator, placed: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+) -> LitDark:  # fmt: skip
     """The pictures of one reading under a condition."""
+    look = plain.Look(even=kind == "even light")
+    if kind.startswith("shade"):
+        look = replace(look, peak=40.0)
     background = None
     if kind.startswith("texture"):
         wall = plain.texture(PINHOLE, rng, 3.0, 60.0)
@@ -43,15 +63,14 @@ def frames_of(kind: str, light: np.ndarray, look: plain.Look, rng: np.random.Gen
                 wall, shift, wall.shape[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT
             )
         background = wall, moved
-    lit, dark = plain.pair(
-        PINHOLE, light, look, rng, background=background,
+    frames = pictures(
+        simulator, pattern_of(kind), placed, look, rng, background=background,
         false=clutter(rng) if kind == "clutter" else None,
     )  # fmt: skip
     if kind == "texture":
-        return LitDark(lit)
+        return LitDark(frames.lit)
     if kind == "MJPEG":
-        return LitDark(jpeg(lit), jpeg(dark))
-    frames = LitDark(lit, dark)
+        return LitDark(jpeg(frames.lit), jpeg(frames.dark))
     return register(frames) if "registered" in kind else frames
 
 
@@ -68,14 +87,21 @@ KINDS = (
 )  # fmt: skip
 
 
-def run(*, readings: int = 60, seed: int = 7, kind: str = "") -> None:
+def pattern_of(kind: str) -> ReflectorPattern:
+    return FIVE if kind.startswith("five") else THREE
+
+
+def run(
+    *, readings: int = 60, seed: int = 7, kind: str = "", simulator: Simulator = "plain"
+) -> None:
     """NEES of single poses (6 unknowns: 6 is right) under one condition each, by range.
 
-    Plain pictures of the paper's three reflectors, tilt to 30°, every roll, blur 0.7 px, noise 2
-    grey. 'texture' is a single picture; MJPEG has quality 75. --kind: the beginning of a condition.
+    Pictures of the paper's three reflectors, tilt to 30°, every roll, blur 0.7 px, noise 2 grey, of
+    the tests' plain simulator or of the product's own. 'texture' is a single picture; MJPEG has
+    quality 75. --kind: the beginning of a condition.
     """
     table = table_of(
-        f"mean NEES of {readings} readings (poses found), seed {seed}",
+        f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator",
         ["condition", *(f"{r:g} m" for r in RANGES_M)],
     )
     beside = table_of(
@@ -84,10 +110,7 @@ def run(*, readings: int = 60, seed: int = 7, kind: str = "") -> None:
     )
     for condition in (one for one in KINDS if one.startswith(kind)):
         rng, cells, others = np.random.default_rng(seed), [], []
-        pattern = FIVE if condition.startswith("five") else THREE
-        look = plain.Look(even=condition == "even light")
-        if condition.startswith("shade"):
-            look = replace(look, peak=40.0)
+        pattern = pattern_of(condition)
         for range_m in RANGES_M:
             errors: list[float] = []
             turns: dict[str, list[float]] = {name: [] for name in ("ours", *PEERS)}
@@ -96,21 +119,14 @@ def run(*, readings: int = 60, seed: int = 7, kind: str = "") -> None:
             margin_px = min(margin_px, 0.5 * min(PINHOLE.width, PINHOLE.height) - 5.0)
             for _ in range(readings):
                 placed = plain.look_at(rng, PINHOLE, range_m, 0.5, margin_px)
-                light = plain.discs(
-                    PINHOLE, *placed, pattern.positions_m, pattern.normals, pattern.diameters_m,
-                    look,
-                )  # fmt: skip
                 sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
-                reading = sensor.update(0.0, frames_of(condition, light, look, rng))
+                reading = sensor.update(0.0, frames_of(condition, simulator, placed, rng))
                 if reading.pose is None or apart(reading.pose, Pose(*placed), True)[0] >= 5.0:
                     continue
                 error = off(reading.pose, Pose(*placed))
                 errors.append(nees(error, reading.covariance))
                 turns["ours"].append(float(np.linalg.norm(error[:3])))
-                named = [k for k, name in enumerate(reading.reflectors) if name]
-                which = [pattern.names.index(str(reading.reflectors[k])) for k in named]
-                spots = reading.spots.centroids_px[named]
-                for name, pose in one_camera(pattern.positions_m[which], spots, CAMERA).items():
+                for name, pose in of_reading(reading, pattern, CAMERA).items():
                     if pose is not None:
                         turns[name].append(float(np.linalg.norm(off(pose, Pose(*placed))[:3])))
             cells.append(f"{np.mean(errors):.1f} ({len(errors)})" if errors else "– (0)")

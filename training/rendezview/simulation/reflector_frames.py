@@ -44,6 +44,7 @@ class ReflectorFrameOptions:
     noise_sigma_grey: float = 2.0  # read noise
     electrons_per_grey: float | None = None  # shot noise; None is none
     black_level_grey: float = 10.0
+    even_light: bool = False  # of a room, on white discs; else the lasers' on retro-reflectors
 
     def __post_init__(self) -> None:
         for name in ("peak_grey", "control_range_m", "beam_half_power_rad",
@@ -216,6 +217,8 @@ def _radiance(
 ) -> float:
     """Radiance of a reflector, 1 at 1 m head-on: illumination by range² and beam, return by angle.
 
+    In even light it is 1 everywhere.
+
     The returned light spreads by range² again, which the disc's solid angle contains.
     """
     place = pose.apply(pattern.positions_m[k])
@@ -224,6 +227,8 @@ def _radiance(
     incidence = -float(normal @ place) / far
     if place[2] <= 0.0 or incidence <= 0.0:
         return 0.0
+    if options.even_light:
+        return 1.0
     off_beam = math.acos(min(place[2] / far, 1.0)) / options.beam_half_power_rad
     off_normal = math.acos(min(incidence, 1.0)) / options.return_half_power_rad
     return float(0.5 ** (off_beam**2) * 0.5 ** (off_normal**2) / far**2)
@@ -275,8 +280,9 @@ def paint_reflector(
     # Each point is weighted by its area in the picture (n·p / z³ for a plane) and its
     # illumination.
     plane = -float(pose.rotation @ pattern.normals[k] @ place)
-    far2 = float(place @ place)
-    seen = camera.fx * camera.fy * plane / rays[:, 2] ** 3 * far2 / np.sum(rays * rays, axis=1)
+    seen = camera.fx * camera.fy * plane / rays[:, 2] ** 3
+    if not options.even_light:
+        seen *= float(place @ place) / np.sum(rays * rays, axis=1)
     weights = weights * seen * math.pi * (0.5 * pattern.diameters_m[k]) ** 2
     light = gain * radiance / (2.0 * math.pi * sigma**2)
     grey[y0 : y1 + 1, x0 : x1 + 1] += (light * (down * weights[:, None]).T @ across).astype(
