@@ -72,7 +72,9 @@ def rig(points_m: np.ndarray, sights: Sights, cameras: Rig) -> dict[str, Pose | 
     seen = [np.flatnonzero(lights) for lights in sights.visible]
     first = cameras.cameras[0].camera_from_rig
     plane = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
-    alone = by_opencv(points_m[seen[0]], sights.xy[0][seen[0]], plane)
+    alone = None
+    if len(seen[0]) >= 3:
+        alone = by_opencv(points_m[seen[0]], sights.xy[0][seen[0]], plane)
     answers: dict[str, Pose | None] = {
         "solvePnP": None if alone is None else first.inverse() @ alone, "poselib": None,
     }  # fmt: skip
