@@ -108,6 +108,8 @@ def train(
     finally:
         cv2.setNumThreads(threads)
     trained.model.save(path)
+    # As others read it: compiled loops have another version for arrays that may be written.
+    trained = dataclasses.replace(trained, model=ViewModel.load(path))
     shards.remove()
     return trained
 
