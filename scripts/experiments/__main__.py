@@ -97,6 +97,7 @@ EXPERIMENTS = {
             "nodes and gateways of a cluster killed while it tracks",
         ),
         "service-cluster-rate": ("service.cluster_rate", "what a frame costs on a cluster"),
+        "service-approach": ("service.approach", "60 m to 1 m over HTTP beside the commands"),
         "service-fuzz": ("service.fuzz", "malformed frames and messages"),
     },
     "flight code": {
