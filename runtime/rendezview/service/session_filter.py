@@ -1,7 +1,8 @@
 """The filter of one session: fuses its camera's poses and other sensors' lines into one state.
 
 The worker and replay run it beside the tracker; it does not influence the tracker. The filter
-starts at the first measurement of another sensor. Before that, a session has no fused state.
+starts at the first measurement of another sensor, with the camera's pose just before it. Before
+that, a session has no fused state.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class SessionFilter:
         self._newest_s = -math.inf  # newest time that the filter has
         self._lines = 0
         self._fusion: Fusion | None = None
+        self._before: Observation | None = None  # of the camera, before the filter runs
         if forgotten:
             self._start("its process ended")
 
@@ -146,10 +148,15 @@ class SessionFilter:
         else:
             if self._fusion is None:
                 self._start(None)
+                self._recall(line.measurement.time_s)
             verdict = self._add(line.measurement, counts)
         return verdict, None if self._fusion is None else self._state(self._newest_s)
 
     # The camera
+
+    def remember(self, observation: Observation) -> None:
+        """Keep a frame's pose for the start. The filter must not be running."""
+        self._before = observation
 
     def track(self, observation: Observation) -> Json:
         """The `Fused` state at a frame, with the frame's pose. The filter must be running."""
@@ -158,22 +165,7 @@ class SessionFilter:
         apart_s = time_s - self._newest_s
         if math.isfinite(apart_s) and abs(apart_s) > MOST_CLOCK_GAP_S:
             self._start(f"the camera's time jumped by {apart_s:.0f} s")
-        if observation.pose is None or observation.covariance is None:
-            self._newest_s = max(self._newest_s, time_s)
-            return self._state(time_s)
-        counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
-        counts.lines += 1
-        try:
-            measurement = observation.measurement(CAMERA)
-            if measurement is None:
-                raise ValueError("the pose has an alarm of its integrity")
-            check_size(measurement, CAMERA)
-        except (ValueError, RendezviewError) as error:
-            counts.silent += 1
-            counts.reason = str(error)
-            self._newest_s = max(self._newest_s, time_s)
-        else:
-            self._add(measurement, counts)
+        self._see(observation, time_s)
         return self._state(time_s)
 
     def health(self) -> dict[str, Json]:
@@ -199,6 +191,33 @@ class SessionFilter:
         self._fusion = Fusion(self._options)
         self._newest_s = -math.inf
         self._note = note
+
+    def _recall(self, time_s: float) -> None:
+        """Begin with the camera's last pose, if its time is near."""
+        before, self._before = self._before, None
+        if before is None or before.time_s is None:
+            return
+        if abs(time_s - before.time_s) <= self._options.history_s:
+            self._see(before, before.time_s)
+
+    def _see(self, observation: Observation, time_s: float) -> None:
+        """Give a frame's pose to the filter."""
+        if observation.pose is None or observation.covariance is None:
+            self._newest_s = max(self._newest_s, time_s)
+            return
+        counts = self._counts.setdefault(CAMERA, SensorCounts("pose"))
+        counts.lines += 1
+        try:
+            measurement = observation.measurement(CAMERA)
+            if measurement is None:
+                raise ValueError("the pose has an alarm of its integrity")
+            check_size(measurement, CAMERA)
+        except (ValueError, RendezviewError) as error:
+            counts.silent += 1
+            counts.reason = str(error)
+            self._newest_s = max(self._newest_s, time_s)
+        else:
+            self._add(measurement, counts)
 
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
         assert self._fusion is not None

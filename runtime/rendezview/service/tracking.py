@@ -159,6 +159,7 @@ class SessionTracker:
             self._alone = None
         else:
             assert self._alone is not None
+            self.filter.remember(observation)
             fused = self._alone.track(observation)
         state["motion"], covariance = _motion(fused)
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)

@@ -164,7 +164,7 @@ def errors(ways: dict[str, Outcome], truth: dict[float, Pose], ring: DockingRing
     print("range, m   frames   " + "   ".join(f"{name:>37}" for name in ways))
     print(" " * 20 + "   poses  rings  fused  centre mm  attitude °" * len(ways))
     for far, near in pairwise(_EDGES_M):
-        times = [t for t, c in centres.items() if near <= np.linalg.norm(c) < far + 1e-3]
+        times = [t for t, c in centres.items() if near < np.linalg.norm(c) - 1e-3 <= far]
         line = f"{far:4g} – {near:3g} {len(times):6}   "
         for outcome in ways.values():
             found = [(t, fused_pose(outcome.fused.get(t))) for t in times]
