@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.service.serving import Served
-from rendezview.client import Client, fused_pose_of_state, pose_of_state
+from rendezview.client import Client, pose_of_state
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
@@ -73,10 +73,11 @@ def by_service(folder: Path, model: Path, ring: DockingRing) -> Outcome:
                 assert frame.time_s is not None
                 state = session.track(frame.read(), frame.time_s)
                 outcome.tracked[frame.time_s] = state
-                pose = fused_pose_of_state(state)
-                if pose is None or state["fused"]["covariance"] is None:
+                known = state.get("fused") or state  # the first frame has no fused state
+                pose = pose_of_state(known)
+                if pose is None or known["covariance"] is None:
                     return None
-                return prior_of_pose(pose, np.array(state["fused"]["covariance"])[:6, :6], ring)
+                return prior_of_pose(pose, np.array(known["covariance"])[:6, :6], ring)
 
             readings = follow(sequence, ring.radius_m, prior=prior, circles=ring.circles)
             for frame, _, reading in readings:
