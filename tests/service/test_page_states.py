@@ -54,6 +54,8 @@ class Sender(threading.Thread):
                 if not self._going.wait(0.05):
                     continue
                 with self._between:
+                    if not self._going.is_set():  # held between the two lines above
+                        continue
                     image = self.images[self.count % len(self.images)]
                     try:
                         shown = image if self.image is None else self.image
