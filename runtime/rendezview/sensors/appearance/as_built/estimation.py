@@ -6,9 +6,9 @@ Gauss–Newton; each frame's pose is eliminated (Schur complement), as in bundle
 al. 2000, section 6.1). A strain S moves a point from view centre + q to view centre + (I + S) q.
 
 One camera does not see the overall size: a larger target further away gives the same picture. The
-strain is then the one that leaves most dimensions as they are, unless a length is known: its
-components have Student's t distribution, in which one large component is likelier than three of
-half its size (Lange et al. 1989).
+strain is then the one that leaves most dimensions as they are, unless a length is known: the
+variance that a component may have follows its size beside the largest one, so that one large
+component is likelier than three of half its size.
 """
 
 from __future__ import annotations

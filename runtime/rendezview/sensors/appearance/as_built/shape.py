@@ -15,7 +15,7 @@ class ShapeOptions:
     """How the strain is estimated."""
 
     prior_sigma: float = 0.05  # of each component. Source: by construction, a coarse CAD model
-    # Scale of the components in Student's t distribution: most are right, a few far off.
+    # Components below it are alike: most are right, a few far off.
     usual_sigma: float = 0.005  # Source: by construction, a careful CAD model
     size_sigma: float = 0.02  # of the mean of xx, yy, zz. Source: by construction, a known craft
     rounds: int = 10  # Gauss–Newton, at most. Source: experiment pose-shape, twice what it took
