@@ -38,8 +38,8 @@ from rendezview.sensors.observation import Status
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
 # Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
 _NEAR_RAD = np.deg2rad(8.0)
-# Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79 frames
-# of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose in the end.
+# Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
+# frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _HOPELESS = 0.1
 _SHEETS = 3  # of a target with joints that are searched whole. Source: experiment pose-joints

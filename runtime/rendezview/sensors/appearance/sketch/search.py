@@ -17,7 +17,7 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.so3 import exp, log
+from rendezview.geometry.so3 import exp, hat, log
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
@@ -213,7 +213,7 @@ class SketchSearch:
         rotation = exp(move[:3]) @ best.rotation
         arm = rotation @ self.model.centre_m
         carry = np.eye(6)  # from the view centre to the target's origin
-        carry[3:, :3] = np.cross(np.eye(3), arm)
+        carry[3:, :3] = hat(arm)
         count = len(found)
         scatter = carry @ (off.T @ off) @ carry.T / (count * max(count - 1, 1))
         spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
