@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.fusion import Fusion, FusionOptions, MotionOptions, SensorOptions
+from rendezview.fusion import (
+    Fusion,
+    FusionOptions,
+    MotionOptions,
+    PoseMeasurement,
+    SensorOptions,
+)
 from rendezview.fusion.logs import read_options
+from rendezview.geometry.pose import Pose
 from rendezview.sensors.observation import Status
 
 WHITE = SensorOptions(bias_share=0.0)
@@ -291,3 +298,25 @@ def test_options_take_the_keys_of_files_and_the_names_of_fields(tmp_path):
     file.write_text('{"pose": {"share": 0.5}}')
     with pytest.raises(RendezviewError, match="share"):
         read_options(file)
+
+
+def test_a_filter_goes_on_from_the_last_estimate_of_another():
+    """Its rates carry it on: without them the place were known to metres after a few seconds."""
+    first, second = Fusion(), Fusion()
+    moving = np.array([0.0, 0.0, -0.1])
+    for k in range(12):
+        place = np.array([0.1, 0.2, 20.0]) + k * moving
+        first.add(PoseMeasurement(float(k), "camera", Pose(np.eye(3), place), 1e-4 * np.eye(6)))
+    last = first.state_at(11.0)
+    second.resume(last)
+    ahead = second.state_at(15.0)
+    assert ahead.status == Status.TRACKING
+    assert ahead.pose.translation_m == pytest.approx(place + 4.0 * moving, abs=0.02)
+    kept, known = np.diag(second.state_at(11.0).covariance), np.diag(last.covariance)
+    assert kept[:6] == pytest.approx(known[:6])
+    assert kept[6:] == pytest.approx(4.0 * known[6:])
+    assert not second.add(PoseMeasurement(10.0, "camera", last.pose, 1e-4 * np.eye(6))).accepted
+    with pytest.raises(ValueError, match="has begun"):
+        second.resume(last)
+    with pytest.raises(ValueError, match="without a pose"):
+        Fusion().resume(Fusion().state_at(0.0))

@@ -10,10 +10,10 @@ from typing import overload
 
 from rendezview.fusion.options import FusionOptions
 from rendezview.fusion.state import RING, FilterState, predict
-from rendezview.fusion.step import Snapshot, step, useless
+from rendezview.fusion.step import Snapshot, resumed, step, useless
 from rendezview.fusion.trust import Trust, Verdict
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.measurement import Measurement
+from rendezview.sensors.measurement import Measurement, PoseMeasurement
 from rendezview.sensors.observation import Status
 
 _ROUNDING_S = 1e-9  # Source: by construction
@@ -83,6 +83,23 @@ class Fusion:
             self._after[k] = after
         self._forget()
         return verdict
+
+    def resume(self, last: Estimate) -> None:
+        """Go on from the last estimate of another filter; nothing may have been added yet.
+
+        Raises:
+            ValueError: the estimate has no pose, or this filter has measurements.
+        """
+        pose, rates, covariance = last.pose, last.rates, last.covariance
+        if pose is None or rates is None or covariance is None:
+            raise ValueError(f"an estimate without a pose ({last.status}) cannot be resumed")
+        with self._lock:
+            if self._measurements or self._base.state is not None:
+                raise ValueError("this filter has begun: resume a new one")
+            start = PoseMeasurement(last.time_s, "before", pose, covariance[:6, :6])
+            confirmed = last.status in (Status.TRACKING, Status.COASTING)
+            self._base = resumed(start, rates, covariance, confirmed, self.options)
+            self._floor_s = last.time_s
 
     def state_at(self, time_s: float) -> Estimate:
         """The estimate at a time: now, shortly ahead, or within the memory.

@@ -182,6 +182,19 @@ def _start(
     return after, Verdict(pose.sensor, now_s, True, reason, None, 6, began=True)
 
 
+def resumed(
+    pose: PoseMeasurement, rates: Array, covariance: Array, confirmed: bool, options: FusionOptions
+) -> Snapshot:
+    """The state of a filter that has ended: its pose, rates (6,) and their covariance (12, 12).
+
+    What it knew of its sensors' biases is gone, so the rates get twice their σ, as in a restart.
+    """
+    state = begin(pose, options, rates)
+    state.covariance[6:MOTION, 6:MOTION] = _WIDER * covariance[6:MOTION, 6:MOTION]
+    agreed = options.start_with if confirmed else 1
+    return Snapshot(state, {}, {}, agreed, pose.sensor, pose.time_s, 1)
+
+
 def _trial(pose: PoseMeasurement, old: FilterState, options: FusionOptions) -> FilterState:
     """A start at a pose with the rates of another state."""
     state = begin(pose, options, old.rates)
