@@ -167,6 +167,12 @@ def test_a_log_of_poses_gives_the_rings_place_axis_and_error_of_range(tmp_path):
     ranges = [np.linalg.norm(pose.perturbed(d).apply(ring.centre_m)) for d in draws]
     assert known.range_sigma_m == pytest.approx(np.std(ranges), rel=0.05)
     assert prior(Frame(4, "4", 1.0, CAMERA, None, 1, no_picture)) is None
+    # A log of `fuse` has a line after each sensor: the last of a time is the state by all.
+    surer = line | {"covariance": (0.25 * sigma @ sigma).tolist()}
+    timed = [x | {"time_s": 2.0} for x in (line, surer)] + [line | {"time_s": 3.0}]
+    log.write_text("".join(json.dumps(x) + "\n" for x in timed))
+    by_all = priors_of_poses(log, ring)(Frame(5, "5", 2.0, CAMERA, None, 1, no_picture))
+    assert by_all.range_sigma_m == pytest.approx(0.5 * known.range_sigma_m)
     log.write_text(json.dumps({"pose": {"a": 1}, "covariance": [[1.0]]}) + "\n")
     with pytest.raises(RendezviewError, match="record 1"):
         priors_of_poses(log, ring)

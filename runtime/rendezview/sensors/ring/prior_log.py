@@ -22,8 +22,8 @@ _SAME_TIME_S = 1e-6  # s; Source: the times of one frame in two files differ by 
 def priors_of_poses(path: StrPath, ring: DockingRing) -> Callable[[Frame], RingPrior | None]:
     """The prior of a frame, from the pose of its line in a log of ``track`` or ``fuse``.
 
-    Lines belong to frames by ``im_id``, or by ``time_s`` where they have none. A frame without a
-    line, a pose or a covariance has no prior.
+    Lines belong to frames by ``im_id``, or by ``time_s`` where they have none; of several lines of
+    a frame the last counts. A frame without a line, a pose or a covariance has no prior.
 
     Raises:
         RendezviewError: missing, or a line that is no pose's.
@@ -51,8 +51,8 @@ def priors_of_poses(path: StrPath, ring: DockingRing) -> Callable[[Frame], RingP
             return by_id[frame.im_id]
         if frame.time_s is None or not len(times):
             return None
-        k = int(np.argmin(np.abs(times - frame.time_s)))
-        return timed[k][1] if abs(times[k] - frame.time_s) < _SAME_TIME_S else None
+        same = np.flatnonzero(np.abs(times - frame.time_s) < _SAME_TIME_S)
+        return timed[same[-1]][1] if len(same) else None
 
     return of_frame
 
