@@ -22,6 +22,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.service import page_feed
 
+from experiments.service import approach
 from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -166,6 +167,17 @@ def tour(
         truth = Pose(rotation, centre - rotation @ refining_model.centre_m)
         frames.append((0.1 * k, truth, draw(bumpy_mesh, truth, camera, rng)))
     return frames
+
+
+@pytest.fixture(scope="session")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flight to the client's ring, 14 m to 2 m: ``scene``, ``laser.jsonl``, ``client.rvm``."""
+    folder = tmp_path_factory.mktemp("flown")
+    approach.draw(folder, frames=13, seed=1, start_m=14.0, end_m=2.0)
+    # A model as small as it can be: 42 views.
+    smallest = "--order 0 --views 60 --held-out 0 --resolution 128 --shells 1,2 --jobs 1"
+    approach.command(folder, "train", "client", "-o", "client.rvm", *smallest.split())
+    return folder
 
 
 # WebGL without a graphics card; everything else drawn as plainly as can be.

@@ -24,6 +24,8 @@ from rendezview.service.fusion_messages import LoggedMeasurement, Marks, Measure
 from rendezview.service.messages import State, WatchState
 from rendezview.service.replay import model_of, read_log, repeat
 
+POSTED = {"ring": False}  # the ring's readings come as lines
+
 
 @pytest.fixture
 def sensors() -> Sensors:
@@ -32,7 +34,7 @@ def sensors() -> Sensors:
 
 @pytest.fixture
 def session(client, camera, tour):
-    opened = client.open(camera, prior=tour[0][1], fusion={"ring": RING})
+    opened = client.open(camera, prior=tour[0][1], fusion={"ring": RING}, sensors=POSTED)
     yield opened
     with contextlib.suppress(ServiceError):
         opened.close()
@@ -286,7 +288,7 @@ def test_a_filter_that_ends_with_its_process_is_said_to_have_begun_anew(
 ):
     served = start_service()
     with served.client() as client:
-        session = client.open(camera, prior=tour[0][1], fusion={"ring": RING})
+        session = client.open(camera, prior=tour[0][1], fusion={"ring": RING}, sensors=POSTED)
         for time_s, truth, image in tour[:4]:
             session.track(image, time_s)
             session.measure("mirrors", sensors.pose(time_s, truth))
@@ -322,7 +324,7 @@ def test_a_target_gives_its_ring_to_sessions_that_say_none(
     )
     served = start_service("--target", str(tmp_path / "target.toml"))
     with served.client() as client:
-        session = client.open(camera, prior=tour[0][1])
+        session = client.open(camera, prior=tour[0][1], sensors=POSTED)
         assert (
             session.measure("ring", sensors.ring(0.0, tour[0][1]))["fused"]["status"] == "waiting"
         )

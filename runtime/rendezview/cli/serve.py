@@ -36,7 +36,9 @@ def serve(
     ] = None,
     target: Annotated[
         Path | None,
-        typer.Option(help="Target file with a docking ring: where other sensors see a ring."),
+        typer.Option(
+            help="Target file: its docking ring, found in the frames, and its reflectors."
+        ),
     ] = None,
     approach: Annotated[
         Path | None,

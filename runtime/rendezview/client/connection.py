@@ -114,6 +114,7 @@ class Client:
         name: str | None = None,
         record: bool | None = None,
         fusion: Mapping[str, Any] | None = None,
+        sensors: Mapping[str, Any] | None = None,
         approach: Mapping[str, Any] | None = None,
         idle_s: float | None = None,
     ) -> SessionClient:
@@ -121,8 +122,11 @@ class Client:
 
         Args:
             idle_s: without a frame for longer, the service ends the session (60 s).
-            fusion: data on other sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
-                ``surfaces``, ``mounts`` (a `Pose` by sensor name), ``options``.
+            fusion: data on sensors, as in `FusionRequest`: ``ring`` (a `DockingRing`),
+                ``reflectors`` (each a `Reflector`), ``surfaces``, ``mounts`` (a `Pose` by sensor
+                name), ``options``.
+            sensors: what runs on the frames, as in `FrameSensorsRequest`: ``ring``,
+                ``reflectors``, ``trajectory``, ``fusion``.
             approach: docking port, corridor, limits and more, as in `ApproachRequest`.
 
         Raises:
@@ -143,10 +147,8 @@ class Client:
             request["prior"] = prior.as_dict()
         if sun_camera is not None:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
-        if fusion is not None:
-            request["fusion"] = json.loads(json_line(fusion))
-        if approach is not None:
-            request["approach"] = json.loads(json_line(approach))
+        told = {"fusion": fusion, "sensors": sensors, "approach": approach}
+        request |= {key: json.loads(json_line(value)) for key, value in told.items() if value}
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())
         return SessionClient(self, info["id"])
 

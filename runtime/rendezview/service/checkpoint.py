@@ -20,6 +20,7 @@ class Tracked(BaseModel):
     frames: int  # so far; the next one has this number
     found: int  # of them, with a pose
     last: str | None  # the last `State`, JSON
+    last_unix_s: float | None = None  # when it was answered
     last_found: str | None  # the last one with a pose, JSON
     found_unix_s: float | None  # when it was found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self
 
@@ -26,6 +27,8 @@ _MOST_NUMBER = 1e12  # of any option. Source: a chosen limit
 
 
 MOST_CIRCLES = 32  # beside a ring. Source: a chosen limit
+# of a group, and of all: the work of making a pattern grows with the factorial of a group
+_MOST_OF_GROUP, _MOST_REFLECTORS = 6, 24  # Source: chosen limits
 
 # Data on the sensors of a session
 
@@ -52,6 +55,23 @@ class RingMessage(Message):
         return _direction(axis)
 
 
+class ReflectorMessage(Message):
+    """A reflector or light of the target, target frame."""
+
+    name: Annotated[str, Field(min_length=1, max_length=64)]
+    group: Annotated[str, Field(min_length=1, max_length=64)] = Field(
+        description="those of one group are looked for together; three or more"
+    )
+    position_m: Three
+    normal: Three = Field(description="outwards, of any length but zero")
+    diameter_m: FiniteFloat = Field(gt=0.0, le=1e4)
+
+    @field_validator("normal")
+    @classmethod
+    def _check_direction(cls, normal: list[float]) -> list[float]:
+        return _direction(normal)
+
+
 class SurfaceMessage(Message):
     """A plane of the target that a ranger's beam may hit, target frame."""
 
@@ -74,10 +94,13 @@ class SurfaceMessage(Message):
 
 
 class FusionRequest(Message):
-    """Data on a session's other sensors; every key is optional."""
+    """Data on a session's sensors; every key is optional."""
 
     ring: RingMessage | None = Field(
-        default=None, description="for ring logs, and for ranges without surfaces"
+        default=None, description="for the ring sensor, ring logs, and ranges without surfaces"
+    )
+    reflectors: Annotated[list[ReflectorMessage], Field(max_length=_MOST_REFLECTORS)] = Field(
+        default=[], description="of the target, for the reflector sensor"
     )
     surfaces: Annotated[list[SurfaceMessage], Field(max_length=32)] = Field(
         default=[], description="that a ranger's beam may hit, in order"
@@ -88,6 +111,16 @@ class FusionRequest(Message):
     options: FusionOptions | None = Field(
         default=None, description="as for `rendezview fuse --options`"
     )
+
+    @field_validator("reflectors")
+    @classmethod
+    def _check_reflectors(cls, reflectors: list[ReflectorMessage]) -> list[ReflectorMessage]:
+        names, groups = [r.name for r in reflectors], Counter(r.group for r in reflectors)
+        if len(set(names)) < len(names):
+            raise ValueError("give each reflector a name of its own")
+        if groups and max(groups.values()) > _MOST_OF_GROUP:
+            raise ValueError(f"a group has at most {_MOST_OF_GROUP} reflectors")
+        return reflectors
 
     @field_validator("mounts")
     @classmethod

@@ -13,6 +13,12 @@ from pydantic import Field, FiniteFloat
 
 from rendezview.geometry.camera import LensModel
 from rendezview.service.approach_messages import Approach, ApproachRequest, Level, Motion
+from rendezview.service.frame_sensor_messages import (
+    FrameSensorsRequest,
+    ReflectorReading,
+    RingReading,
+    Trajectory,
+)
 from rendezview.service.fusion_messages import Fused, FusionRequest, Marks
 from rendezview.service.message_parts import Matrix6, Message, Name, PoseMessage, Three
 
@@ -77,7 +83,10 @@ class SessionRequest(Message):
         description="without a frame for longer it ends; default: the service's setting, 60 s",
     )
     fusion: FusionRequest | None = Field(
-        default=None, description="data on other sensors; required only for rings and ranges"
+        default=None, description="data on sensors; required only for rings, lights and ranges"
+    )
+    sensors: FrameSensorsRequest | None = Field(
+        default=None, description="what runs on the frames; default: what the target has"
     )
     approach: ApproachRequest | None = Field(
         default=None, description="docking port, corridor, keep-out zone, limits"
@@ -169,6 +178,7 @@ class SessionInfo(Message):
     age_s: float | None = Field(description="of the last state, by the service's own clock")
     alarms: list[str] = Field(description="that stand now")
     sensors: list[SensorHealth]
+    on_frames: FrameSensorsRequest = Field(description="what runs on its frames")
     recording: Recording
     finished: bool = Field(description="the source has ended or failed")
     reason: str | None = Field(default=None, description="if the source failed")
@@ -266,6 +276,15 @@ class State(ObservationMessage):
     )
     fused: Fused | None = Field(
         default=None, description="by all sensors; absent while the camera is the only one"
+    )
+    ring: RingReading | None = Field(
+        default=None, description="absent where the ring sensor does not run"
+    )
+    reflectors: ReflectorReading | None = Field(
+        default=None, description="null for a lit frame: the reading comes with its dark one"
+    )
+    trajectory: Trajectory | None = Field(
+        default=None, description="the fitted path; absent where none is fitted"
     )
     protection: ProtectionLevels | None = Field(
         default=None, description="of the pose; absent where the session asked for none"

@@ -41,10 +41,19 @@ class Progress:
 
     @property
     def prior(self) -> PoseMessage | None:
-        """The last pose; None if it is old."""
+        """The last pose, else the last fused one; None if both are old."""
         if self.last_found is None or time.monotonic() - self.found_at_s >= _PRIOR_S:
-            return None
+            kept, age_s = self.handover, self.age_s
+            if kept is None or age_s is None or age_s >= _PRIOR_S:
+                return None
+            return PoseMessage.model_validate(kept["pose"])
         return PoseMessage.model_validate(json.loads(self.last_found)["pose"])
+
+    @property
+    def handover(self) -> Header | None:
+        """The last `Fused` state, if it has a pose: the next filter goes on from it."""
+        fused = {} if self.last is None else json.loads(self.last).get("fused") or {}
+        return fused if fused.get("pose") is not None else None
 
     @property
     def age_s(self) -> float | None:
@@ -64,6 +73,7 @@ class Progress:
             frames=self.frames,
             found=self.found,
             last=None if last is None else last.decode(),
+            last_unix_s=None if self.age_s is None else time.time() - self.age_s,
             last_found=None if found is None else found.decode(),
             found_unix_s=None if found is None else time.time() - age_s,
         )
@@ -73,6 +83,8 @@ class Progress:
         self.frames, self.found = tracked.frames, tracked.found
         if tracked.last is not None:
             self.last = tracked.last.encode()
+            if tracked.last_unix_s is not None:
+                self.last_at_s = time.monotonic() - max(0.0, time.time() - tracked.last_unix_s)
         if tracked.last_found is not None and tracked.found_unix_s is not None:
             self.last_found = tracked.last_found.encode()
             self.found_at_s = time.monotonic() - max(0.0, time.time() - tracked.found_unix_s)

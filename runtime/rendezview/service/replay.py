@@ -33,8 +33,9 @@ from rendezview.service.tracking import SessionTracker, StateDict, camera_of
 REPEATED = (
     "frame", "time_s", "phase", "status", "reason", "pose", "covariance", "confidence", "score",
     "range_m", "rates", "candidates", "fit", "on_nodes", "fused", "motion", "approach",
+    "ring", "reflectors", "trajectory",
 )  # fmt: skip
-_LATER = ("motion", "approach")  # keys that older logs do not have
+_LATER = ("motion", "approach", "ring", "reflectors", "trajectory")  # not in older logs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,7 +257,9 @@ def repeat(log: Log, model: ViewModel) -> Iterator[tuple[StateDict, Comparison]]
             continue
         run.expected += 1
         image = read_frame(entry.image, run.tracker.camera)
-        state, _ = run.tracker.track(image, entry.time_s, entry.state["received_unix_s"])
+        state, _ = run.tracker.track(
+            image, entry.time_s, entry.state["received_unix_s"], entry.state.get("drops", 0)
+        )
         state["frame"] += run.first_frame
         again = json.loads(to_json(state, inf_nan_mode="null"))
         so_far.frames += 1
@@ -281,7 +284,11 @@ class _Run:
         assert request is not None
         forgotten = notes.get("forgotten") == "yes"
         session, first = notes.get("session", "replay"), int(notes.get("first_frame", 0))
-        return cls(SessionTracker(session, model, request, forgotten=forgotten), first, first)
+        tracker = SessionTracker(
+            session, model, request, forgotten=forgotten,
+            handover=json.loads(notes.get("handover", "null")),
+        )  # fmt: skip
+        return cls(tracker, first, first)
 
 
 def _measure_again(tracker: SessionTracker, line: LoggedMeasurement, so_far: Comparison) -> None:

@@ -58,6 +58,12 @@ class OtherSensors:
             self._marks[sensor] = now_s, header["marks"]
         self.update(header)
 
+    def tracked(self, now_s: float, unix_s: float, header: Header) -> None:
+        """The worker has tracked a frame, and read the session's own sensors in it."""
+        for sensor in header.get("own", ()):
+            self._arrivals.setdefault(sensor, Arrivals()).add(now_s, unix_s)
+        self.update(header)
+
     def update(self, header: Header) -> None:
         """Take the filter's opinion from a message of the worker, if it has one."""
         if "sensors" in header:

@@ -15,12 +15,13 @@ from rendezview.io.files import checked, read_text
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.approach_messages import ApproachRequest, PortMessage, WayPoint
-from rendezview.service.fusion_messages import FusionRequest, RingMessage
+from rendezview.service.frame_sensor_messages import FrameSensorsRequest, TrajectoryRequest
+from rendezview.service.fusion_messages import FusionRequest, ReflectorMessage, RingMessage
 from rendezview.service.messages import CameraMessage, SessionRequest
 from rendezview.service.model_store import StoredModel
 from rendezview.service.settings import Settings
 from rendezview.service.tracking import camera_message
-from rendezview.trajectory.plan import Plan, load_plan
+from rendezview.trajectory import Plan, Shape, plan_of, read_plan
 
 _APPROACH = TypeAdapter(ApproachRequest)
 _PLAN_POINTS = 500  # of a plan that is drawn and compared. Source: chosen
@@ -38,11 +39,14 @@ class SessionDefaults:
         """
         self._settings = settings
         self.camera = None if settings.camera is None else load_camera(settings.camera)
-        self._ring = None if settings.target is None else _ring_of(settings.target)
+        self._target = FusionRequest() if settings.target is None else _known_of(settings.target)
         self._approach = None
         if settings.approach is not None:
             self._approach = load_approach(settings.approach)
-        self._plan = None if settings.plan is None else load_plan(settings.plan)
+        self._plan_file = None if settings.plan is None else read_plan(settings.plan)
+        self._plan = None
+        if self._plan_file is not None:
+            self._plan = plan_of(self._plan_file, str(settings.plan))
 
     def camera_of(self, request: SessionRequest) -> CameraMessage:
         """The camera of a request, or the service's.
@@ -79,12 +83,51 @@ class SessionDefaults:
         }
         if more["record"] and settings.record is None:
             raise RendezviewError("record: the service writes no logs: start it with --record")
-        if self._ring is not None and (request.fusion is None or request.fusion.ring is None):
-            fusion = request.fusion or FusionRequest()
-            more["fusion"] = fusion.model_copy(update={"ring": self._ring})
+        fusion = request.fusion or FusionRequest()
+        reflectors = fusion.reflectors or self._target.reflectors
+        known = {"ring": fusion.ring or self._target.ring, "reflectors": reflectors}
+        fusion = fusion.model_copy(update=known)
+        if request.fusion is not None or fusion.ring is not None or fusion.reflectors:
+            more["fusion"] = fusion
+        more["sensors"] = self._sensors_of(request.sensors or FrameSensorsRequest(), fusion)
         if request.approach is None and self._approach is not None:
             more["approach"] = self._approach
         return request.model_copy(update=more)
+
+    def _sensors_of(self, asked: FrameSensorsRequest, fusion: FusionRequest) -> FrameSensorsRequest:
+        """What runs on the frames, nothing left open.
+
+        Raises:
+            RendezviewError: the session lacks what a sensor needs.
+        """
+        ring = fusion.ring is not None if asked.ring is None else asked.ring
+        if ring and fusion.ring is None:
+            raise RendezviewError("sensors: ring: which ring? Give fusion.ring, or serve --target")
+        lights = asked.reflectors != "off"
+        if lights and not fusion.reflectors:
+            raise RendezviewError(
+                "sensors: reflectors: which ones? Give fusion.reflectors, or serve --target"
+            )
+        return FrameSensorsRequest(
+            ring=ring,
+            reflectors=asked.reflectors,
+            trajectory=self._path_of(asked.trajectory, ring),
+            fusion=ring or lights if asked.fusion is None else asked.fusion,
+        )
+
+    def _path_of(
+        self, asked: TrajectoryRequest | bool | None, ring: bool
+    ) -> TrajectoryRequest | bool:
+        """The path that is fitted; False: none."""
+        known = self._plan_file is not None or ring
+        if asked is False or (asked is None and not known):
+            return False
+        path = asked if isinstance(asked, TrajectoryRequest) else TrajectoryRequest()
+        if path.plan is None:
+            path = path.model_copy(update={"plan": self._plan_file})
+        if path.plan is None and path.shape is None and ring:
+            path = path.model_copy(update={"shape": Shape.VBAR})
+        return path
 
     def planned(self, request: SessionRequest, stored: StoredModel) -> SessionRequest:
         """A request with the service's plan, if it has none of its own."""
@@ -132,15 +175,32 @@ def way_points(plan: Plan, model: ViewModel) -> list[WayPoint]:
     ]
 
 
-def _ring_of(path: Path) -> RingMessage:
-    ring = Target.load(path).docking_ring
-    if ring is None:
+def _known_of(path: Path) -> FusionRequest:
+    """The docking ring and the reflectors of a target."""
+    target = Target.load(path)
+    ring = target.docking_ring
+    if ring is None and not target.reflectors:
         raise RendezviewError(
-            f"{path}: this target has no docking_ring: add one, or do not give --target"
+            f"{path}: this target has neither docking_ring nor reflectors: add one, or do not give "
+            "--target"
         )
-    return RingMessage(
-        centre_m=ring.centre_m.tolist(),
-        axis=ring.axis.tolist(),
-        radius_m=ring.radius_m,
-        circles=list(ring.circles),
+    return FusionRequest(
+        ring=None
+        if ring is None
+        else RingMessage(
+            centre_m=ring.centre_m.tolist(),
+            axis=ring.axis.tolist(),
+            radius_m=ring.radius_m,
+            circles=list(ring.circles),
+        ),
+        reflectors=[
+            ReflectorMessage(
+                name=one.name,
+                group=one.group,
+                position_m=one.position_m.tolist(),
+                normal=one.normal.tolist(),
+                diameter_m=one.diameter_m,
+            )
+            for one in target.reflectors
+        ],
     )

@@ -54,13 +54,17 @@ class SessionFilter:
         request: FusionRequest | None = None,
         most_sensors: int | None = None,
         forgotten: bool = False,
+        own: Sequence[str] = (),
+        at_once: bool = False,
     ) -> None:
         """A filter that has not started.
 
         Args:
             request: data on the sensors.
-            most_sensors: beside the camera; None: any number.
+            most_sensors: beside the camera and its own; None: any number.
             forgotten: the session had a filter whose process ended; this one starts at once.
+            own: names of the sensors that the session reads itself.
+            at_once: it starts with the first frame, not with another sensor's first line.
         """
         asked = request or FusionRequest()
         self._context = context_of(asked)
@@ -72,15 +76,32 @@ class SessionFilter:
         self._note: str | None = None
         self._newest_s = -math.inf  # newest time that the filter has
         self._lines = 0
+        self._measured_s = -math.inf  # of the newest measurement
+        self._own = (CAMERA, *own)
         self._fusion: Fusion | None = None
         self._before: Observation | None = None  # of the camera, before the filter runs
-        if forgotten:
-            self._start("its process ended")
+        if forgotten or at_once:
+            self._start("its process ended" if forgotten else None)
 
     @property
     def running(self) -> bool:
-        """Whether another sensor has sent a measurement."""
+        """Whether it has started."""
         return self._fusion is not None
+
+    def resume(self, kept: Json) -> None:
+        """Go on from the last `Fused` state of a process that ended."""
+        self._start("its process ended")
+        assert self._fusion is not None
+        pose = Pose.from_quat_wxyz(kept["pose"]["quat_wxyz"], kept["pose"]["translation_m"])
+        rates = np.array([*kept["rates"]["angular_rad_s"], *kept["rates"]["linear_m_s"]])
+        status, covariance = Status(kept["status"]), np.array(kept["covariance"])
+        self._fusion.resume(Estimate(kept["time_s"], status, None, pose, rates, covariance))
+        self._newest_s = kept["time_s"]
+
+    @property
+    def measured_s(self) -> float:
+        """Time of the newest measurement; -inf: none yet."""
+        return self._measured_s
 
     @property
     def lines(self) -> int:
@@ -108,6 +129,11 @@ class SessionFilter:
             RendezviewError: a line (named) is wrong or of another clock, or there are too many
                 lines or sensors.
         """
+        if sensor in self._own:
+            raise RendezviewError(
+                f"{sensor}: this session reads it in its frames: choose another name, or open the "
+                f'session with "sensors": {{"{sensor}": …}} off'
+            )
         records = split_records(text)
         if most_lines is not None and len(records) > most_lines:
             raise RendezviewError(
@@ -115,7 +141,7 @@ class SessionFilter:
             )
         known = self._counts.get(sensor)
         if known is None and self._most_sensors is not None:
-            others = [name for name in self._counts if name != CAMERA]
+            others = [name for name in self._counts if name not in self._own]
             if len(others) >= self._most_sensors:
                 raise RendezviewError(
                     f"{sensor}: a session has at most {self._most_sensors} sensors beside its "
@@ -164,9 +190,32 @@ class SessionFilter:
         assert time_s is not None
         apart_s = time_s - self._newest_s
         if math.isfinite(apart_s) and abs(apart_s) > MOST_CLOCK_GAP_S:
-            self._start(f"the camera's time jumped by {apart_s:.0f} s")
+            jumped = f"the camera's time jumped by {apart_s:.0f} s"
+            self._start(jumped if self._note is None else f"{self._note}; {jumped}")
         self._see(observation, time_s)
         return self._state(time_s)
+
+    def state_at(self, time_s: float) -> Json:
+        """The `Fused` state at a time. The filter must be running."""
+        return self._state(time_s)
+
+    def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
+        """Give a reading of the session's own sensor to the filter: the `Verdict`.
+
+        None: nothing was measured, or the filter does not run.
+        """
+        counts = self._counts.setdefault(sensor, SensorCounts(kind))
+        counts.lines += 1
+        if measurement is None or self._fusion is None:
+            counts.silent += 1
+            return None
+        try:
+            check_size(measurement, sensor)
+        except RendezviewError as error:
+            counts.silent += 1
+            counts.reason = str(error)
+            return None
+        return self._add(measurement, counts)
 
     def health(self) -> dict[str, Json]:
         """Counts and trust of each sensor, by name: a `SensorTrust` and more."""
@@ -189,7 +238,7 @@ class SessionFilter:
 
     def _start(self, note: str | None) -> None:
         self._fusion = Fusion(self._options)
-        self._newest_s = -math.inf
+        self._newest_s = self._measured_s = -math.inf
         self._note = note
 
     def _recall(self, time_s: float) -> None:
@@ -222,6 +271,7 @@ class SessionFilter:
     def _add(self, measurement: Measurement, counts: SensorCounts) -> Json:
         assert self._fusion is not None
         counts.measurements += 1
+        self._measured_s = max(self._measured_s, measurement.time_s)
         newest_s = max(self._newest_s, measurement.time_s)
         try:
             with np.errstate(all="ignore"):

@@ -12,6 +12,7 @@ from pydantic_core import to_json
 from rendezview.service.approach_messages import Level
 from rendezview.service.checkpoint import Checkpoint
 from rendezview.service.clock import SessionClock
+from rendezview.service.frame_sensor_messages import FrameSensorsRequest
 from rendezview.service.frames import Bytes
 from rendezview.service.history import Past
 from rendezview.service.inputs import Answer, Full, InputQueue, SessionInput
@@ -59,6 +60,7 @@ class Session:
         self.model = stored.name
         self.request = request
         self.request_now = request  # of the present worker: its prior is the last pose
+        self.handover: Header | None = None  # the `Fused` state that its filter goes on from
         self.ended_at_s: list[float] = []  # worker processes that its frames ended, monotonic
         self.settings = settings
         self.source = source
@@ -224,7 +226,7 @@ class Session:
         self.events.fault(None)
         if "recording" in header:
             self._recorded(header)
-        self._others.update(header)
+        self._others.tracked(waiting.received_s, waiting.received_unix_s, header)
         self._metrics.tracked(header["status"], header["track_ms"], now_s - waiting.received_s)
         self.keep()
         waiting.answer(Answer(200, state))
@@ -276,9 +278,10 @@ class Session:
     def reopened(self) -> None:
         """Another worker continues the session, with a new tracker and filter.
 
-        The tracker starts with the last pose, if it is not old.
+        They start with the last pose and the last fused one, if these are not old.
         """
-        if self.progress.last_found is not None:
+        self.handover = self.progress.handover
+        if self.progress.last_found is not None or self.handover is not None:
             self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
         self._others.forget("its filter ended with the worker process; a new one starts")
         self.frame_base = self.progress.frames
@@ -389,6 +392,7 @@ class Session:
             age_s=progress.age_s,
             alarms=self.events.alarms,
             sensors=self.sensors(),
+            on_frames=self.request.sensors or FrameSensorsRequest(),
             recording=self.log.recording,
             finished=self.finished,
             reason=self.reason,

@@ -30,7 +30,7 @@ class Settings(BaseSettings):
 
     models_folder: Path | None = None  # uploaded and trained models; default: a temporary folder
     camera: Path | None = None  # for sessions that give none
-    target: Path | None = None  # its docking ring, for sessions that give none
+    target: Path | None = None  # its ring and reflectors, for sessions without
     approach: Path | None = None  # docking port, corridor, limits, for sessions that give none
     plan: Path | None = None  # the planned path, as `rendezview track --plan`
     record: Path | None = None  # *.mcap for the first session, or a folder

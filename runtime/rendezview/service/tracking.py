@@ -20,9 +20,12 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tra
 from rendezview.sensors.appearance.edges.contour_at import contour_pixels
 from rendezview.sensors.appearance.integrity import IntegrityOptions
 from rendezview.sensors.appearance.sky import Sky
+from rendezview.sensors.observation import Status
 from rendezview.sensors.sensor import AidedSensor
 from rendezview.service.approach import ApproachMonitor
 from rendezview.service.camera_filter import CameraFilter
+from rendezview.service.frame_sensors import FrameSensors
+from rendezview.service.frame_sensors import warm_up as warm_up_sensors
 from rendezview.service.message_parts import MOST_TIME_S, PoseMessage
 from rendezview.service.messages import (
     CameraMessage,
@@ -34,6 +37,8 @@ from rendezview.service.messages import (
 )
 from rendezview.service.session_filter import SessionFilter
 from rendezview.service.session_filter import warm_up as warm_up_filter
+from rendezview.service.session_path import SessionPath, trajectory_of
+from rendezview.service.session_path import warm_up as warm_up_path
 
 # A `State` as a dict. It is not validated, because it is made here for every frame.
 StateDict = dict[str, Any]
@@ -88,7 +93,7 @@ def integrity_of(message: IntegrityRequest | None) -> IntegrityOptions | None:
 
 
 class SessionTracker:
-    """A tracker with the session's filter, names and counters.
+    """A tracker with the session's other sensors, filter, path, names and counters.
 
     One thread uses it: the worker's, or that of replay.
     """
@@ -101,6 +106,7 @@ class SessionTracker:
         most_sensors: int | None = None,
         forgotten: bool = False,
         recognizer: Recognizer | None = None,
+        handover: StateDict | None = None,
     ) -> None:
         """The tracker that a request describes; the request has a camera.
 
@@ -109,6 +115,7 @@ class SessionTracker:
             forgotten: the session had a filter whose process ended.
             recognizer: of the model and the request's camera and trees, which several sessions
                 may share; None: a new one.
+            handover: the last `Fused` state of that filter; None: it had no pose.
 
         Raises:
             RendezviewError: the camera, the prior or the direction to the Sun is wrong.
@@ -125,7 +132,17 @@ class SessionTracker:
         recognizer = recognizer or Recognizer(model, self.camera, trees=request.trees)
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
-        self.filter = SessionFilter(request.fusion, most_sensors, forgotten)
+        self._sensors = FrameSensors(request, self.camera)
+        self.filter = SessionFilter(
+            request.fusion, most_sensors, forgotten, self._sensors.names,
+            request.sensors is not None and bool(request.sensors.fusion),
+        )  # fmt: skip
+        if handover is not None:
+            self.filter.resume(handover)
+        fits = trajectory_of(request)
+        ring = None if request.fusion is None else request.fusion.ring
+        centre_m = model.centre_m if ring is None else np.array(ring.centre_m)
+        self._path = None if fits is None else SessionPath(fits, centre_m)
         self._alone: CameraFilter | None = CameraFilter(request.fusion)
         self._approach = ApproachMonitor(request.approach, request.fusion, model.centre_m)
         self._frames = 0
@@ -133,9 +150,15 @@ class SessionTracker:
         self._last_pose_s: float | None = None
 
     def track(
-        self, image: GreyImage, time_s: float, received_unix_s: float
+        self, image: GreyImage, time_s: float, received_unix_s: float, drops: int = 0
     ) -> tuple[StateDict, AppearanceObservation]:
-        """The state of a frame; the caller sets ``latency_ms``, ``drops`` and ``recorded``.
+        """The state of a frame; the caller sets ``latency_ms`` and ``recorded``.
+
+        Args:
+            image: (H, W).
+            time_s: of the frame.
+            received_unix_s: when it arrived.
+            drops: frames of the session that newer ones replaced, so far.
 
         Raises:
             RendezviewError: the time is not later than the last frame's, or the image does not
@@ -154,17 +177,43 @@ class SessionTracker:
         if observation.pose is not None:
             self._last_pose_s = time_s
         state = self._state(observation, time_s, received_unix_s, track_ms)
+        state["drops"] = drops
+        clock = time.perf_counter()
+
+        def lap(stage: str) -> None:
+            nonlocal clock
+            now = time.perf_counter()
+            state["stage_ms"][stage] = 1e3 * (now - clock)
+            clock = now
+
         if self.filter.running:
-            fused = state["fused"] = self.filter.track(observation)
+            fused = self.filter.track(observation)
             self._alone = None
         else:
             assert self._alone is not None
             self.filter.remember(observation)
             fused = self._alone.track(observation)
+        lap("filter")
+        if self._sensors.names:
+            number = self._frames + drops
+            state |= self._sensors.look(image, time_s, number, fused, self.filter)
+            if self.filter.running:
+                fused = self.filter.state_at(time_s)
+            lap("sensors")
+        if self.filter.running:
+            state["fused"] = fused
+        if self._path is not None:
+            state["trajectory"] = self._fitted(time_s, fused, observation)
+            lap("trajectory")
         state["motion"], covariance = _motion(fused)
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)
         self._frames += 1
         return state, observation
+
+    @property
+    def own_sensors(self) -> list[str]:
+        """Names of the sensors that it reads in its frames."""
+        return self._sensors.names
 
     @property
     def frames(self) -> int:
@@ -212,6 +261,17 @@ class SessionTracker:
             "recorded": False,
             **{name: record[name] for name in ("protection",) if name in record},
         }
+
+    def _fitted(
+        self, time_s: float, fused: StateDict, observation: AppearanceObservation
+    ) -> StateDict | None:
+        """The path, with a fused state only where it is more than a prediction."""
+        assert self._path is not None
+        if not self.filter.running:
+            return self._path.update(time_s, None, observation)
+        if self.filter.measured_s < time_s:
+            fused = {"pose": None, "covariance": None}
+        return self._path.update(time_s, fused, observation)
 
     def _phase(self, observation: AppearanceObservation, time_s: float) -> Phase:
         if observation.pose is not None:
@@ -281,16 +341,24 @@ def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) 
                 recognizer.search.at(image, Sky.of(image), prior, np.pi)
         contour_at(model, camera, prior)
         warm_up_filter()
+        warm_up_sensors(camera, rng)
+        warm_up_path(rng)
     return counted.count
 
 
 def shown_pose(state: StateDict) -> tuple[PoseMessage | None, bool]:
-    """The pose that is drawn over a frame, and whether it is only predicted."""
+    """The pose that is drawn over a frame, and whether it is only predicted.
+
+    Where the camera gave none it is the filter's, of other sensors or while it coasts.
+    """
     pose, motion = state["pose"], state.get("motion") or {}
-    predicted = pose is None and state["phase"] == Phase.COASTING and motion.get("pose") is not None
-    if predicted:
-        pose = motion["pose"]
-    return None if pose is None else PoseMessage.model_validate(pose), predicted
+    fused = (state.get("fused") or {}).get("status") == Status.TRACKING
+    by_filter = pose is None and (fused or state["phase"] == Phase.COASTING)
+    if by_filter:
+        pose = motion.get("pose")
+    if pose is None:
+        return None, False
+    return PoseMessage.model_validate(pose), by_filter and not fused
 
 
 def contour_at(

@@ -138,6 +138,7 @@ class WorkerProcess:
             request["sensors"],
             request["forgotten"],
             self._models.recognizer(sight),
+            request["handover"],
         )
         writer = None
         if request["log_path"] is not None:
@@ -146,6 +147,7 @@ class WorkerProcess:
             notes = session_notes(request["session"], asked, model.name, sight.model)
             notes["model_file"] = request["model_file"]
             notes |= {"log": request["log"], "first_frame": str(request["first_frame"])}
+            notes["handover"] = json.dumps(request["handover"])
             notes["forgotten"] = "yes" if request["forgotten"] else "no"
             place = Path(request["log_path"])
             writer = LogWriter(place, tracker.camera, notes, content, options)
@@ -158,9 +160,10 @@ class WorkerProcess:
         with decoding_time(tracker.camera):
             image = read_frame(content, tracker.camera)
         time_s = request["time_s"]
-        state, observation = tracker.track(image, time_s, request["received_unix_s"])
+        state, observation = tracker.track(
+            image, time_s, request["received_unix_s"], request["drops"]
+        )
         state["frame"] += request["first_frame"]
-        state["drops"] = request["drops"]
         state["recorded"] = session.log is not None
         state["model_sha256"] = session.sight.model.stem
         state["latency_ms"] = 1e3 * (time.monotonic() - request["received_s"])
@@ -177,6 +180,7 @@ class WorkerProcess:
         }
         if tracker.filter.running:
             answer["sensors"] = tracker.filter.health()
+            answer["own"] = tracker.own_sensors
         if session.log is not None:
             answer["recording"] = _recording(session.log)
             answer["log_path"] = str(session.log.path)

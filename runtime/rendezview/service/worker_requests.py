@@ -22,6 +22,7 @@ def open_request(session: Session, settings: Settings) -> Header:
         "model_file": session.stored.path.name,
         "sensors": settings.sensors,
         "forgotten": session.is_fused or session.was_fused,
+        "handover": session.handover,
         "first_frame": session.frame_base,
         "log": session.log.id,
         "log_path": None if log_path is None else str(log_path),

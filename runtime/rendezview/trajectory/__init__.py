@@ -5,7 +5,7 @@ from rendezview.trajectory.descent import Method
 from rendezview.trajectory.follower import FollowerOptions, PathFollower, Report
 from rendezview.trajectory.guidance import Correction, correct
 from rendezview.trajectory.nothing import Nothing
-from rendezview.trajectory.plan import Orbit, Plan, load_plan
+from rendezview.trajectory.plan import Orbit, Plan, PlanFile, load_plan, plan_of, read_plan
 from rendezview.trajectory.segment import FitOptions, Segment, fit_segment
 from rendezview.trajectory.shapes import Shape
 from rendezview.trajectory.spin import Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
@@ -20,6 +20,7 @@ __all__ = [
     "Orbit",
     "PathFollower",
     "Plan",
+    "PlanFile",
     "PointCloud",
     "Report",
     "Segment",
@@ -33,4 +34,6 @@ __all__ = [
     "fit_spin_of_directions",
     "in_line_of_sight",
     "load_plan",
+    "plan_of",
+    "read_plan",
 ]

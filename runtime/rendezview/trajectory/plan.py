@@ -161,7 +161,9 @@ class _Segment(_Table):
     deviation: bool = False
 
 
-class _PlanFile(_Table):
+class PlanFile(_Table):
+    """The content of a plan file, docs/files-plan.md."""
+
     start_s: _Number = 0.0
     end_s: _Number | None = None
     centre_m: _Vector | None = None
@@ -174,7 +176,7 @@ class _PlanFile(_Table):
     segment: _Segment = _Segment()
 
 
-_PLAN_FILE = TypeAdapter(_PlanFile)
+_PLAN_FILE = TypeAdapter(PlanFile)
 _KINDS = ("circular", "spiral", "vbar", "orbit_path", "way_points")
 _FITTED = {
     "circular": Shape.CIRCULAR,
@@ -186,18 +188,31 @@ _FITTED = {
 
 
 def load_plan(path: StrPath) -> Plan:
-    """Read a plan file (TOML, docs/files-plan.md).
+    """Read a plan file (TOML, docs/files-plan.md). Errors as of `read_plan` and `plan_of`."""
+    return plan_of(read_plan(path), str(path))
+
+
+def read_plan(path: StrPath) -> PlanFile:
+    """The content of a plan file.
 
     Raises:
-        RendezviewError: missing, not TOML, an unknown or wrong key, no path or more than one,
-            directions that span no plane, way points whose times do not rise.
+        RendezviewError: missing, not TOML, an unknown or wrong key.
     """
     text = read_text(path, "a plan (TOML)")
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise RendezviewError(f"{path}: not valid TOML ({error}): correct the file") from error
-    file = checked(_PLAN_FILE, data, str(path))
+    return checked(_PLAN_FILE, data, str(path))
+
+
+def plan_of(file: PlanFile, path: str) -> Plan:
+    """The plan of a plan file's content; ``path`` names it in errors.
+
+    Raises:
+        RendezviewError: no path or more than one, directions that span no plane, way points whose
+            times do not rise.
+    """
     given = [kind for kind in _KINDS if getattr(file, kind) is not None]
     if len(given) != 1:
         raise RendezviewError(

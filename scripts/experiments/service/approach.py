@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -18,11 +19,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import open_sequence
-from rendezview.io.sequences.frame import Frame
 from rendezview.io.target import DockingRing
-from rendezview.sensors.ring import RingPrior
-from rendezview.sensors.ring.prior_log import prior_of_pose
-from rendezview.sensors.ring.run import follow, record
 
 Json = dict[str, Any]
 _EDGES_M = (60.0, 30.0, 15.0, 7.5, 3.0, 0.0)  # camera to ring. Source: chosen, about halves
@@ -33,8 +30,9 @@ class Outcome:
     """What one way gives, by the time of the frame."""
 
     tracked: dict[float, Json] = field(default_factory=dict)  # lines of `track`, or states
-    rings: dict[float, Json] = field(default_factory=dict)  # lines of `ring`
+    rings: dict[float, Json] = field(default_factory=dict)  # lines of `ring`, or readings
     fused: dict[float, Json] = field(default_factory=dict)  # the last state at that time
+    paths: dict[float, Json] = field(default_factory=dict)  # `trajectory` of `guide`, or of states
 
 
 def command(folder: Path, *words: object) -> None:
@@ -45,50 +43,45 @@ def command(folder: Path, *words: object) -> None:
 
 
 def by_commands(folder: Path, model: Path) -> Outcome:
-    """The commands of the whole approach in docs/fusion.md."""
+    """The commands of the whole approach in docs/fusion.md; at one time the range comes first."""
     command(folder, "track", model, "scene", "-o", "poses.csv", "--log", "track.jsonl",
             "--prior", "scene")  # fmt: skip
     fuse = ("--target", "client", "-o")
-    command(folder, "fuse", "track.jsonl", "laser.jsonl", *fuse, "far.jsonl")
+    command(folder, "fuse", "laser.jsonl", "track.jsonl", *fuse, "far.jsonl")
     command(folder, "ring", "scene", "--track", "far.jsonl", *fuse, "ring.jsonl")
-    command(folder, "fuse", "track.jsonl", "ring.jsonl", "laser.jsonl", *fuse, "state.jsonl")
-    logs = [read_json_lines(folder / f"{n}.jsonl") for n in ("track", "ring", "state")]
-    return Outcome(*({line["time_s"]: line for line in log} for log in logs))
+    command(folder, "fuse", "laser.jsonl", "track.jsonl", "ring.jsonl", *fuse, "state.jsonl")
+    command(folder, "guide", "state.jsonl", "--shape", "vbar", *fuse, "guide.jsonl")
+    logs = [read_json_lines(folder / f"{n}.jsonl") for n in ("track", "ring", "state", "guide")]
+    told = Outcome(*({line["time_s"]: line for line in log} for log in logs))
+    told.paths = {time_s: line["trajectory"] for time_s, line in told.paths.items()}
+    return told
 
 
-def by_service(folder: Path, model: Path, ring: DockingRing) -> Outcome:
-    """Frames, ring readings and ranges into one session; its state is the ring's prior."""
+def note(outcome: Outcome, state: Json) -> None:
+    """Keep a state of the service."""
+    time_s = state["time_s"]
+    outcome.tracked[time_s], outcome.fused[time_s] = state, state["fused"]
+    outcome.rings[time_s], outcome.paths[time_s] = state["ring"], state["trajectory"]
+
+
+def by_service(folder: Path, model: Path) -> Outcome:
+    """Ranges and frames into one session, which does all the rest."""
     sequence = open_sequence(folder / "scene")
     echoes = {line["time_s"]: line for line in read_json_lines(folder / "laser.jsonl")}
     first, outcome = sequence.frames[0], Outcome()
-    served = Served(model, "--workers", "1")
+    target = find_target("client").mesh_path.parent
+    served = Served(model, "--workers", "1", "--target", str(target))
     try:
         served.await_ready()
-        with Client(served.url, timeout_s=120.0) as client:
-            session = client.open(
-                first.camera, prior=first.camera_from_target, fusion={"ring": ring}, idle_s=600.0
-            )
-
-            def prior(frame: Frame) -> RingPrior | None:
+        with (
+            Client(served.url, timeout_s=120.0) as client,
+            client.open(first.camera, prior=first.camera_from_target, idle_s=600.0) as session,
+        ):
+            for frame in sequence:
                 assert frame.time_s is not None
+                session.measure("laser", echoes[frame.time_s])
                 state = session.track(frame.read(), frame.time_s)
-                outcome.tracked[frame.time_s] = state
-                known = state.get("fused") or state  # the first frame has no fused state
-                pose = pose_of_state(known)
-                if pose is None or known["covariance"] is None:
-                    return None
-                return prior_of_pose(pose, np.array(known["covariance"])[:6, :6], ring)
-
-            readings = follow(sequence, ring.radius_m, prior=prior, circles=ring.circles)
-            for frame, _, reading in readings:
-                assert frame.time_s is not None
-                line = record(frame, reading)
-                outcome.rings[frame.time_s] = line
-                told = session.measure("ring", line)
-                told = session.measure("laser", echoes[frame.time_s])
-                if told["fused"] is not None:
-                    outcome.fused[frame.time_s] = told["fused"]
-            session.close()
+                note(outcome, state)
     finally:
         served.stop()
     return outcome
@@ -101,62 +94,63 @@ def fused_pose(state: Json | None) -> Pose | None:
     return pose_of_state(state)
 
 
-def compare_poses(commands: Outcome, service: Outcome) -> None:
-    both = [
-        (pose_of_state(line), pose_of_state(service.tracked[time_s]))
-        for time_s, line in commands.tracked.items()
-    ]
-    pairs = [(a, b) for a, b in both if a is not None and b is not None]
-    apart_m = max(float(np.linalg.norm(a.translation_m - b.translation_m)) for a, b in pairs)
-    angle = max(np.rad2deg(a.angle_to(b)) for a, b in pairs)
-    counts = [sum(pair[k] is not None for pair in both) for k in (0, 1)]
-    print(
-        f"poses: commands {counts[0]}, service {counts[1]}, both {len(pairs)}; largest difference "
-        f"{1e3 * apart_m:.3g} mm, {angle:.3g}°"
-    )
-
-
-def compare_rings(commands: Outcome, service: Outcome) -> None:
-    lines = [(line, service.rings[time_s]) for time_s, line in commands.rings.items()]
-    counts = [sum(bool(pair[k]["poses"]) for pair in lines) for k in (0, 1)]
-    apart_px, chosen = [0.0], 0
-    for ours, theirs in lines:
-        if bool(ours["poses"]) != bool(theirs["poses"]) or not ours["poses"]:
-            continue
-        ends = [_place(line["poses"][0]) for line in (ours, theirs)]
-        difference = float(np.linalg.norm(ends[0] - ends[1]))
-        chosen += difference > 1e-9
-        apart_px.append(difference)
-    print(
-        f"ring readings: commands {counts[0]}, service {counts[1]}; {chosen} differ, by at most "
-        f"{1e3 * max(apart_px):.3g} mm"
-    )
-
-
-def _place(circle: Any) -> np.ndarray:
-    return np.asarray(circle["centre_m"], dtype=np.float64)
-
-
-def compare_fused(commands: Outcome, service: Outcome) -> None:
-    """Differences in metres and degrees, and over the commands' σ."""
-    rows = []
-    for time_s, ours in commands.fused.items():
-        a, b = fused_pose(ours), fused_pose(service.fused.get(time_s))
-        if a is None or b is None:
-            continue
-        sigma = np.sqrt(np.diag(np.array(ours["covariance"]))[:6])
-        turn = (b.rotation @ a.rotation.T - a.rotation @ b.rotation.T) / 2.0
-        vector = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])  # small
-        move = b.translation_m - a.translation_m
-        rows.append((time_s, np.linalg.norm(move), np.rad2deg(a.angle_to(b)),
-                     np.abs(move / sigma[3:]).max(), np.abs(vector / sigma[:3]).max()))  # fmt: skip
-    table = np.array(rows)
-    for name, part in (("all", table), ("second half", table[len(table) // 2 :])):
-        position_m, angle, position_s, angle_s = part[:, 1:].max(axis=0)
-        print(
-            f"fused states, {name}: {len(part)} of both; largest difference "
-            f"{1e3 * position_m:.3g} mm ({position_s:.2g} σ), {angle:.3g}° ({angle_s:.2g} σ)"
+def compare(commands: Outcome, service: Outcome) -> dict[str, tuple[int, int, float]]:
+    """How many results each way has, and the largest difference where both have one."""
+    told = {}
+    for name, ours, theirs in (
+        ("poses, mm", commands.tracked, service.tracked),
+        ("fused states, mm", commands.fused, service.fused),
+    ):
+        told[name] = _apart(
+            [(_pose(ours[t]), _pose(theirs[t])) for t in ours],
+            lambda a, b: 1e3 * float(np.linalg.norm(a.translation_m - b.translation_m)),
         )
+        told[name.replace("mm", "°")] = _apart(
+            [(_pose(ours[t]), _pose(theirs[t])) for t in ours],
+            lambda a, b: float(np.rad2deg(a.angle_to(b))),
+        )
+    told["ring readings, mm"] = _apart(
+        [(line["poses"], service.rings[t]["poses"]) for t, line in commands.rings.items()],
+        lambda a, b: 1e3 * _farthest(a, b, "centre_m"),
+    )
+    told["open rings, mm"] = _apart(
+        [
+            (line["candidates"], service.rings[t]["candidates"])
+            for t, line in commands.rings.items()
+        ],
+        lambda a, b: 1e3 * _farthest(a[0]["poses"], b[0]["poses"], "centre_m"),
+    )
+    told["paths, predicted place, mm"] = _apart(
+        [(line["segment"], service.paths[t]["segment"]) for t, line in commands.paths.items()],
+        lambda a, b: 1e3 * float(np.abs(_array(a["predicted_m"]) - b["predicted_m"]).max()),
+    )
+    return told
+
+
+def _pose(state: Json) -> Pose | None:
+    return pose_of_state(state)
+
+
+def _array(values: Any) -> np.ndarray:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _farthest(ours: list[Json], theirs: list[Json], key: str) -> float:
+    """Of poses of circles in the same order; infinite if one way has more."""
+    if len(ours) != len(theirs):
+        return float("inf")
+    pairs = zip(ours, theirs, strict=True)
+    return max(float(np.linalg.norm(_array(a[key]) - b[key])) for a, b in pairs)
+
+
+def _apart(
+    pairs: list[tuple[Any, Any]], difference: Callable[[Any, Any], float]
+) -> tuple[int, int, float]:
+    """Counts of both ways, and the largest difference; infinite if only one has a result."""
+    both = [bool(a) == bool(b) for a, b in pairs]
+    found = [difference(a, b) for a, b in pairs if a and b]
+    counts = [sum(bool(pair[k]) for pair in pairs) for k in (0, 1)]
+    return counts[0], counts[1], max(found, default=0.0) if all(both) else float("inf")
 
 
 def errors(ways: dict[str, Outcome], truth: dict[float, Pose], ring: DockingRing) -> None:
@@ -182,12 +176,30 @@ def rms(values: list[Any]) -> float:
     return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
 
+def costs(outcome: Outcome) -> str:
+    """Computing time of a frame, by stage."""
+    states = outcome.tracked.values()
+    parts = {"tracker": [state["track_ms"] for state in states]}
+    for stage in ("filter", "sensors", "trajectory"):
+        parts[stage] = [state["stage_ms"][stage] for state in states]
+    return "ms a frame, median; most: " + ", ".join(
+        f"{name} {np.median(ms):.1f}; {max(ms):.1f}" for name, ms in parts.items()
+    )
+
+
+def draw(place: Path, *, frames: int, seed: int, start_m: float = 60.0, end_m: float = 1.0) -> None:
+    """A straight approach to the client's ring, with ranges."""
+    command(place, "simulate", "client", "-o", "scene", "--trajectory", "vbar",
+            "--axis", "ring", "--start-range", start_m, "--end-range", end_m,
+            "--frames", frames, "--dt", 4, "--jitter", 0.05, "--sun-phase", 25, "--seed", seed,
+            "--laser", "laser.jsonl", "--jobs", 1)  # fmt: skip
+
+
 def run(model: Path, *, frames: int = 60, seed: int = 1, folder: Path | None = None) -> None:
     """An approach from 60 m to 1 m through the service, beside the commands.
 
     Draws a straight approach to the client's ring, then gives it to the commands of
-    docs/fusion.md, and over HTTP to one session of a service of its own: frames, ranges, and
-    readings of the ring that the client makes with the session's own state as the prior.
+    docs/fusion.md, and its frames and ranges over HTTP to one session of a service of its own.
 
     A --folder keeps all files; a scene that it has is not drawn again.
     """
@@ -195,20 +207,17 @@ def run(model: Path, *, frames: int = 60, seed: int = 1, folder: Path | None = N
         place = (folder or Path(temporary)).resolve()
         place.mkdir(exist_ok=True)
         if not (place / "scene").exists():
-            command(place, "simulate", "client", "-o", "scene", "--trajectory", "vbar",
-                    "--axis", "ring", "--start-range", 60, "--end-range", 1, "--frames", frames,
-                    "--dt", 4, "--jitter", 0.05, "--sun-phase", 25, "--seed", seed,
-                    "--laser", "laser.jsonl", "--jobs", 1)  # fmt: skip
+            draw(place, frames=frames, seed=seed)
         ring = find_target("client").docking_ring
         assert ring is not None
         commands = by_commands(place, model.resolve())
-        service = by_service(place, model.resolve(), ring)
+        service = by_service(place, model.resolve())
         truth = {}
         for frame in open_sequence(place / "scene").frames:
             assert frame.time_s is not None
             assert frame.camera_from_target is not None
             truth[frame.time_s] = frame.camera_from_target
-        compare_poses(commands, service)
-        compare_rings(commands, service)
-        compare_fused(commands, service)
+        for name, (ours, theirs, apart) in compare(commands, service).items():
+            print(f"{name}: commands {ours}, service {theirs}; largest difference {apart:.3g}")
         errors({"commands": commands, "service": service}, truth, ring)
+        print(costs(service))

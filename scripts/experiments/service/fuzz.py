@@ -213,7 +213,7 @@ class Fuzz(Cases):
         elif self.rng.random() < 0.2:
             asked = {"sensor": self.value(), "record": self.value()}
             if self.rng.random() < 0.8:
-                asked["sensor"] = str(self.rng.choice(["ring", "laser", "mirrors"]))
+                asked["sensor"] = str(self.rng.choice(["rim", "laser", "mirrors"]))
             message = json.dumps(asked)
             if self.rng.random() < 0.8:
                 sensor, lines = self.lines()

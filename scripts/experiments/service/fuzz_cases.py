@@ -13,12 +13,14 @@ import numpy as np
 from rendezview.geometry.camera import Camera
 
 CAMERA = Camera.from_fov(160, 120, np.deg2rad(40.0))
+LIGHT = {"name": "a", "group": "g", "position_m": [0.0, 0.0, 0.0], "normal": [0.0, 0.0, 1.0],
+         "diameter_m": 0.02}  # fmt: skip
 RING = {"centre_m": [0.0, 0.0, 0.0], "axis": [0.0, 0.0, 1.0], "radius_m": 0.5}
 _POSE = {"quat_wxyz": [1.0, 0.0, 0.0, 0.0], "translation_m": [0.0, 0.0, 9.0]}
 LINES: dict[str, dict[str, Any]] = {
     "mirrors": {"pose": _POSE, "covariance": (1e-4 * np.eye(6)).tolist(), "roll_ambiguous": False,
      "spots": [{"x_px": 10.0, "y_px": 20.0}]},
-    "ring": {"ellipses": [{"centre_px": [80.0, 60.0], "semi_axes_px": [9.0, 8.0],
+    "rim": {"ellipses": [{"centre_px": [80.0, 60.0], "semi_axes_px": [9.0, 8.0],
                            "angle_rad": 0.1}], "ellipse": 0,
              "poses": [{"centre_m": [0.0, 0.0, 9.0], "axis": [0.0, 0.0, -1.0],
                         "covariance": (1e-4 * np.eye(5)).tolist()}]},
@@ -91,11 +93,17 @@ class Cases:
             "id": None,
             "prior": {"quat_wxyz": [1, 0, 0, 0], "translation_m": [0, 0, 9]},
             "sun_camera": [0, 0, -1],
-            "fusion": {"ring": dict(RING), "surfaces": [], "options": {"history_s": 5.0}},
+            "fusion": {
+                "ring": dict(RING),
+                "surfaces": [],
+                "options": {"history_s": 5.0},
+                "reflectors": [dict(LIGHT) | {"name": str(k)} for k in range(3)],
+            },
+            "sensors": {"ring": True, "reflectors": "off", "trajectory": {"shape": "orbit"}},
         }
         place: dict[str, object] = request
         if rng.random() < 0.5:
-            place = request[str(rng.choice(["camera", "prior", "fusion"]))]  # type: ignore[assignment]
+            place = request[str(rng.choice(["camera", "prior", "fusion", "sensors"]))]  # type: ignore[assignment]
         place[str(rng.choice([*place, "more"]))] = self.value()
         text = json.dumps(request, allow_nan=True).encode()
         if rng.random() < 0.2:

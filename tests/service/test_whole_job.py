@@ -1,0 +1,123 @@
+"""An approach to the client's ring over HTTP: frames and ranges in, all the rest out."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from experiments.service import approach
+from rendezview.client import ServiceError, fused_pose_of_state
+from rendezview.io.bundled import find_target
+from rendezview.io.results import read_json_lines
+from rendezview.io.sequences import open_sequence
+from rendezview.service.messages import SessionInfo, State
+from rendezview.service.replay import model_of, read_log, repeat
+
+
+@pytest.fixture(scope="module")
+def served(flown, start_service, tmp_path_factory):
+    logs = tmp_path_factory.mktemp("logs")
+    target = find_target("client").mesh_path.parent
+    service = start_service(
+        str(flown / "client.rvm"), "--target", str(target), "--record", str(logs), given=False
+    )
+    service.folder = logs
+    yield service
+    service.stop()
+
+
+def frames_of(flown: Path):
+    """Time, picture, echo and true pose of each frame."""
+    echoes = read_json_lines(flown / "laser.jsonl")
+    for frame, echo in zip(open_sequence(flown / "scene"), echoes, strict=True):
+        yield frame.time_s, frame.read(), echo, frame.camera_from_target
+
+
+def open_session(client, flown: Path, **more):
+    first = open_sequence(flown / "scene").frames[0]
+    return client.open(first.camera, prior=first.camera_from_target, **more)
+
+
+def test_frames_and_ranges_alone_give_what_the_commands_give(served, flown):
+    """As experiment service-approach, on a shorter flight; the log repeats it bit for bit."""
+    model = flown / "client.rvm"
+    outcome = approach.Outcome()
+    with served.client() as client:
+        session = open_session(client, flown, name="whole")
+        for time_s, image, echo, _ in frames_of(flown):
+            session.measure("laser", echo)
+            state = session.track(image, time_s)
+            State.model_validate(state)
+            approach.note(outcome, state)
+        told = SessionInfo.model_validate(session.info())
+        log_name = told.recording.name
+        session.close()
+    assert told.on_frames.ring
+    health = {sensor.name: sensor for sensor in told.sensors}
+    assert list(health) == ["camera", "laser", "ring"]
+    assert health["ring"].frames == len(outcome.tracked)
+    assert health["ring"].trust.heard >= 3
+    commands = approach.by_commands(flown, model)
+    for name, (ours, theirs, apart) in approach.compare(commands, outcome).items():
+        assert ours == theirs, name
+        assert apart < 1e-6, name
+        assert ours > 0 or name.startswith("open"), name
+
+    log = read_log(served.folder / log_name)
+    *_, (_, so_far) = repeat(log, model_of(log, None))
+    assert (so_far.frames, so_far.differing, so_far.gap) == (len(outcome.tracked), 0, None)
+    with open(served.folder / log_name, "rb") as file:
+        kept = [
+            json.loads(message.data)
+            for *_, message in make_reader(file).iter_messages(topics=["/rendezview/state"])
+        ]
+    assert [state["ring"] for state in kept] == list(outcome.rings.values())
+    assert [state["trajectory"] for state in kept] == list(outcome.paths.values())
+
+
+def test_near_the_ring_a_session_outlives_its_worker(served, flown):
+    """No pose of the camera comes any more: the fused state is handed over, and rings keep it."""
+    with served.client() as client:
+        session = open_session(client, flown, name="moved")
+        states, errors_m = [], []
+        ring = find_target("client").docking_ring
+        for time_s, image, echo, truth in frames_of(flown):
+            near = np.linalg.norm(truth.apply(ring.centre_m)) < 4.5
+            if near and not errors_m:
+                children = subprocess.run(
+                    ["ps", "-o", "pid=", "--ppid", str(served.process.pid)],
+                    capture_output=True, text=True, check=True,
+                ).stdout.split()  # fmt: skip
+                os.kill(int(children[0]), signal.SIGKILL)
+            if not near:
+                session.measure("laser", echo)
+            state, until_s = None, time.monotonic() + 60.0
+            while state is None:
+                assert time.monotonic() < until_s
+                with contextlib.suppress(ServiceError):
+                    state = session.track(image, time_s)
+            states.append(state)
+            if near:
+                pose = fused_pose_of_state(state)
+                away = pose.apply(ring.centre_m) - truth.apply(ring.centre_m)
+                errors_m.append(np.linalg.norm(away))
+        assert states[-1]["pose"] is None
+        assert states[-1]["fused"]["status"] == "tracking"
+        assert len(errors_m) >= 3
+        assert max(errors_m) < 0.03
+        log_name = session.info()["recording"]["name"]
+        session.close()
+    first = log_name.replace("-2.mcap", ".mcap")
+    assert first != log_name
+    log = read_log(served.folder / first)
+    *_, (_, so_far) = repeat(log, model_of(log, None))
+    assert (so_far.frames, so_far.differing, so_far.gap) == (len(states), 0, None)
