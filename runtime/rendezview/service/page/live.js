@@ -6,6 +6,7 @@ import { apply, rotation } from "./pose.js";
 const KINDS = ["#58e0ff", "#ffb454", "#d2a8ff"];
 const NODE = "#f2c14e";
 const MARK = "#ff7bd5"; // what other sensors saw
+const RING = "#ff9f43"; // the docking ring that the session found
 const PREDICTED = "#f2c14e";
 const MOST_ZOOM = 40;
 
@@ -64,8 +65,8 @@ export class LiveView {
     this.changed();
   }
 
-  /** Draws a picture (dark if there is none), and the contour, outlines and nodes of a state. */
-  draw({ bitmap, contour, silhouette, marks, state }) {
+  /** Draws a picture (dark if there is none), and the contour, outlines and nodes of a state; `seen`: the state of the picture's own frame. */
+  draw({ bitmap, contour, silhouette, marks, state, seen = null }) {
     const { canvas, pen } = this;
     const width = bitmap?.width ?? canvas.width, height = bitmap?.height ?? canvas.height;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
@@ -84,6 +85,8 @@ export class LiveView {
       if (this.layers.ellipses) this._ellipses(sensor, place, scale);
       if (this.layers.spots) this._spots(sensor, place);
     }
+    if (this.layers.ellipses && seen?.ring) this._ring(seen.ring, place, scale);
+    if (this.layers.spots && seen?.reflectors) this._spots({ spots_px: seen.reflectors.spots.map((spot) => [spot.x_px, spot.y_px]) }, place);
     pen.setTransform(1, 0, 0, 1, 0, 0);
     if (this.layers.nodes && state) this._nodes(state);
   }
@@ -110,6 +113,36 @@ export class LiveView {
       pen.ellipse(...place(centre), Math.abs(a) * scale, Math.abs(b) * scale, angle, 0, 2 * Math.PI);
       pen.stroke();
     });
+  }
+
+  /** The ring's ellipse and axis; thin and dashed where it is open which ellipse it is. */
+  _ring({ ellipse, poses, candidates }, place, scale) {
+    const { pen, camera } = this;
+    const open = candidates.length > 0;
+    pen.strokeStyle = RING;
+    pen.setLineDash(open ? [6, 5] : []);
+    for (const each of candidates.length > 0 ? candidates.map((one) => one.ellipse) : ellipse ? [ellipse] : []) {
+      const [a, b] = each.semi_axes_px;
+      pen.lineWidth = open ? 1.5 : 3;
+      pen.beginPath();
+      pen.ellipse(...place(each.centre_px), Math.abs(a) * scale, Math.abs(b) * scale, each.angle_rad, 0, 2 * Math.PI);
+      pen.stroke();
+    }
+    pen.setLineDash([]);
+    const chosen = poses.find((pose) => pose.chosen);
+    if (!chosen || !camera || !ellipse) return;
+    const { centre_m: centre, axis } = chosen;
+    const length = (0.6 * ellipse.semi_axes_px[0] * centre[2]) / camera.fx;
+    const pixel = (along) => {
+      const [x, y, z] = centre.map((value, k) => value + along * axis[k]);
+      return place([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]);
+    };
+    pen.beginPath();
+    pen.arc(...pixel(0), 3, 0, 2 * Math.PI);
+    pen.moveTo(...pixel(0));
+    pen.lineTo(...pixel(length));
+    pen.lineWidth = 2;
+    pen.stroke();
   }
 
   _spots({ spots_px: spots }, place) {

@@ -8,7 +8,8 @@ import { Events, showSessions } from "./events.js";
 import { LiveView } from "./live.js";
 import { showRecordings } from "./library.js";
 import { Past, placeAway } from "./past.js";
-import { say, showAge, showFused, showLink, showNumbers, showRecording, showSensors, showTotals, showVerdict, verdict } from "./status.js";
+import { showReadings } from "./readings.js";
+import { say, showAge, showLink, showNumbers, showRecording, showSensors, showTotals, showVerdict, verdict } from "./status.js";
 import { Views } from "./views.js";
 
 const find = (id) => document.getElementById(id);
@@ -19,8 +20,7 @@ const live = new LiveView(find("frame"));
 const events = new Events(find("events").querySelector("ol"));
 let session = null; // name
 let info = null; // as the service lists it
-let sessions = [];
-let past = null;
+let sessions = [], past = null;
 let leave = null; // closes the watch
 let last = null; // the newest message, its jpeg, and its arrival (ms)
 let shown = null; // what is drawn: state, contour, silhouette, bitmap, note
@@ -31,7 +31,7 @@ let unreachable = null, refusal = null; // since when the service is (ms), and t
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
 let fresh = false, slowAt = 0;
-/** For tests and experiment service-page: what was drawn, and how often. */
+// For tests and experiment service-page: what was drawn, and how often.
 const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, plotted: null, webgl: null });
 const views = new Views(drawn, schedule, again);
 
@@ -59,7 +59,7 @@ async function decode() {
     state: message.state,
     contour: bitmap && message.contour,
     silhouette: bitmap && message.silhouette_px,
-    marks: bitmap && message.marks,
+    marks: bitmap && message.marks, seen: bitmap && message.state,
     bitmap: bitmap ?? shown?.bitmap ?? null,
     note: bitmap ? `frame ${message.state.frame}` : "no picture of this frame",
   });
@@ -134,7 +134,7 @@ function slow() {
   say(find("frame-note"), shown.note);
   showApproach(shown.state);
   showNumbers(shown.state);
-  showFused(shown.state.fused ?? null);
+  showReadings(shown.state);
   sayWhen();
   if (paused === null && last !== null) {
     showSensors(last.message.sensors);
@@ -142,7 +142,7 @@ function slow() {
   }
   showAlerts(shown.state, paused === null ? (info?.recording.state === "failed" ? info.recording : last?.message.recording) : null);
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
-  for (const label of document.querySelectorAll(".others")) label.hidden = !shown.state.fused && !shown.marks?.length;
+  for (const label of document.querySelectorAll(".others")) label.hidden = !(shown.state.fused || shown.state.ring || shown.marks?.length);
   views.moved = true;
 }
 
@@ -259,7 +259,7 @@ function begin(of, path) {
   live.geometry = null;
   live.unzoom();
   live.draw({ bitmap: null, contour: null, silhouette: null, marks: null, state: null });
-  [showApproach, showNumbers, showFused].forEach((show) => show(null));
+  [showApproach, showNumbers, showReadings].forEach((show) => show(null));
   showAlerts(null, null);
 }
 
@@ -273,7 +273,7 @@ async function restore() {
     const got = await of.picture(state.frame).catch(() => null);
     if (of !== past || last.message.state !== state || paused !== null) return;
     const note = got === null ? "no picture is kept" : got.frame === state.frame ? `frame ${state.frame}` : `frame ${state.frame} · picture: ${got.frame}`;
-    present({ state, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
+    present({ state, seen: got?.frame === state.frame ? state : null, contour: got?.contour ?? null, silhouette: null, marks: got?.marks ?? null, bitmap: got?.bitmap ?? null, note });
   }
   if (drawn.updates > 0) more();
 }
@@ -349,7 +349,7 @@ function seek(place) {
   const text = `${utc(state.received_unix_s, 2)} UTC (−${ago.toFixed(1)} s)`;
   say(find("at"), text);
   find("scrub").setAttribute("aria-valuetext", text);
-  present({ ...shown, state, marks: null, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame} · picture: …` });
+  present({ ...shown, state, marks: null, seen: null, note: shown.state.frame === state.frame ? shown.note : `frame ${state.frame} · picture: …` });
   fetchPicture();
 }
 
@@ -366,7 +366,7 @@ async function fetchPicture() {
     if (got.failure) present({ state, contour: null, silhouette: null, marks: null, bitmap: null, note: `no picture: ${got.failure}` });
     else {
       const away = got.frame === state.frame ? "" : ` · picture: ${got.frame}`;
-      present({ state, contour: got.contour, silhouette: null, marks: got.marks, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
+      present({ state, seen: paused.states.find((kept) => kept.frame === got.frame) ?? null, contour: got.contour, silhouette: null, marks: got.marks, bitmap: got.bitmap, note: `frame ${state.frame}${away}` });
     }
   }
   fetching = false;

@@ -2,13 +2,14 @@
 
 import * as three from "./vendor/three.js";
 import { applyInverse, cameraPosition, eigen, predicted, rotation } from "./pose.js";
-import { axes, buffer, dashes, fill, frustum, grid, gridStep, lines, surface, zones } from "./space_parts.js";
+import { arrow, axes, buffer, dashes, fill, frustum, grid, gridStep, lines, surface, zones } from "./space_parts.js";
+import { pathPlaces } from "./readings.js";
 import { poseShown } from "./status.js";
 
 const SIGMAS = 3;
 const AHEAD_S = 60; // of the predicted path
 const TRAIL = 4000; // points at most
-const FUSED = 0x56d364;
+const FUSED = 0x56d364, FITTED = 0xff7bd5, BURN = 0xff4d4d;
 const BARS = 60; // of the trajectory's uncertainty
 
 export class SpaceView {
@@ -58,13 +59,16 @@ export class SpaceView {
     this.body = frustum(camera, 0.35 * radius);
     this.fusedBody = frustum(camera, 0.35 * radius, FUSED);
     this.fusedTrail = new three.Line(buffer(TRAIL * 3), new three.LineBasicMaterial({ color: FUSED }));
+    this.fitted = new three.Line(buffer(13 * 3), new three.LineBasicMaterial({ color: FITTED }));
+    this.coming = new three.LineSegments(buffer(13 * 3), new three.LineBasicMaterial({ color: FITTED }));
+    this.burn = new three.LineSegments(buffer(6 * 3), new three.LineBasicMaterial({ color: BURN }));
     this.line = new three.Line(buffer(6), new three.LineBasicMaterial({ color: 0x3d5a6b }));
     this.ellipsoid = new three.Mesh(
       new three.SphereGeometry(1, 20, 14),
       new three.MeshBasicMaterial({ color: 0xf2c14e, transparent: true, opacity: 0.35, depthWrite: false }),
     );
     this.ellipsoid.matrixAutoUpdate = this.body.matrixAutoUpdate = this.fusedBody.matrixAutoUpdate = false;
-    for (const part of [this.nodes, this.trail, this.bars, this.ahead, this.fusedTrail, this.body, this.fusedBody, this.line, this.ellipsoid]) {
+    for (const part of [this.nodes, this.trail, this.bars, this.ahead, this.fusedTrail, this.body, this.fusedBody, this.fitted, this.coming, this.burn, this.line, this.ellipsoid]) {
       part.frustumCulled = false;
       part.visible = false;
       this.scene.add(part);
@@ -122,7 +126,15 @@ export class SpaceView {
     const fused = state?.fused?.pose ?? null;
     this.fusedBody.visible = fused !== null;
     if (fused !== null) this.fusedBody.matrix.set(...placed(rotation(fused.quat_wxyz), cameraPosition(fused)));
+    this._fitted(state?.trajectory ? pathPlaces(state.trajectory) : null);
     this._trajectory(states);
+  }
+
+  /** The fitted path, the predicted one in dashes, and the direction of the correction. */
+  _fitted(found) {
+    fill(this.fitted, found?.path ?? []);
+    fill(this.coming, found?.predicted.slice(0, 12) ?? []);
+    fill(this.burn, found?.direction ? arrow(found.now, found.direction, 0.2 * Math.hypot(...found.now.map((value, k) => value - this.geometry.centre_m[k]))) : []);
   }
 
   _trajectory(states) {

@@ -101,6 +101,13 @@ export function lines(places, color, opacity = 1) {
   return new three.LineSegments(geometry, new three.LineBasicMaterial({ color, transparent: opacity < 1, opacity }));
 }
 
+/** Ends of the lines of an arrow: shaft and two barbs. */
+export function arrow(from, direction, length) {
+  const side = unit(cross(direction, Math.abs(direction[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0]));
+  const at = (along, aside) => from.map((value, k) => value + length * (along * direction[k] + aside * side[k]));
+  return [from, at(1, 0), at(1, 0), at(0.8, 0.1), at(1, 0), at(0.8, -0.1)];
+}
+
 /** 1, 2, 5, 10 … metres, about a tenth of a length. */
 export function gridStep(reach) {
   const power = 10 ** Math.floor(Math.log10(reach / 5));

@@ -26,6 +26,7 @@ export function verdict(state, silentS, info = null) {
     const several = state.candidates.length > 0 ? ` (${state.candidates.length} poses fit)` : "";
     return ["ambiguous", "AMBIGUOUS", `${state.status}: ${reason}${several}`];
   }
+  if (state.fused?.status === "tracking") return ["fused", "FUSED", `by the other sensors; camera ${state.status}: ${reason}`];
   if (state.phase === "coasting") return ["coasting", "COASTING", `${state.status}: ${reason}`];
   return ["lost", "LOST", `${state.status}: ${reason}`];
 }
@@ -67,18 +68,21 @@ export function rows(body, entries) {
   });
 }
 
-/** The pose of a frame, or else the filter's prediction while it coasts. */
+/** The pose of a frame, or else the filter's: its prediction while it coasts, or by other sensors. */
 export function poseShown(state) {
-  if (state === null || state.pose !== null || state.phase !== "coasting" || !state.motion?.pose) {
+  const useful = state?.phase === "coasting" || state?.fused?.status === "tracking";
+  if (state === null || state.pose !== null || !useful || !state.motion?.pose) {
     return { pose: state?.pose ?? null, covariance: state?.covariance ?? null, predicted: false };
   }
-  return { pose: state.motion.pose, covariance: state.motion.covariance, predicted: true };
+  const predicted = state.fused?.status !== "tracking";
+  return { pose: state.motion.pose, covariance: state.motion.covariance, predicted };
 }
 
 export function showNumbers(state) {
   const entries = [], table = find("numbers");
   const { pose, covariance, predicted } = poseShown(state);
-  say(table.caption, predicted ? "Predicted pose, no measurement (± 3σ)" : "Pose, camera from target (± 3σ)");
+  const by = state !== null && state.pose === null && pose !== null ? "Fused pose" : "Pose";
+  say(table.caption, predicted ? "Predicted pose, no measurement (± 3σ)" : `${by}, camera from target (± 3σ)`);
   table.className = predicted ? "predicted" : "";
   for (const [axis, name] of ["x", "y", "z"].entries()) {
     const sigma = covariance ? ` ± ${(3 * Math.sqrt(covariance[axis + 3][axis + 3])).toFixed(3)}` : "";

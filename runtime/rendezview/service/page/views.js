@@ -95,7 +95,8 @@ export class Views {
       space.update(shown.state, states.filter((state) => state.received_unix_s >= from));
       const green = shown.state.fused?.pose ? " · green: fused" : "";
       const sigma = poseShown(shown.state).covariance ? ` · camera position, 3σ × ${space.magnified}` : "";
-      say(find("space-scale"), `target frame · grid ${space.grid} m${sigma}${green}`);
+      const path = shown.state.trajectory?.segment ? " · pink: fitted path, dashes: predicted, red: correction" : "";
+      say(find("space-scale"), `target frame · grid ${space.grid} m${sigma}${green}${path}`);
     }
     if (space.draw(now)) this.drawn.spaces += 1;
   }

@@ -1,0 +1,84 @@
+"""The page with ring, path and fused state: the numbers of the state, and what is drawn."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from tests.service.page_feed import text_has, until, word_is
+
+from rendezview.io.bundled import find_target
+from rendezview.io.results import read_json_lines
+from rendezview.io.sequences import open_sequence
+
+pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
+
+_PLAN = {"vbar": {"axis": [-1.0, 0.0, 0.0], "distance_m": 14.0, "speed_m_s": 0.26}}
+# Orange pixels of the ring's ellipse about a place, of the picture.
+_ORANGE = """([x, y]) => {
+  const canvas = document.getElementById('frame'), size = 9;
+  const data = canvas.getContext('2d').getImageData(x - size / 2, y - size / 2, size, size).data;
+  let count = 0;
+  for (let k = 0; k < data.length; k += 4) count += data[k] > 220 && data[k + 1] > 120 && data[k + 1] < 200 && data[k + 2] < 110;
+  return count;
+}"""  # noqa: E501
+
+
+def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
+    flown, start_service, open_page, shoot
+) -> None:
+    target = str(find_target("client").mesh_path.parent)
+    served = start_service(str(flown / "client.rvm"), "--target", target, given=False)
+    frames = open_sequence(flown / "scene").frames
+    echoes = read_json_lines(flown / "laser.jsonl")
+    with served.client() as client:
+        session = client.open(
+            frames[0].camera, name="near", prior=frames[0].camera_from_target,
+            sensors={"trajectory": {"shape": "vbar", "plan": _PLAN}},
+        )  # fmt: skip
+        page = open_page(f"{served.url}#near")
+        text_has(page, "#link", "connected")
+        shot = False
+        for frame, echo in zip(frames, echoes, strict=True):
+            time.sleep(0.2)  # the page draws words ten times a second
+            session.measure("laser", echo)
+            state = session.track(frame.read(), frame.time_s)
+            text_has(page, "#numbers", f"{state['frame']} · t =")
+            if state["ring"]["ellipse"] and state["pose"] and not shot:
+                shot = True
+                until(page, f"rendezview.frame === {state['frame']}")
+                until(page, "rendezview.spaces > 0")
+                _check(page, state, frame.camera.width)
+                word_is(page, "FOUND")
+                shoot(page, "ring")
+        assert shot
+        # The target overflows the picture: the other sensors carry the state on.
+        assert (state["pose"], state["fused"]["status"]) == (None, "tracking")
+        word_is(page, "FUSED")
+        text_has(page, "#numbers caption", "Fused pose")
+        _check(page, state, frame.camera.width)
+        shoot(page, "fused")
+        page.uncheck("#layer-ellipses")
+        until(page, f"!({_ORANGE})({_on_ellipse(page, state, frame.camera.width)})")
+        page.check("#layer-ellipses")
+        session.close()
+    served.stop()
+
+
+def _on_ellipse(page, state, width) -> list[float]:
+    """An end of the ring's long axis in the canvas."""
+    ellipse = state["ring"]["ellipse"]
+    ahead = np.array([np.cos(ellipse["angle_rad"]), np.sin(ellipse["angle_rad"])])
+    scale = page.evaluate("document.getElementById('frame').width") / width
+    end = np.array(ellipse["centre_px"]) + ellipse["semi_axes_px"][0] * ahead
+    return ((end + 0.5) * scale).round().tolist()
+
+
+def _check(page, state, width) -> None:
+    text_has(page, "#ring", state["ring"]["status"])
+    text_has(page, "#fused", state["fused"]["status"])
+    text_has(page, "#path caption", "vbar")
+    text_has(page, "#path", f"{np.linalg.norm(state['trajectory']['segment']['velocity_m_s']):.4f}")
+    text_has(page, "#path", "Δv")
+    until(page, f"({_ORANGE})({_on_ellipse(page, state, width)}) >= 5")
