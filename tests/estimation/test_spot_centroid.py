@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 from scipy.special import erf
 
 from rendezview.estimation.spot_centroid import (
     centre_spot,
+    overlap_error,
     pixel_moments,
     ring_plane,
     saturated_error,
@@ -153,3 +155,27 @@ def test_a_textured_ring_makes_the_error_larger():
 def test_a_saturated_spot_has_a_larger_error():
     assert saturated_error(0.01, 1) == 0.01
     assert saturated_error(0.01, 9) == pytest.approx(np.hypot(0.01, 0.06))
+
+
+def test_an_overlap_is_half_the_moment_of_what_differs_from_the_opposite_side():
+    """In plain numpy; a spot by itself has none."""
+    rng = np.random.default_rng(5)
+    rows, columns = np.mgrid[:41, :41].astype(float)
+    x, y, size, peak, slopes, noise = 20.3, 19.6, 3.0, 150.0, (0.4, -0.2), 1.5
+    alone = 30.0 + slopes[0] * (columns - x) + slopes[1] * (rows - y) + spot(x, y, size, peak)
+    alone = alone + rng.normal(0.0, 1.0, alone.shape)
+    beside = alone + spot(25.0, 22.0, 1.5, 90.0)
+    for light, overlapped in ((alone, False), (beside, True)):
+        picture = np.clip(np.rint(light), 0, 255).astype(np.uint8)
+        told = overlap_error(picture, NOTHING, (x, y, size, peak), slopes, noise)
+        opposite = map_coordinates(picture.astype(float), [2 * y - rows, 2 * x - columns], order=1)
+        dx, dy = columns - x, rows - y
+        off = np.abs(picture - opposite - 2.0 * (slopes[0] * dx + slopes[1] * dy))
+        limit = max(5.0 * np.sqrt(2.0) * noise, max(0.1, 0.5 / size**2) * peak)
+        window = (rows <= y) & (np.abs(dx) <= 3.0 * size) & (np.abs(dy) <= 3.0 * size)
+        far2 = dx**2 + dy**2
+        moment = np.sum(
+            (np.exp(-0.5 * far2 / size**2) * off * np.sqrt(far2))[window & (off > limit)]
+        )
+        assert told == pytest.approx(1.5 * moment / (np.pi * size**2 * peak), rel=1e-9)
+        assert (told > 0.1) == overlapped

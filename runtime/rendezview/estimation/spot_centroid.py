@@ -41,6 +41,13 @@ _DOUBT, _FLAT = 1.2, 0.5
 # px of error a root of a saturated pixel: a flat top tells little. Source: reflector-nees
 _SATURATED_PX = 0.02
 
+# Two opposite pixels of one spot differ by less than so many σ of their noise, and by less than so
+# much of its peak, for which linear interpolation errs on the rim of a blurred disc (0.05) or on a
+# Gaussian of σ px (0.25 / σ²). Source: by construction, twice these
+_OPPOSITE_SIGMA, _OPPOSITE_RIM, _OPPOSITE_ROUND = 5.0, 0.1, 0.5
+# × the shift, for what is below these limits. Source: experiment reflector-nees --kind clutter
+_BELOW_LIMIT = 1.5
+
 # Numbers of the moments that `window_moments` gives
 TOTAL, MX, MY, MXX, MYY, NORM, LEVER = range(7)
 Moments = tuple[float, float, float, float, float, float, float]
@@ -194,6 +201,64 @@ def centre_spot(
         if not settled or wide == LEAST_WINDOW_PX:
             sigma = wide
     return x, y, size, amplitude, error
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def overlap_error(
+    image: Grey, dark: Grey, spot: tuple[float, float, float, float], slopes: tuple[float, float],
+    noise: float,
+) -> float:  # fmt: skip
+    """How far another light in its window may have moved the centre of a spot, px.
+
+    A spot looks the same from both sides of its centre. Where opposite pixels differ by more than
+    noise and interpolation explain, something else shines. The window's centre moves until
+    the first moment of that light is balanced by the spot's other side, so that half the moment of
+    all differences is the light's.
+
+    Args:
+        image: (H, W) picture; ``dark``: one to subtract, or (0, 0).
+        spot: x, y, size and amplitude of `centre_spot`.
+        slopes: of the background, grey a px along x and y.
+        noise: of a pixel, grey.
+    """
+    height, width = image.shape
+    has_dark = dark.shape[0] > 0
+    x, y, size, amplitude = spot
+    sigma = max(size, LEAST_WINDOW_PX)
+    reach, f = _REACH * sigma, -0.5 / (sigma * sigma)
+    round_off = amplitude * max(_OPPOSITE_RIM, _OPPOSITE_ROUND / (sigma * sigma))
+    limit = max(_OPPOSITE_SIGMA * math.sqrt(2.0) * noise, round_off)
+    moment = 0.0
+    for v in range(max(math.ceil(y - reach), 0), min(math.floor(y), height - 1) + 1):
+        ov = 2.0 * y - v
+        row = int(ov)
+        if row + 1 >= height:
+            continue
+        b = ov - row
+        for u in range(max(math.ceil(x - reach), 0), min(math.floor(x + reach), width - 1) + 1):
+            ou = 2.0 * x - u
+            column = int(ou)
+            if ou < 0.0 or column + 1 >= width:
+                continue
+            a = ou - column
+            value, opposite = float(image[v, u]), 0.0
+            for j in range(2):
+                for i in range(2):
+                    share = (a if i else 1.0 - a) * (b if j else 1.0 - b)
+                    grey = float(image[row + j, column + i])
+                    if has_dark:
+                        grey -= dark[row + j, column + i]
+                    opposite += share * grey
+            if has_dark:
+                value -= dark[v, u]
+            dx, dy = u - x, v - y
+            off = abs(value - opposite - 2.0 * (slopes[0] * dx + slopes[1] * dy))
+            if off > limit:
+                far2 = dx * dx + dy * dy
+                moment += math.exp(f * far2) * off * math.sqrt(far2)
+    # Half of it, over the total (π σ² amplitude) and Newton's slope, which is a half too.
+    share = math.pi * sigma * sigma * amplitude
+    return _BELOW_LIMIT * moment / share if share > 0.0 else 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

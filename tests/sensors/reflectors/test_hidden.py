@@ -193,3 +193,17 @@ def test_all_poses_are_matched_as_each_alone(five, paper_camera):
             zip(names[:count], places[:count], strict=True)
         )
     assert counts[0] == 5
+
+
+def test_near_by_a_beam_and_the_tilt_make_discs_unlike_and_all_are_found(
+    picture, three, paper_camera
+):
+    """At 0.8 m the outer discs are half as bright as the post's, and one 1.4 times the other."""
+    rng, camera = np.random.default_rng(3), Pinhole(512, 384, 651.975, 255.5, 191.5)
+    for _ in range(12):
+        truth = Pose(*look_at(rng, camera, 0.8, 0.5, 187.0))
+        sensor, reading = ReflectorSensor(paper_camera, [three]), None
+        for k in range(2):
+            reading = sensor.update(0.1 * k, picture(three, truth, rng))
+        assert reading.status is Status.OK
+        assert min(reading.pose.angle_to(truth), reading.pose.angle_to(truth @ HALF_TURN)) < 0.01

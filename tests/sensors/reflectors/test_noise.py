@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests import plain_pictures as plain
 
-from rendezview.sensors.reflectors import LitDark
+from rendezview.sensors.reflectors import LitDark, find_spots
 from rendezview.sensors.reflectors.hidden_noise import HiddenNoise, quantisation_step
 from rendezview.sensors.reflectors.registration import background_motion, register
 
@@ -63,9 +63,37 @@ def test_texture_that_moved_counts_in_wide_spots_most():
     white, moved = HiddenNoise.of(pair((0.0, 0.0), 60.0)), HiddenNoise.of(pair((0.3, 0.0), 60.0))
     assert not white.of_cells.any()
     assert white.of_compression == 0.0
-    # As white noise of 3.5 to 8.8 grey levels in place of 2.8, by the size of the spot: measured.
-    assert np.sqrt(8.0 + moved.of_cells) == pytest.approx([4.0, 6.3, 7.0], abs=1.0)
+    # As white noise of 4 to 7 grey levels in place of 2.8, by the size of the spot: measured.
+    assert np.sqrt(8.0 + moved.of_cells) == pytest.approx([4.0, 6.3, 7.0, 7.0], abs=1.0)
     table = np.zeros((2, 19))
     table[:, 3], table[:, 5], table[:, 7] = 176.0, (1.2, 4.0), 0.01
     moved.widen(table)
     assert 0.01 < table[0, 7] < table[1, 7]
+
+
+def test_a_light_that_overlaps_a_disc_counts_in_its_error():
+    """Discs of 10 px radius with a light at their rim: where they are claimed to be is right."""
+    rng, look, camera = (
+        np.random.default_rng(11),
+        plain.Look(),
+        plain.Pinhole(120, 120, 650.0, 59.5, 59.5),
+    )
+    off, claimed = [], []
+    for _ in range(60):
+        centre = np.append(rng.uniform(-0.5, 0.5, 2) / 650.0, 1.0) * 0.8
+        light = plain.discs(
+            camera, np.diag([1.0, -1.0, -1.0]), centre, np.zeros((1, 3)), np.array([[0.0, 0, 1]]),
+            np.array([0.025]), look,
+        )  # fmt: skip
+        way, far = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(6.0, 16.0)
+        beside = 59.5 + far * np.array([np.cos(way), np.sin(way)])
+        false = np.array([[*beside, rng.uniform(1.0, 6.0), rng.uniform(20.0, 240.0)]])
+        spots = find_spots(LitDark(*plain.pair(camera, light, look, rng, false=false)))
+        place = camera.project(centre[None])[0]
+        k = int(np.argmin(np.linalg.norm(spots.centroids_px - place, axis=1)))
+        off.append(spots.centroids_px[k] - place)
+        claimed.append(spots.sigma_px[k])
+    ratios = np.abs(off) / np.array(claimed)[:, None]
+    assert np.median(np.abs(off)) > 0.1  # ten times what noise does
+    assert np.sqrt(np.mean(ratios**2)) < 1.2
+    assert ratios.max() < 5.0

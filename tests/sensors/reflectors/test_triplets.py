@@ -73,7 +73,8 @@ def test_the_quick_pose_refuses_no_triplet_that_would_pass(paper_camera, three):
                 triplets, directions, sizes, peaks, three.positions_m[members],
                 three.normals[members], three.diameters_m[members], paper_camera.fx,
                 options.blur_px, (options.size_sigma, options.diameter_sigma, options.blur_sigma,
-                options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad)),
+                options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
+                options.beam_curve),
                 np.array([0.3, 150.0]), options.score_limit, quick, score, poses,
             )  # fmt: skip
             scores.append(np.where(score <= options.score_limit, score, np.inf))

@@ -214,7 +214,8 @@ class Acquirer:
                 self.constellation.normals[members], self.constellation.diameters_m[members],
                 camera.fx, options.blur_px,
                 (options.size_sigma, options.diameter_sigma, options.blur_sigma,
-                 options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad)),
+                 options.peak_sigma, options.beam_sigma, math.cos(1.2 * options.tilt_rad),
+                 options.beam_curve),
                 window, options.score_limit, True, scores, poses,
             )  # fmt: skip
             good, root = np.nonzero(scores <= options.score_limit)

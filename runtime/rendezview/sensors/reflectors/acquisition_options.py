@@ -38,6 +38,9 @@ class AcquisitionOptions:
     # Of ln(brightness) between the outer two: the beam has a middle. Source: by hand; uncritical
     # halved or doubled (number-effects)
     beam_sigma: float = 0.5
+    # … and the centre is brighter than the mean of the outer two: ln(brightness) a rad² of half the
+    # base as seen, squared. Source: by construction, ln 2 / (20°)² of a beam of ±20° half power
+    beam_curve: float = 5.7
     diameter_sigma: float = 0.03  # of ln(diameter), of all alike. Source: a ruler on 10 mm
     # Of ln(blur), of all alike. Source: experiment reflector-hidden --seed 1, whose blur varies by
     # ±20 %

@@ -23,9 +23,10 @@ from rendezview.sensors.reflectors.difference import (
 )
 from rendezview.sensors.reflectors.spots import AMPLITUDE, SIGMA, SIZE
 
-_CELLS_PX = (4, 8, 16)  # Source: by construction, the extents of spots of σ 1 to 4 px
+_CELLS_PX = (4, 8, 16, 32)  # Source: by construction, the extents of spots of σ 1 to 8 px
 _CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment reflector-nees
 _CHANCE = 1.15  # of the variance of cells. Source: by construction, 3 σ of 1500 cells
+_DIFFERENCE_CELLS = 3  # of a difference: spots reach into most wider cells. Source: by construction
 _EVERY = 4  # rows. Source: by construction, a bound of time
 _MOST, _MOST_SIGMA = 0.8, 1.2816  # share of the slopes, σ. Source: normal distribution
 _BLOCK = 8  # px. Source: ITU-T T.81
@@ -45,7 +46,7 @@ _STEP_VARIANCE = 0.12
 class HiddenNoise:
     """Variances beside the white noise of a pixel, grey²."""
 
-    of_cells: Array  # (3,) as white noise of a pixel that gives cells of 4, 8, 16 px their scatter
+    of_cells: Array  # (4,) as white noise of a pixel that gives cells of 4 to 32 px their scatter
     of_compression: float
 
     @classmethod
@@ -76,11 +77,11 @@ class HiddenNoise:
 
 
 def _slow(lit: Grey, dark: Grey, noise: float) -> Array:
-    """(3,) variance of cells of the difference beyond that of white noise, as noise of a pixel."""
+    """(4,) variance of cells of the difference beyond that of white noise, as noise of a pixel."""
     height, width = lit.shape
     difference = cv2.subtract(lit, dark, dtype=cv2.CV_16S).astype(np.float32)
     found = np.zeros(len(_CELLS_PX))
-    for k, cell in enumerate(_CELLS_PX):
+    for k, cell in enumerate(_CELLS_PX[:_DIFFERENCE_CELLS]):
         if min(height, width) < 8 * cell:
             break
         size = (width // cell, height // cell)
@@ -91,12 +92,12 @@ def _slow(lit: Grey, dark: Grey, noise: float) -> Array:
         # Spots and edges are few: the median of |steps| is 0.6745 √2 σ of a normal distribution.
         sigma = float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(2.0))
         variance = (cell * sigma) ** 2
-        found[k] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
+        found[k:] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
     return found
 
 
 def _rough(lit: Grey, noise: float) -> Array:
-    """(3,) as `_slow`, of a single picture: from what a centroid's window makes of its background.
+    """(4,) as `_slow`, of a single picture: from what a centroid's window makes of its background.
 
     A first moment under a Gaussian window is the slope of the smoothed picture. White noise of σ
     has slopes of σ / (√(8π) s²) after a Gaussian of s px.

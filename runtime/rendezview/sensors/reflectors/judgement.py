@@ -19,7 +19,7 @@ from rendezview.sensors.reflectors.triplets import expected_size
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 Vector = tuple[float, float, float]
-Tolerances = tuple[float, float, float, float, float, float]
+Tolerances = tuple[float, float, float, float, float, float, float]
 
 _CORRECTIONS = 2  # rounds. Source: by construction, a bound of time
 # Largest errors of the quick pose in ln(size): in all, and as a multiple of (base / range)².
@@ -47,8 +47,9 @@ def judge(
         directions: (N, 3) unit; sizes, peaks: (N,) of the spots.
         points, normals, diameters: (3, 3), (3, 3), (3,) of the triangle, in the same order.
         tolerances: σ of ln(size) of one spot, of ln(diameter) and ln(blur) common to all, of
-            ln(brightness) of the centre and between the outer two, and the least cosine between
-            a normal and its line of sight.
+            ln(brightness) of the centre and between the outer two, the least cosine between a
+            normal and its line of sight, and σ of the centre's ln(brightness) a rad² of half the
+            base as seen, squared: the beam has a middle.
         window: (2,) nearest and farthest range.
         score_limit: χ² that is of no use.
         quick: whether to refuse by the quick pose what has no chance.
@@ -93,7 +94,7 @@ def _score(
     tolerances: Tolerances, window: Array, score_limit: float,
 ) -> float:  # fmt: skip
     """χ² of sizes and brightnesses of a triplet at a pose; ∞ where the pose is refused."""
-    size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine = tolerances
+    size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine, curve = tolerances
     errors, shine, fall, mean, common = np.empty(3), np.empty(3), np.empty(3), 0.0, 0.0
     for i in range(3):
         x, y, z = placed(rotation, translation, points, i)
@@ -117,9 +118,12 @@ def _score(
         chi += ((errors[i] - mean) / size_sigma) ** 2
     if not chi <= score_limit:
         return np.inf
-    # Beam and return fall smoothly across the target: the middle shines like the mean. In even
-    # light nothing falls with range: the better of both counts.
-    least = np.inf
+    # Beam and return fall smoothly across the target: the middle shines like the mean, but for the
+    # curve. In even light nothing falls with range: the better of both counts.
+    least, base = np.inf, 0.0
+    for a in range(3):
+        base += (points[2, a] - points[0, a]) ** 2
+    peak_sigma = math.hypot(peak_sigma, curve * 0.25 * base / math.exp(0.5 * (fall[0] + fall[2])))
     for law in range(2):
         left, middle, right = (
             shine[0] + law * fall[0], shine[1] + law * fall[1], shine[2] + law * fall[2]
@@ -185,13 +189,14 @@ def _hopeless(
     seen, in metres, and (x, y) the centre over that length:
     ``(B·P − x w)² = (B² − w)(P² − (x² + y²) w)``; its smaller root is the pose.
     """
-    size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine = tolerances
+    size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine, curve = tolerances
     bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
     ux, uy, uz = _chord(directions, left, right)
     chord = math.sqrt(ux * ux + uy * uy + uz * uz)
     s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
     bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
     reach, steep = math.sqrt(score_limit), 1.0 / least_cosine
+    peak_sigma = math.hypot(peak_sigma, curve * 0.25 * (steep * chord) ** 2)  # of the widest base
     if not chord > 0.0 or _unlike(
         chord, s0, s1, s2, bright, pp / bb, reach, steep, size_sigma, peak_sigma
     ):

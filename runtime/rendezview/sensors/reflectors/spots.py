@@ -15,7 +15,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.estimation.spot_centroid import centre_spot, ring_plane, saturated_error
+from rendezview.estimation.spot_centroid import (
+    centre_spot,
+    overlap_error,
+    ring_plane,
+    saturated_error,
+)
 from rendezview.geometry.pose import Array
 from rendezview.sensors.reflectors.difference import (
     Centroid,
@@ -34,6 +39,8 @@ _FEWEST = 3  # spots that can be a target. Source: by construction
 _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by construction
 # σ between two centroids of one spot: further apart, something overlaps it. Source: reflector-nees
 _OVERLAP = 4.0
+# share of a spot's size: moved further, it may not be the spot. Source: reflector-nees --seed 101
+_DOMINATED = 0.1
 # more than that is no picture of a target. Source: by construction, a bound of time
 MOST_SPOTS = 400
 # Columns of the spot table that the compiled loops fill.
@@ -273,12 +280,18 @@ def window_centroid(
     ran = max(abs(x - row[WEIGHTED_X]), abs(y - row[WEIGHTED_Y])) > away
     if ran or not error > 0.0:
         x, y, error = row[WEIGHTED_X], row[WEIGHTED_Y], max(error, away)
-    if dark.shape[0] > 0 and row[ABOVE] > 0.0:
-        # What overlaps a spot moves the mean of all its light more than that of a window.
-        gap = math.hypot(x - row[WEIGHTED_X], y - row[WEIGHTED_Y])
-        chance = math.hypot(error, noise * row[SIZE] * math.sqrt(row[AREA]) / row[ABOVE])
-        if gap > _OVERLAP * chance:
-            error = math.hypot(error, gap)
+    elif amplitude > 0.0:
+        beside = overlap_error(
+            lit, dark, (x, y, size, amplitude), (slope_x, slope_y), max(rough, noise)
+        )
+        if dark.shape[0] > 0 and row[ABOVE] > 0.0:
+            # What overlaps a spot moves the mean of all its light more than that of a window.
+            gap = math.hypot(x - row[WEIGHTED_X], y - row[WEIGHTED_Y])
+            chance = math.hypot(error, noise * row[SIZE] * math.sqrt(row[AREA]) / row[ABOVE])
+            if gap > _OVERLAP * chance:
+                beside = math.hypot(beside, gap)
+        # So bright a light may be what the window is centred on, and the spot what moves it.
+        error = math.hypot(error, beside if beside < _DOMINATED * size else size)
     row[X], row[Y], row[SIZE] = x, y, size
     row[SIGMA] = saturated_error(error, int(row[SATURATED]))
     if amplitude > 0.0:

@@ -25,6 +25,9 @@ Table = npt.NDArray[np.float64]
 # ln of the sizes of two spots of equal reflectors, at most. Source: by hand; see
 # reflector-acquisition
 _ALIKE = 0.3
+# … and that of the base's ends a rad of the base as seen: near by one is much farther, and seen at
+# another angle. Source: by construction, tan 45° for the range and half of that for the angle
+_ALIKE_CHORD = 1.5
 # sides nearer in length than this share tie. Source: Book et al.: no base where two sides tie; by
 # construction
 _TIE = 0.02
@@ -196,11 +199,12 @@ def search(
             dx, dy, dz = ray[j, 0] - ray[i, 0], ray[j, 1] - ray[i, 1], ray[j, 2] - ray[i, 2]
             square = dx * dx + dy * dy + dz * dz
             lower, upper = max(least, low[j]), min(most, high[j])
+            off = abs(log_size[i] - log_size[j])  # by depth and tilt
             # One branch: no processor can guess how each of these turns out.
             if not (
                 (square <= upper * upper)
                 & (square >= lower * lower)
-                & (abs(log_size[i] - log_size[j]) <= alike)  # by depth and tilt
+                & ((off <= alike) | ((off - unlike) ** 2 <= _ALIKE_CHORD**2 * square))
                 & (abs(log_peak[i] - log_peak[j]) <= peak_tolerance)
                 & (square > 0.0)
             ):
