@@ -191,12 +191,11 @@ def _hopeless(
     """
     size_sigma, diameter_sigma, blur_sigma, peak_sigma, beam_sigma, least_cosine, curve = tolerances
     bb, pp, bp, area, radius = model[0], model[1], model[2], model[3], model[4]
-    ux, uy, uz = _chord(directions, left, right)
-    chord = math.sqrt(ux * ux + uy * uy + uz * uz)
+    chord = _length(_chord(directions, left, right))
     s0, s1, s2 = log_size[left], log_size[centre], log_size[right]
     bright = log_peak[centre] - 0.5 * (log_peak[left] + log_peak[right])
     reach, steep = math.sqrt(score_limit), 1.0 / least_cosine
-    peak_sigma = math.hypot(peak_sigma, curve * 0.25 * (steep * chord) ** 2)  # of the widest base
+    peak_sigma = math.hypot(peak_sigma, curve * 0.25 * (steep * chord) ** 2)
     if not chord > 0.0 or _unlike(
         chord, s0, s1, s2, bright, pp / bb, reach, steep, size_sigma, peak_sigma
     ):
@@ -261,6 +260,11 @@ def _chord(directions: Array, left: int, right: int) -> tuple[float, float, floa
         directions[right, 1] - directions[left, 1],
         directions[right, 2] - directions[left, 2],
     )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _length(v: Vector) -> float:
+    return math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)

@@ -197,9 +197,8 @@ def search(
             if bx > break_px:
                 break
             dx, dy, dz = ray[j, 0] - ray[i, 0], ray[j, 1] - ray[i, 1], ray[j, 2] - ray[i, 2]
-            square = dx * dx + dy * dy + dz * dz
+            square, off = dx * dx + dy * dy + dz * dz, abs(log_size[i] - log_size[j])
             lower, upper = max(least, low[j]), min(most, high[j])
-            off = abs(log_size[i] - log_size[j])  # by depth and tilt
             # One branch: no processor can guess how each of these turns out.
             if not (
                 (square <= upper * upper)
