@@ -28,6 +28,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.files import StrPath, checked, read_text
 from rendezview.io.joints import JointedParts, joint_of
+from rendezview.io.parts import TrustedPart
 
 Array = npt.NDArray[np.float64]
 
@@ -82,6 +83,7 @@ class Target:
     symmetries: tuple[Symmetry, ...] = ()
     shape_error: float = 0.0  # σ of the strain between mesh and craft
     joints: tuple[JointedParts, ...] = ()  # parts that turn
+    parts: tuple[TrustedPart, ...] = ()  # parts that are less trusted than the others
 
     @property
     def mesh_path(self) -> Path:
@@ -151,6 +153,7 @@ _Name = Annotated[str, StringConstraints(min_length=1)]
 _Vector = Annotated[list[FiniteFloat], Field(min_length=3, max_length=3)]
 _Direction = Annotated[_Vector, AfterValidator(_direction)]
 _Length = Annotated[FiniteFloat, Field(gt=0.0)]
+_Boxes = list[Annotated[list[_Vector], Field(min_length=2, max_length=2)]]
 
 
 class _Table(BaseModel):
@@ -196,8 +199,15 @@ class _JointTable(_Table):
     limits_deg: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
     symmetry_deg: Annotated[FiniteFloat, Field(gt=0.0, le=360.0)] | None = None
     nodes: list[_Name] = []
-    boxes_m: list[Annotated[list[_Vector], Field(min_length=2, max_length=2)]] = []
+    boxes_m: _Boxes = []
     meshes: list[_Name] = []
+
+
+class _PartTable(_Table):
+    name: _Name
+    trust: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+    nodes: list[_Name] = []
+    boxes_m: _Boxes = []
 
 
 class _DiscreteTable(_Table):
@@ -220,6 +230,7 @@ class _TargetFile(_Table):
     leds: list[_LedTable] = []
     symmetries: list[Annotated[_DiscreteTable | _ContinuousTable, Field(discriminator="kind")]] = []
     joints: list[_JointTable] = []
+    parts: list[_PartTable] = []
 
 
 _TARGET_FILE = TypeAdapter(_TargetFile)
@@ -235,6 +246,7 @@ def _read_target(path: Path) -> Target:
     _refuse_twice(path, "reflectors", [reflector.name for reflector in file.reflectors])
     _refuse_twice(path, "leds", [led.name for led in file.leds])
     _refuse_twice(path, "joints", [joint.name for joint in file.joints])
+    _refuse_twice(path, "parts", [part.name for part in file.parts])
     mesh_path = None
     if file.mesh is not None:
         mesh_path = Path(os.path.normpath(path.parent / file.mesh.path))
@@ -268,6 +280,7 @@ def _read_target(path: Path) -> Target:
             for s in file.symmetries
         ),
         joints=tuple(_joint(path, joint) for joint in file.joints),
+        parts=tuple(_part(path, part) for part in file.parts),
     )
 
 
@@ -283,13 +296,24 @@ def _joint(path: Path, table: _JointTable) -> JointedParts:
     for mesh in meshes:
         if not split_node(mesh)[0].is_file():
             raise RendezviewError(f"{path}: joint {table.name!r}: there is no file {mesh}")
-    boxes = tuple(np.array(box, dtype=np.float64) for box in table.boxes_m)
+    boxes = _boxes(f"{path}: joint {table.name!r}", table.boxes_m)
+    return JointedParts(joint, tuple(table.nodes), boxes, meshes)
+
+
+def _part(path: Path, table: _PartTable) -> TrustedPart:
+    where = f"{path}: part {table.name!r}"
+    if not (table.nodes or table.boxes_m):
+        raise RendezviewError(f"{where} is nowhere: give nodes or boxes_m")
+    boxes = _boxes(where, table.boxes_m)
+    return TrustedPart(table.name, table.trust, tuple(table.nodes), boxes)
+
+
+def _boxes(where: str, corners: list[list[list[float]]]) -> tuple[Array, ...]:
+    boxes = tuple(np.array(box, dtype=np.float64) for box in corners)
     for low, high in boxes:
         if not np.all(low < high):
-            raise RendezviewError(
-                f"{path}: joint {table.name!r}: boxes_m must be [lowest, highest] corners"
-            )
-    return JointedParts(joint, tuple(table.nodes), boxes, meshes)
+            raise RendezviewError(f"{where}: boxes_m must be [lowest, highest] corners")
+    return boxes
 
 
 def _ring(table: _RingTable) -> DockingRing:

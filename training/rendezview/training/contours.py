@@ -89,8 +89,7 @@ def contour_points(
         _some_pixels(pixels, _PIXELS * (count - inner), _PIXELS * inner), focal, middle, nearness,
         owner, step_m,
     )  # fmt: skip
-    candidates = _chosen(crossings, _CANDIDATES * (count - inner), _CANDIDATES * inner)
-    crossings = crossings[candidates]
+    crossings = _candidates(crossings, mesh, count - inner, inner)
     radius_px = 0.5 * size - _BORDER_PX
     runs_px = _free_runs(crossings, focal, edges, nearness, step_m, _FREE_RADII * radius_px)
     # The edges of a body thinner than the blur appear displaced.
@@ -159,6 +158,17 @@ def _packed(
     packed = np.full((count, *values.shape[1:]), fill, dtype=dtype)
     packed[: len(values)] = np.rint(values)
     return packed
+
+
+def _candidates(crossings: Array, mesh: Mesh, outline: int, inner: int) -> Array:
+    """Crossings evenly spread over the edges, fewer where the mesh is less trusted."""
+    weighted = crossings
+    if mesh.face_trust is not None:
+        weighted = crossings.copy()
+        weighted[:, LENGTH] *= mesh.face_trust[crossings[:, FACE].astype(np.intp)]
+        trusted = weighted[:, LENGTH] > 0.0
+        crossings, weighted = crossings[trusted], weighted[trusted]
+    return crossings[_chosen(weighted, _CANDIDATES * outline, _CANDIDATES * inner)]
 
 
 def _some_pixels(pixels: Int32s, outline: int, inner: int) -> Int32s:

@@ -74,6 +74,7 @@ def _subdivided(mesh: Mesh, radius_m: float) -> Mesh:
         faces=np.ascontiguousarray(joined[whole]),
         face_rgb=np.ascontiguousarray(mesh.face_rgb[source][whole]),
         face_part=None if mesh.face_part is None else mesh.face_part[source][whole],
+        face_trust=None if mesh.face_trust is None else mesh.face_trust[source][whole],
     )
 
 

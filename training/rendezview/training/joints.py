@@ -18,16 +18,15 @@ from scipy.spatial import cKDTree
 from rendezview.errors import RendezviewError
 from rendezview.geometry.joint import Joint
 from rendezview.geometry.pose import Array
-from rendezview.io.joints import JointedParts
 from rendezview.io.target import Target
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.training.bounding_sphere import smallest_enclosing_sphere
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh_parts import faces_of
 from rendezview.training.surface_samples import points_on
 
 STEP_RAD = math.radians(15.0)  # between sheets at most. Source: experiment pose-joints
 _MOST_SHEETS = 64  # of a model; each is as large as a model without joints
-_SAME_RADII = 1e-5  # of the target's radius: a face's middle in two readings of a file
 _UNSEEN_RADII = 0.003  # of the target's radius: a turn that moves the surface less shows nothing
 _FAR_RADII = 2.0  # of the target's radius: an axis beyond is not the target's
 _SPHERE_STEPS = 24  # angles at which the common bounding sphere is measured
@@ -46,7 +45,7 @@ def with_parts(mesh: Mesh, target: Target, unit: str | None = None) -> Mesh:
             mesh = _joined(mesh, load_mesh(path, unit or target.unit), k + 1)
     part = np.zeros(len(mesh.faces), np.uint8) if mesh.face_part is None else mesh.face_part.copy()
     for k, parts in enumerate(target.joints):
-        chosen = _chosen(mesh, target, parts, unit)
+        chosen = faces_of(mesh, target, parts.nodes, parts.boxes_m, unit)
         if (chosen & (part > 0) & (part != k + 1)).any():
             raise RendezviewError(f"joint {parts.joint.name!r} shares faces with another joint")
         part[chosen] = k + 1
@@ -119,25 +118,6 @@ def _joined(mesh: Mesh, other: Mesh, part: int) -> Mesh:
         (*mesh.notes, *other.notes),
         np.concatenate([before, np.full(len(other.faces), part, np.uint8)]),
     )
-
-
-def _chosen(
-    mesh: Mesh, target: Target, parts: JointedParts, unit: str | None
-) -> npt.NDArray[np.bool_]:
-    """(F,) whether a face is of the joint's nodes or lies in one of its boxes."""
-    corners = mesh.vertices_m[mesh.faces]
-    chosen = np.zeros(len(mesh.faces), dtype=np.bool_)
-    for low, high in parts.boxes_m:
-        chosen |= np.all((corners >= low) & (corners <= high), axis=(1, 2))
-    radius_m = mesh.bounding_sphere[1]
-    middles = cKDTree(corners.mean(axis=1))
-    for node in parts.nodes:
-        path = target.mesh_path
-        part = load_mesh(path.with_name(f"{path.name}#{node}"), unit or target.unit)
-        own = part.vertices_m[part.faces].mean(axis=1)
-        distance, nearest = middles.query(own)
-        chosen[nearest[distance < _SAME_RADII * radius_m]] = True
-    return chosen
 
 
 def _check(mesh: Mesh, joint: Joint, turning: npt.NDArray[np.bool_]) -> None:

@@ -42,6 +42,8 @@ class Mesh:
     notes: tuple[str, ...]  # one sentence for everything found, guessed or ignored
     # (F,) 0: the body, k: the parts of joint k − 1; None: nothing turns
     face_part: NDArray[np.uint8] | None = None
+    # (F,) how far the craft is as the mesh has it, 0 to 1; None: all of it
+    face_trust: NDArray[np.float32] | None = None
 
     @property
     def bounding_sphere(self) -> tuple[Array, float]:

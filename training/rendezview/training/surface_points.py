@@ -27,11 +27,17 @@ _STREAM = 6  # of random numbers
 def candidate_points(
     mesh: Mesh, geometry: ViewGeometry, options: TrainingOptions
 ) -> tuple[Array, npt.NDArray[np.int32]]:
-    """Random points, evenly over the surface: (N, 3) from the view centre, and faces (N,)."""
+    """Random points over the surface, fewer where it is less trusted.
+
+    Returns:
+        (N, 3) from the view centre, and faces (N,).
+    """
     rng = np.random.default_rng([options.seed, _STREAM])
     corners = (mesh.vertices_m - geometry.centre_m)[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if mesh.face_trust is not None:
+        area *= mesh.face_trust
     count = _CANDIDATES * options.surface_points
     face = rng.choice(len(area), count, p=area / area.sum()).astype(np.int32)
     s, t = rng.random((2, count, 1))

@@ -13,6 +13,7 @@ from rendezview.training import job
 from rendezview.training.job import Trained
 from rendezview.training.joints import STEP_RAD, with_parts
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh_parts import with_trust
 from rendezview.training.options import TrainingOptions
 from rendezview.training.sheets import train_sheets
 from rendezview.training.stages import Progress
@@ -66,10 +67,11 @@ def train_target(
     step_rad = arguments.pop("step_rad", STEP_RAD)
     arguments |= {"name": target.name, "shape_error": target.shape_error}
     if not target.joints:
+        mesh = with_trust(mesh, target, unit)
         alike = target.symmetries or find_symmetries(mesh)
         return job.train(mesh, output, symmetries=alike, **arguments)
     joints = [parts.joint for parts in target.joints]
-    whole = with_parts(mesh, target, unit)
+    whole = with_trust(with_parts(mesh, target, unit), target, unit)
     return train_sheets(
         whole, output, joints, step_rad=step_rad, symmetries=target.symmetries, **arguments
     )

@@ -1,0 +1,141 @@
+"""Parts of a target that are less trusted than the others."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+from tests.quick_training import REFINING
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
+from rendezview.simulation.scene import SceneOptions, render_frame
+from rendezview.training.contours import contour_points
+from rendezview.training.crossings import faces_beside
+from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh_parts import with_trust
+from rendezview.training.options import TrainingOptions, view_geometry
+from rendezview.training.surface_points import candidate_points
+from rendezview.training.target_job import train_target
+
+BODY = [((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)), ((0.5, 0.5, 0.9), (0.9, 0.3, 0.5))]
+WING = ((1.2, 1.4, 0.05), (0.1, 1.5, 0.0))
+BOX = "[[[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]]]"
+OPTIONS = TrainingOptions(contour_points=200, contour_resolution_px=256)
+
+
+def boxes(wing_turn_rad: float = 0.0) -> trimesh.Trimesh:
+    made = []
+    for size, place in (*BODY, WING):
+        box = trimesh.creation.box(size)
+        if size is WING[0]:  # bent where it joins the body
+            hinge = [0.1, 0.8, 0.0]
+            box.apply_translation(place)
+            box.apply_transform(trimesh.transformations.rotation_matrix(
+                wing_turn_rad, [1.0, 0.0, 0.0], hinge))  # fmt: skip
+        else:
+            box.apply_translation(place)
+        made.append(box)
+    return trimesh.util.concatenate(made)
+
+
+def target_with(folder: Path, part: str) -> Target:
+    folder.mkdir(exist_ok=True)
+    boxes().export(folder / "winged.obj")
+    text = f'name = "winged"\n[mesh]\npath = "winged.obj"\nunit = "m"\n{part}'
+    (folder / "target.toml").write_text(text, encoding="utf-8")
+    return Target.load(folder)
+
+
+def trusting(folder: Path, trust: float) -> Target:
+    return target_with(folder, f'[[parts]]\nname = "wing"\ntrust = {trust}\nboxes_m = {BOX}\n')
+
+
+def share_on_wing(mesh: Mesh) -> float:
+    geometry = view_geometry(mesh, OPTIONS, None)
+    view = contour_points(mesh, faces_beside(mesh), geometry, np.array([0.6, 0.48, 0.64]),
+                          3.0 * geometry.target_radius_m, OPTIONS)  # fmt: skip
+    points = view["point"][view["kind"] != NO_POINT] * POINT_UNIT * geometry.target_radius_m
+    return float(np.mean(points[:, 1] + geometry.centre_m[1] > 0.79))
+
+
+def test_a_less_trusted_part_has_fewer_contour_and_surface_points(tmp_path: Path) -> None:
+    shares, surfaces = [], []
+    for trust in (1.0, 0.3, 0.0):
+        target = trusting(tmp_path / str(trust), trust)
+        mesh = with_trust(load_mesh(target.mesh_path, target.unit), target)
+        shares.append(share_on_wing(mesh))
+        points, _ = candidate_points(mesh, view_geometry(mesh, OPTIONS, None), OPTIONS)
+        centre_m = view_geometry(mesh, OPTIONS, None).centre_m
+        surfaces.append(float(np.mean(points[:, 1] + centre_m[1] > 0.79)))
+    plain = load_mesh(target.mesh_path, target.unit)
+    assert shares[0] == share_on_wing(plain) > 0.3
+    # With a share s of the edge length, trust t leaves t s / (t s + 1 − s) of the points.
+    expected = 0.3 * shares[0] / (0.3 * shares[0] + 1.0 - shares[0])
+    assert shares[1] == pytest.approx(expected, abs=0.06)
+    assert shares[2] == 0.0 == surfaces[2]
+    assert surfaces[0] > 1.5 * surfaces[1] > 0.0
+
+
+def test_a_bent_part_that_is_not_trusted_costs_little(tmp_path: Path) -> None:
+    camera = Camera.from_fov(480, 360, np.deg2rad(40.0))
+    bent = boxes(np.deg2rad(6.0))
+    bent.export(tmp_path / "bent.obj")
+    shown = load_mesh(tmp_path / "bent.obj", "m")
+    rng, options = np.random.default_rng(3), SceneOptions(sky_frame="camera")
+    frames = []
+    for _ in range(6):
+        turn = Rotation.random(random_state=rng).as_matrix()
+        pose = Pose(turn, np.array([0.0, 0.0, 12.0]))
+        sun = [0.2, 0.1, -1.0]
+        frames.append((pose, render_frame(shown, camera, pose, sun, options, rng)))
+    medians = []
+    for trust in (1.0, 0.0):
+        target = trusting(tmp_path / f"t{trust}", trust)
+        mesh = load_mesh(target.mesh_path, target.unit)
+        train_target(target, mesh, tmp_path / f"{trust}.rvm", options=REFINING, jobs=1)
+        recognizer = Recognizer(ViewModel.load(tmp_path / f"{trust}.rvm"), camera)
+        errors = []
+        for truth, frame in frames:
+            found = recognizer.recognize(frame, prior=truth)
+            assert found.pose is not None
+            errors.append(np.rad2deg(found.pose.angle_to(truth)))
+        medians.append(np.median(errors))
+    # degrees, 1.8 and 0.05 when it was written
+    assert medians[1] < 0.3
+    assert medians[1] < 0.3 * medians[0]
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ('[[parts]]\nname = "a"\ntrust = 0.5\n', "nowhere"),
+        ('[[parts]]\nname = "a"\ntrust = 1.5\nnodes = ["b"]\n', "trust"),
+        ('[[parts]]\nname = "a"\ntrust = 0.5\nboxes_m = [[[1, 1, 1], [0, 2, 2]]]\n', "corners"),
+        (f'[[parts]]\nname = "a"\ntrust = 1.0\nboxes_m = {BOX}\n' * 2, "more than once"),
+    ],
+)
+def test_a_wrong_part_is_refused_with_its_reason(tmp_path: Path, part: str, words: str) -> None:
+    with pytest.raises(RendezviewError, match=words):
+        target_with(tmp_path, part)
+
+
+def test_parts_must_have_faces_and_leave_some(tmp_path: Path) -> None:
+    nowhere = target_with(
+        tmp_path, '[[parts]]\nname = "a"\ntrust = 0.5\nboxes_m = [[[8, 8, 8], [9, 9, 9]]]\n'
+    )
+    mesh = load_mesh(nowhere.mesh_path, nowhere.unit)
+    with pytest.raises(RendezviewError, match="no face"):
+        with_trust(mesh, nowhere)
+    everything = target_with(
+        tmp_path, '[[parts]]\nname = "a"\ntrust = 0.0\nboxes_m = [[[-9, -9, -9], [9, 9, 9]]]\n'
+    )
+    with pytest.raises(RendezviewError, match="no part"):
+        with_trust(mesh, everything)
+    assert with_trust(mesh, replace(everything, parts=())) is mesh
