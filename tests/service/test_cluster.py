@@ -84,8 +84,10 @@ def test_nodes_gateways_and_models_change_under_a_session(
     cluster, camera, tour, refining_model, tmp_path
 ) -> None:
     states = []
+    tour = [(20.0 * time_s, pose, image) for time_s, pose, image in tour]  # slow, for the filter
+    sensors = {"fusion": True, "trajectory": {"shape": "vbar"}}
     with cluster.client() as client:
-        client.open(camera, name="run", prior=tour[0][1], idle_s=600.0)
+        client.open(camera, name="run", prior=tour[0][1], idle_s=600.0, sensors=sensors)
         with pytest.raises(ServiceError, match="there is one already"):
             client.open(camera, name="run")
         with pytest.raises(ServiceError, match="there is none with this id"):
@@ -107,6 +109,9 @@ def test_nodes_gateways_and_models_change_under_a_session(
         assert client.request("POST", "/v1/models/bumpy/roll") == {"moved": 1}
         assert cluster.node_of("run") != before
         states.append(session.track(tour[5][2], tour[5][0]))
+        assert states[3]["fused"]["status"] == "tracking"
+        assert states[-1]["fused"]["status"] == "tracking"  # the filter went along
+        assert states[-1]["trajectory"]["number"] == 0
         assert states[-1]["model_sha256"] == answer.json()["sha256"] != first_model
 
     # The other gateway knows nothing of it yet, and answers; a watcher and a stream too.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
+from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.observation import Observation, Status
 from rendezview.sensors.reflectors import LitDark, ReflectorPattern, ReflectorSensor
 from rendezview.sensors.ring import RingPrior, RingSensor
@@ -45,10 +48,17 @@ REFLECTORS = [
 PLAN = {"vbar": {"axis": [-1.0, 0.0, 0.0], "distance_m": 9.0, "speed_m_s": 0.01}}
 
 
+class STORED:
+    """A model of a target without ring and reflectors, as the service keeps it."""
+
+    name = "bumpy"
+    model = SimpleNamespace(docking_ring=None, reflectors=(), centre_m=np.zeros(3))
+
+
 def filled(camera: Camera, settings: Settings | None = None, **asked: Any) -> SessionRequest:
     """A request as the service passes it to a worker."""
     request = SessionRequest.model_validate(plain(asked) | {"camera": camera_message(camera)})
-    return SessionDefaults(settings or Settings()).filled(request, "one", "bumpy")
+    return SessionDefaults(settings or Settings()).filled(request, "one", STORED)
 
 
 @pytest.mark.parametrize("target", ["client", None])
@@ -106,8 +116,8 @@ def test_what_a_session_lacks_is_told(refining_model, camera, asked, said):
         ({"sensors": {"more": 1}}, "more"),
         ({"fusion": {"reflectors": REFLECTORS[:1] * 2}}, "a name of its own"),
         (
-            {"fusion": {"reflectors": [REFLECTORS[0] | {"name": str(k)} for k in range(7)]}},
-            "at most 6",
+            {"fusion": {"reflectors": [REFLECTORS[0] | {"name": str(k)} for k in range(9)]}},
+            "at most 8",
         ),
     ],
 )
@@ -243,3 +253,19 @@ def test_the_next_filter_goes_on_where_the_last_one_was(tour):
     assert state["pose"]["translation_m"] == pytest.approx(truth.translation_m, abs=0.05)
     late = second.track(_at(4.0, truth))
     assert (late["status"], late["pose"]) == ("late", None)
+
+
+def test_a_model_brings_the_ring_of_its_target(refining_model, camera, tmp_path):
+    target = find_target("client")
+    known = replace(refining_model, docking_ring=target.docking_ring, reflectors=target.reflectors)
+    known.save(tmp_path / "known.rvm")
+    read = ViewModel.load(tmp_path / "known.rvm")
+    stored = SimpleNamespace(name="known", model=read)
+    request = SessionRequest(camera=camera_message(camera))
+    full = SessionDefaults(Settings()).filled(request, "one", stored)
+    assert (full.sensors.ring, full.sensors.trajectory.shape) == (True, "vbar")
+    by_file = filled(camera, Settings(target=target.mesh_path.parent))
+    assert full.fusion == by_file.fusion
+    many = tuple(replace(target.reflectors[0], name=str(k)) for k in range(9))
+    stored.model = replace(read, reflectors=many)
+    assert SessionDefaults(Settings()).filled(request, "one", stored).fusion.reflectors == []

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tests.service.page_feed import text_has, until, word_is
 
-from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import open_sequence
 
@@ -28,8 +27,7 @@ _ORANGE = """([x, y]) => {
 def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
     flown, start_service, open_page, shoot
 ) -> None:
-    target = str(find_target("client").mesh_path.parent)
-    served = start_service(str(flown / "client.rvm"), "--target", target, given=False)
+    served = start_service(str(flown / "client.rvm"), given=False)  # the model knows the ring
     frames = open_sequence(flown / "scene").frames
     echoes = read_json_lines(flown / "laser.jsonl")
     with served.client() as client:

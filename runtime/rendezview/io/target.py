@@ -48,6 +48,22 @@ class DockingRing:
     # height over the ring's plane (m, outwards positive) and radius (m).
     circles: tuple[tuple[float, float], ...] = ()
 
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "centre_m": self.centre_m.tolist(),
+            "axis": self.axis.tolist(),
+            "radius_m": self.radius_m,
+            "circles": [list(circle) for circle in self.circles],
+        }
+
+    @classmethod
+    def of_record(cls, record: dict[str, Any]) -> DockingRing:
+        """The inverse of `record`."""
+        circles = tuple((float(h), float(r)) for h, r in record["circles"])
+        centre, axis = _frozen(record["centre_m"]), _frozen(record["axis"])
+        return cls(centre, axis, float(record["radius_m"]), circles)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reflector:
@@ -58,6 +74,24 @@ class Reflector:
     position_m: Array  # (3,)
     normal: Array  # (3,) unit, outward
     diameter_m: float
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "name": self.name,
+            "group": self.group,
+            "position_m": self.position_m.tolist(),
+            "normal": self.normal.tolist(),
+            "diameter_m": self.diameter_m,
+        }
+
+    @classmethod
+    def of_record(cls, record: dict[str, Any]) -> Reflector:
+        """The inverse of `record`."""
+        place, normal = _frozen(record["position_m"]), _frozen(record["normal"])
+        return cls(
+            str(record["name"]), str(record["group"]), place, normal, float(record["diameter_m"])
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ _MOST_NUMBER = 1e12  # of any option. Source: a chosen limit
 
 MOST_CIRCLES = 32  # beside a ring. Source: a chosen limit
 # of a group, and of all: the work of making a pattern grows with the factorial of a group
-_MOST_OF_GROUP, _MOST_REFLECTORS = 6, 24  # Source: chosen limits
+MOST_OF_GROUP, MOST_REFLECTORS = 8, 32  # Source: chosen limits
 
 # Data on the sensors of a session
 
@@ -99,7 +99,7 @@ class FusionRequest(Message):
     ring: RingMessage | None = Field(
         default=None, description="for the ring sensor, ring logs, and ranges without surfaces"
     )
-    reflectors: Annotated[list[ReflectorMessage], Field(max_length=_MOST_REFLECTORS)] = Field(
+    reflectors: Annotated[list[ReflectorMessage], Field(max_length=MOST_REFLECTORS)] = Field(
         default=[], description="of the target, for the reflector sensor"
     )
     surfaces: Annotated[list[SurfaceMessage], Field(max_length=32)] = Field(
@@ -118,8 +118,8 @@ class FusionRequest(Message):
         names, groups = [r.name for r in reflectors], Counter(r.group for r in reflectors)
         if len(set(names)) < len(names):
             raise ValueError("give each reflector a name of its own")
-        if groups and max(groups.values()) > _MOST_OF_GROUP:
-            raise ValueError(f"a group has at most {_MOST_OF_GROUP} reflectors")
+        if groups and max(groups.values()) > MOST_OF_GROUP:
+            raise ValueError(f"a group has at most {MOST_OF_GROUP} reflectors")
         return reflectors
 
     @field_validator("mounts")

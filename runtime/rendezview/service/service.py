@@ -242,11 +242,10 @@ class Service:
         if name in self.sessions or name in self._opening:
             raise RendezviewError(f"session {name}: there is one already: choose another id")
         stored = self.model_named(request.model)
-        request = self.defaults.filled(request, name, stored.name)
         self._opening.add(name)
         try:
             await self._workers.warmed(stored)
-            request = await asyncio.to_thread(self.defaults.planned, request, stored)
+            request = await asyncio.to_thread(self.defaults.filled, request, name, stored)
             of = None if source is None else source.name
             session = Session(name, stored, request, self.settings, self.metrics, of)
             if resumed is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,16 @@ from pydantic import TypeAdapter
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import load_camera
 from rendezview.io.files import checked, read_text
-from rendezview.io.target import Target
+from rendezview.io.target import DockingRing, Reflector, Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.approach_messages import ApproachRequest, PortMessage, WayPoint
 from rendezview.service.frame_sensor_messages import FrameSensorsRequest, TrajectoryRequest
-from rendezview.service.fusion_messages import FusionRequest, ReflectorMessage, RingMessage
+from rendezview.service.fusion_messages import (
+    MOST_CIRCLES,
+    MOST_OF_GROUP,
+    MOST_REFLECTORS,
+    FusionRequest,
+)
 from rendezview.service.messages import CameraMessage, SessionRequest
 from rendezview.service.model_store import StoredModel
 from rendezview.service.settings import Settings
@@ -39,7 +45,7 @@ class SessionDefaults:
         """
         self._settings = settings
         self.camera = None if settings.camera is None else load_camera(settings.camera)
-        self._target = FusionRequest() if settings.target is None else _known_of(settings.target)
+        self._target = None if settings.target is None else _known_of_file(settings.target)
         self._approach = None
         if settings.approach is not None:
             self._approach = load_approach(settings.approach)
@@ -67,8 +73,8 @@ class SessionDefaults:
             )
         return camera
 
-    def filled(self, request: SessionRequest, name: str, model: str) -> SessionRequest:
-        """A request with all that it leaves to the service, but the plan.
+    def filled(self, request: SessionRequest, name: str, stored: StoredModel) -> SessionRequest:
+        """A request with all that it leaves to the service and to the model.
 
         Raises:
             RendezviewError: something is missing or impossible.
@@ -77,22 +83,24 @@ class SessionDefaults:
         records = settings.record is not None and settings.record_all
         more: dict[str, object] = {
             "id": name,
-            "model": model,
+            "model": stored.name,
             "camera": self.camera_of(request),
             "record": records if request.record is None else request.record,
         }
         if more["record"] and settings.record is None:
             raise RendezviewError("record: the service writes no logs: start it with --record")
         fusion = request.fusion or FusionRequest()
-        reflectors = fusion.reflectors or self._target.reflectors
-        known = {"ring": fusion.ring or self._target.ring, "reflectors": reflectors}
-        fusion = fusion.model_copy(update=known)
+        known = self._target
+        if known is None:
+            known = _known_of(stored.model.docking_ring, stored.model.reflectors)
+        ring, reflectors = fusion.ring or known.ring, fusion.reflectors or known.reflectors
+        fusion = fusion.model_copy(update={"ring": ring, "reflectors": reflectors})
         if request.fusion is not None or fusion.ring is not None or fusion.reflectors:
             more["fusion"] = fusion
         more["sensors"] = self._sensors_of(request.sensors or FrameSensorsRequest(), fusion)
         if request.approach is None and self._approach is not None:
             more["approach"] = self._approach
-        return request.model_copy(update=more)
+        return self._planned(request.model_copy(update=more), stored)
 
     def _sensors_of(self, asked: FrameSensorsRequest, fusion: FusionRequest) -> FrameSensorsRequest:
         """What runs on the frames, nothing left open.
@@ -102,11 +110,11 @@ class SessionDefaults:
         """
         ring = fusion.ring is not None if asked.ring is None else asked.ring
         if ring and fusion.ring is None:
-            raise RendezviewError("sensors: ring: which ring? Give fusion.ring, or serve --target")
+            raise RendezviewError("sensors: ring: which ring? Give fusion.ring or --target")
         lights = asked.reflectors != "off"
         if lights and not fusion.reflectors:
             raise RendezviewError(
-                "sensors: reflectors: which ones? Give fusion.reflectors, or serve --target"
+                "sensors: reflectors: which ones? Give fusion.reflectors or --target"
             )
         return FrameSensorsRequest(
             ring=ring,
@@ -129,7 +137,7 @@ class SessionDefaults:
             path = path.model_copy(update={"shape": Shape.VBAR})
         return path
 
-    def planned(self, request: SessionRequest, stored: StoredModel) -> SessionRequest:
+    def _planned(self, request: SessionRequest, stored: StoredModel) -> SessionRequest:
         """A request with the service's plan, if it has none of its own."""
         approach = request.approach or ApproachRequest()
         if self._plan is None or approach.plan:
@@ -175,32 +183,21 @@ def way_points(plan: Plan, model: ViewModel) -> list[WayPoint]:
     ]
 
 
-def _known_of(path: Path) -> FusionRequest:
-    """The docking ring and the reflectors of a target."""
+def _known_of(ring: DockingRing | None, reflectors: tuple[Reflector, ...]) -> FusionRequest:
+    """What a target file, or a model, says of ring and reflectors, as far as a session takes it."""
+    groups = Counter(reflector.group for reflector in reflectors)
+    few = [r.record() for r in reflectors if groups[r.group] <= MOST_OF_GROUP][:MOST_REFLECTORS]
+    told = None if ring is None else ring.record()
+    if told is not None:
+        told["circles"] = told["circles"][:MOST_CIRCLES]
+    return FusionRequest.model_validate({"ring": told, "reflectors": few})
+
+
+def _known_of_file(path: Path) -> FusionRequest:
     target = Target.load(path)
-    ring = target.docking_ring
-    if ring is None and not target.reflectors:
+    if target.docking_ring is None and not target.reflectors:
         raise RendezviewError(
             f"{path}: this target has neither docking_ring nor reflectors: add one, or do not give "
             "--target"
         )
-    return FusionRequest(
-        ring=None
-        if ring is None
-        else RingMessage(
-            centre_m=ring.centre_m.tolist(),
-            axis=ring.axis.tolist(),
-            radius_m=ring.radius_m,
-            circles=list(ring.circles),
-        ),
-        reflectors=[
-            ReflectorMessage(
-                name=one.name,
-                group=one.group,
-                position_m=one.position_m.tolist(),
-                normal=one.normal.tolist(),
-                diameter_m=one.diameter_m,
-            )
-            for one in target.reflectors
-        ],
-    )
+    return _known_of(target.docking_ring, target.reflectors)

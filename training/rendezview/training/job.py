@@ -22,6 +22,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.model import HeldOut, ViewModel, Views
 from rendezview.training.calibrate import calibrated
@@ -58,6 +59,8 @@ def train(
     camera: Camera | None = None,
     symmetries: Sequence[Symmetry] = (),
     shape_error: float = 0.0,
+    docking_ring: DockingRing | None = None,
+    reflectors: tuple[Reflector, ...] = (),
     bounding_sphere: tuple[Array, float] | None = None,
     jobs: int = -1,
     executor: ShardExecutor | None = None,
@@ -76,6 +79,7 @@ def train(
         options: see ``TrainingOptions``.
         symmetries: of the target, declared or found by ``find_symmetries``.
         shape_error: σ of the strain between the mesh and the real spacecraft.
+        docking_ring, reflectors: of the target, kept in the model for other sensors.
         camera: the flight camera; it sets the sphere radius and the sharpness of the perturbed
             views. ``None``: a 40° field of view, 480 pixels.
         bounding_sphere: centre (3,) and radius (m) around the target at all angles of its joints;
@@ -105,6 +109,8 @@ def train(
             shards, mesh, beside, renderer, surfaces, geometry, options, executor, progress
         )
         trained = _train(stages, name, tuple(symmetries), shape_error, inputs)
+        model = dataclasses.replace(trained.model, docking_ring=docking_ring, reflectors=reflectors)
+        trained = dataclasses.replace(trained, model=model)
     finally:
         cv2.setNumThreads(threads)
     trained.model.save(path)

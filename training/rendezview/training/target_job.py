@@ -58,7 +58,7 @@ def train_target(
     """Train a target whose mesh is loaded, with its joints if it has any.
 
     Args:
-        target: gives name, symmetries, shape error and joints.
+        target: gives name, symmetries, shape error, ring, reflectors and joints.
         mesh: of the target's file.
         output: the model file to write.
         unit: of a bare mesh.
@@ -66,6 +66,7 @@ def train_target(
     """
     step_rad = arguments.pop("step_rad", STEP_RAD)
     arguments |= {"name": target.name, "shape_error": target.shape_error}
+    arguments |= {"docking_ring": target.docking_ring, "reflectors": target.reflectors}
     if not target.joints:
         mesh = with_trust(mesh, target, unit)
         alike = target.symmetries or find_symmetries(mesh)

@@ -15,6 +15,7 @@ from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.joint import Joint, apart
 from rendezview.geometry.pose import Array
 from rendezview.geometry.symmetry import Symmetry
+from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges.contours import Contours, surfaces_of_cells
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
@@ -110,6 +111,9 @@ class ViewModel:
     shape_covariance: Array | None = None
     # Of a target with joints: the mesh is at these angles, and ``sheets`` are the same target at
     # others, with the same view centre and radius.
+    # As the target file has them, for the sensors beside this one.
+    docking_ring: DockingRing | None = None
+    reflectors: tuple[Reflector, ...] = ()
     joints: tuple[Joint, ...] = ()
     angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
     sheets: tuple[ViewModel, ...] = ()
@@ -208,6 +212,10 @@ class ViewModel:
             header["shape_covariance"] = self.shape_covariance.tolist()
         if self.error_model is not None:
             header["error_model"] = self.error_model.record()
+        if self.docking_ring is not None:
+            header["docking_ring"] = self.docking_ring.record()
+        if self.reflectors:
+            header["reflectors"] = [reflector.record() for reflector in self.reflectors]
         if self.joints:
             header["joints"] = [joint.record() for joint in self.joints]
             header["angles_rad"] = self.angles_rad.tolist()
@@ -243,6 +251,10 @@ class ViewModel:
             shape_error=float(header.get("shape_error", 0.0)),
             error_model=_error_model(header),
             shape_covariance=_shape_covariance(header),
+            docking_ring=DockingRing.of_record(header["docking_ring"])
+            if "docking_ring" in header
+            else None,
+            reflectors=tuple(Reflector.of_record(r) for r in header.get("reflectors", [])),
             joints=tuple(Joint.of_record(joint) for joint in header.get("joints", [])),
             angles_rad=np.array(header.get("angles_rad", []), dtype=np.float64),
             sheets=tuple(
