@@ -221,6 +221,20 @@ def test_frames_that_come_fast_are_not_all_fitted(refining_model, camera, tour):
     assert fitted == [0.0, 50.0, 50.0, 50.0, 50.0, 50.6]
 
 
+def test_a_target_that_turns_fast_is_followed_by_the_cameras_own_filter(
+    refining_model, camera, tour
+):
+    request = filled(camera, prior=tour[0][1].as_dict(), sensors={"fusion": True})
+    tracker = SessionTracker("one", refining_model, request)
+    states = [tracker.track(image, time_s, 0.0)[0] for time_s, _, image in tour[:8]]  # 19°/s
+    assert states[-1]["fused"]["status"] != "tracking"
+    assert states[-1]["motion"]["status"] == "tracking"
+    slow = SessionTracker("one", refining_model, request)
+    states = [slow.track(image, 20.0 * time_s, 0.0)[0] for time_s, _, image in tour[:8]]
+    assert states[-1]["fused"]["status"] == "tracking"
+    assert states[-1]["motion"]["pose"] == states[-1]["fused"]["pose"]
+
+
 def test_a_line_under_the_name_of_an_own_sensor_is_refused():
     own = SessionFilter(FusionRequest(ring=plain(RING)), own=["ring"], at_once=True)
     line = json.dumps(Sensors().ring(0.0, Pose.identity())).encode()

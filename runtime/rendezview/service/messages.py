@@ -269,7 +269,8 @@ class State(ObservationMessage):
     model_sha256: str | None = Field(default=None, description="of the model's file, hexadecimal")
     motion: Motion | None = Field(
         default=None,
-        description="by the filter of the camera, or of all sensors if there are more",
+        description="by the filter of all sensors; by that of the camera where it is the only one, "
+        "or only its filter tracks",
     )
     approach: Approach | None = Field(
         default=None, description="the operator's numbers; null while the filter has no pose"

@@ -133,10 +133,10 @@ class SessionTracker:
         self.tracker = Tracker(recognizer, prior, integrity=integrity_of(request.integrity))
         self._nodes = model.geodesic.nodes.tolist()
         self._sensors = FrameSensors(request, self.camera)
+        self._fuses = request.sensors is not None and bool(request.sensors.fusion)
         self.filter = SessionFilter(
-            request.fusion, most_sensors, forgotten, self._sensors.names,
-            request.sensors is not None and bool(request.sensors.fusion),
-        )  # fmt: skip
+            request.fusion, most_sensors, forgotten, self._sensors.names, self._fuses
+        )
         if handover is not None:
             self.filter.resume(handover)
         fits = trajectory_of(request)
@@ -186,13 +186,15 @@ class SessionTracker:
             state["stage_ms"][stage] = 1e3 * (now - clock)
             clock = now
 
+        if self.filter.running and not self._fuses:  # another sensor's line has started it
+            self._alone = None
+        by_camera = None if self._alone is None else self._alone.track(observation)
         if self.filter.running:
             fused = self.filter.track(observation)
-            self._alone = None
         else:
-            assert self._alone is not None
+            assert by_camera is not None
             self.filter.remember(observation)
-            fused = self._alone.track(observation)
+            fused = by_camera
         lap("filter")
         if self._sensors.names:
             number = self._frames + drops
@@ -205,6 +207,9 @@ class SessionTracker:
         if self._path is not None:
             state["trajectory"] = self._fitted(time_s, fused, observation)
             lap("trajectory")
+        # The filter of all sensors expects slow turns, the camera's own takes any.
+        if by_camera and by_camera["status"] == Status.TRACKING != fused["status"]:
+            fused = by_camera
         state["motion"], covariance = _motion(fused)
         state["approach"] = self._approach.state(time_s, state["motion"], covariance)
         self._frames += 1
