@@ -5,18 +5,15 @@ Their decoders run in a process of their own: `source_process`.
 
 from __future__ import annotations
 
-import errno
 import itertools
 import math
 import os
 import re
-import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import cv2
 
@@ -24,12 +21,11 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.decoding import quiet_opencv
+from rendezview.io.sequences.live import why_unreachable, without_password
 
 _LIVE = re.compile(r"(rtsps?|rtmp|udp|tcp|https?)://", re.IGNORECASE)
 _DEVICE = re.compile(r"/dev/video\d+|v4l2:(\d+)")
 RECONNECT_S = 2.0  # s, before a live source is opened again. Source: chosen
-_REACH_S = 3.0  # s, to reach a network source, for the reason of a failure. Source: chosen
-_PORTS = {"rtsp": 554, "rtsps": 322, "rtmp": 1935, "http": 80, "https": 443}
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,7 @@ def open_source(text: str, camera: Camera | None) -> Source:
     if _LIVE.match(text) or _DEVICE.fullmatch(text):
         if camera is None:
             raise RendezviewError(f"{text}: its calibration is not known: give --camera")
-        return Source(_without_password(text), camera, True, lambda stop: _captured(text, stop))
+        return Source(without_password(text), camera, True, lambda stop: _captured(text, stop))
     if text.endswith(".mcap"):
         from rendezview.service.replay import read_log  # imports the trackers
 
@@ -93,7 +89,7 @@ def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | Rendez
             else:
                 capture = cv2.VideoCapture(text, cv2.CAP_FFMPEG)
         if not capture.isOpened():
-            name, why = _without_password(text), _why_not(text)
+            name, why = without_password(text), _why_not(text)
             yield RendezviewError(f"{name}: cannot be opened: {why}; trying again")
             stop.wait(RECONNECT_S)
             continue
@@ -101,7 +97,7 @@ def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | Rendez
         while not stop.is_set():
             taken, image = capture.read()
             if not taken:
-                yield RendezviewError(f"{_without_password(text)}: broke off; opening it again")
+                yield RendezviewError(f"{without_password(text)}: broke off; opening it again")
                 break
             grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
             yield SourceFrame(None, grey.tobytes())
@@ -112,28 +108,14 @@ def _captured(text: str, stop: threading.Event) -> Iterator[SourceFrame | Rendez
 def _why_not(text: str) -> str:
     """Why a live source cannot be opened: OpenCV does not say."""
     device = _DEVICE.fullmatch(text)
+    if device is None:
+        return why_unreachable(text)
     try:
-        if device is not None:
-            path = f"/dev/video{device[1]}" if device[1] else text
-            os.close(os.open(path, os.O_RDWR | os.O_NONBLOCK))
-            return "it is busy, or not a camera"
-        parts = urlsplit(text)
-        if parts.scheme.lower() == "udp" or not parts.hostname:
-            return "no picture comes"
-        port = parts.port or _PORTS.get(parts.scheme.lower())
-        if port is None:
-            return "the address has no port"
-        with socket.create_connection((parts.hostname, port), _REACH_S):
-            return "it answers, but not with a stream that can be read: check path and password"
-    except socket.gaierror:
-        return "there is no such host"
-    except TimeoutError:
-        return f"no answer within {_REACH_S:g} s"
+        path = f"/dev/video{device[1]}" if device[1] else text
+        os.close(os.open(path, os.O_RDWR | os.O_NONBLOCK))
+        return "it is busy, or not a camera"
     except OSError as error:
-        said = errno.errorcode.get(error.errno or 0, "") if error.strerror is None else ""
-        return error.strerror or said or str(error)
-    except ValueError as error:
-        return str(error)
+        return error.strerror or str(error)
 
 
 def _logged(frames: Iterator[Any]) -> Iterator[SourceFrame | RendezviewError]:
@@ -142,7 +124,3 @@ def _logged(frames: Iterator[Any]) -> Iterator[SourceFrame | RendezviewError]:
         if frame.image is not None and frame.time_s > last_s:
             last_s = frame.time_s
             yield SourceFrame(frame.time_s, frame.image)
-
-
-def _without_password(text: str) -> str:
-    return re.sub(r"//[^/@]*@", "//", text)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
+import math
 import re
+import socket
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -18,8 +22,15 @@ from rendezview.io.sequences.decoding import quiet_opencv
 from rendezview.io.sequences.frame import Frame, GreyImage, Sequence
 
 _STREAM = re.compile(r"(rtsp|rtsps|http|https|udp|tcp)://.+")
+_TIMED = re.compile(r"(rtsp|rtsps|udp)://.+")  # pictures come with the sender's times
 _DEVICES = Path("/dev")
 _TRIES = 30  # frames in a row that do not come, at most: a second. Source: by construction
+_STALE = 5  # pictures in a row of one time: the stream has no times. Source: chosen
+_SILENT_MS = 5000  # ms without a packet: the stream is broken. Source: chosen; OpenCV's own is 30 s
+AGAIN_S = 10.0  # s, for so long a stream that broke off is opened again. Source: chosen
+_PAUSE_S = 1.0  # s, between two attempts. Source: chosen
+_REACH_S = 3.0  # s, to reach a network source, for the reason of a failure. Source: chosen
+_PORTS = {"rtsp": 554, "rtsps": 322, "rtmp": 1935, "http": 80, "https": 443}
 
 
 def is_live(source: str) -> bool:
@@ -29,34 +40,60 @@ def is_live(source: str) -> bool:
     return source.isdigit() and not Path(source).exists()
 
 
-def live_frames(source: str, camera: Camera | None) -> Iterator[Frame]:
+def live_frames(
+    source: str, camera: Camera | None, note: Callable[[str], None] = lambda _: None
+) -> Iterator[Frame]:
     """Frames of a camera for as long as they come; times in seconds from the first.
+
+    A network stream that breaks off is opened again. Its times are the sender's where the
+    protocol has them (RTSP, MPEG over UDP), so that a reading that takes long does not change
+    them; else the times of arrival.
 
     Args:
         source: of `is_live`.
         camera: its calibration.
+        note: is given a line when a stream breaks off.
 
     Raises:
-        RendezviewError: no calibration, the camera cannot be opened, or it stops.
+        RendezviewError: no calibration, the camera cannot be opened, its pictures are not the
+            calibration's, or it stops.
     """
-    with quiet_opencv():
-        capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    capture = _opened(source)
     if not capture.isOpened():
         raise RendezviewError(_not_opened(source))
     if camera is None:
         capture.release()
         raise RendezviewError(
-            f"{source}: this camera has no camera file: make one with `rendezview calibrate "
-            "camera` and give it with --camera"
+            f"{without_password(source)}: this camera has no camera file: make one with "
+            "`rendezview calibrate camera` and give it with --camera"
         )
     if not _STREAM.fullmatch(source):
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, camera.width)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, camera.height)
-    return _frames(capture, source, camera)
+    return _frames(capture, source, camera, note)
+
+
+def _opened(source: str) -> cv2.VideoCapture:
+    with quiet_opencv():
+        if source.isdigit():
+            return cv2.VideoCapture(int(source))
+        if not _STREAM.fullmatch(source):
+            return cv2.VideoCapture(source)
+        limits = [
+            cv2.CAP_PROP_OPEN_TIMEOUT_MSEC,
+            _SILENT_MS,
+            cv2.CAP_PROP_READ_TIMEOUT_MSEC,
+            _SILENT_MS,
+        ]
+        return cv2.VideoCapture(source, cv2.CAP_FFMPEG, limits)
 
 
 def _not_opened(source: str) -> str:
     """Why a camera does not open, as far as can be seen: on Linux each is a file."""
+    if _STREAM.fullmatch(source):
+        return (
+            f"{without_password(source)}: this camera cannot be opened: {why_unreachable(source)}"
+        )
     device = Path(f"/dev/video{source}" if source.isdigit() else source)
     if sys.platform == "linux" and device.parent == _DEVICES and not device.exists():
         others = sorted(str(path) for path in _DEVICES.glob("video*"))
@@ -66,36 +103,114 @@ def _not_opened(source: str) -> str:
             "folder or rtsp://…"
         )
     return (
-        f"{source}: this camera cannot be opened: check its number or address, and that no other "
+        f"{source}: this camera cannot be opened: check its number or path, and that no other "
         "program uses it"
     )
 
 
-def _frames(capture: cv2.VideoCapture, source: str, camera: Camera) -> Iterator[Frame]:
-    start_s, last_s, number, missed = time.monotonic(), -1.0, 0, 0
+def why_unreachable(address: str) -> str:
+    """Why a network stream cannot be opened: OpenCV does not say."""
+    try:
+        parts = urlsplit(address)
+        if parts.scheme.lower() == "udp" or not parts.hostname:
+            return "no picture comes"
+        port = parts.port or _PORTS.get(parts.scheme.lower())
+        if port is None:
+            return "the address has no port"
+        with socket.create_connection((parts.hostname, port), _REACH_S):
+            return "it answers, but not with a stream that can be read: check path and password"
+    except socket.gaierror:
+        return "there is no such host"
+    except TimeoutError:
+        return f"no answer within {_REACH_S:g} s"
+    except OSError as error:
+        said = errno.errorcode.get(error.errno or 0, "") if error.strerror is None else ""
+        return error.strerror or said or str(error)
+    except ValueError as error:
+        return str(error)
+
+
+def without_password(address: str) -> str:
+    """An address as messages and logs show it."""
+    return re.sub(r"//[^/@]*@", "//", address)
+
+
+def _frames(
+    capture: cv2.VideoCapture, source: str, camera: Camera, note: Callable[[str], None]
+) -> Iterator[Frame]:
+    name, start_s, last_s, number = without_password(source), time.monotonic(), -1.0, 0
     try:
         while True:
-            good, image = capture.read()
-            if not good:
-                missed += 1
-                if missed >= _TRIES:
-                    raise RendezviewError(f"{source}: no more pictures come from this camera")
-                continue
-            missed, time_s = 0, max(time.monotonic() - start_s, last_s + 1e-6)
-            last_s = time_s
-            grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-            yield Frame(
-                number,
-                f"{source}, frame {number}",
-                time_s,
-                camera,
-                None,
-                1,
-                _Taken(np.asarray(grey, dtype=np.uint8)),
-            )
-            number += 1
+            # A stored video at a network address ends.
+            ends = bool(_STREAM.fullmatch(source)) and capture.get(cv2.CAP_PROP_FRAME_COUNT) > 0
+            for image, time_s in _pictures(capture, bool(_TIMED.fullmatch(source)), start_s):
+                _check_size(image, camera, name)
+                last_s = max(time_s, last_s + 1e-6)
+                yield Frame(
+                    number, f"{name}, frame {number}", last_s, camera, None, 1, _Taken(image)
+                )
+                number += 1
+            if ends:
+                return
+            capture.release()
+            if not _STREAM.fullmatch(source):
+                raise RendezviewError(f"{name}: no more pictures come from this camera")
+            note(f"{name}: broke off after {number} pictures; opening it again")
+            capture = _again(source)
     finally:
         capture.release()
+
+
+def _pictures(
+    capture: cv2.VideoCapture, timed: bool, start_s: float
+) -> Iterator[tuple[GreyImage, float]]:
+    """Pictures and their times, s after ``start_s`` (monotonic), until no more come."""
+    missed, stale, first_s, first_ms, last_ms = 0, 0, 0.0, math.nan, -1.0
+    while missed < _TRIES:
+        good, image = capture.read()
+        if not good:
+            missed += 1
+            continue
+        missed, time_s = 0, time.monotonic() - start_s
+        if timed and stale < _STALE:
+            sent_ms = capture.get(cv2.CAP_PROP_POS_MSEC)
+            if sent_ms <= last_ms:  # OpenCV gives a stream's first picture the second one's time
+                stale += 1
+                continue
+            if math.isnan(first_ms):
+                first_s, first_ms = time_s, sent_ms
+            stale, last_ms = 0, sent_ms
+            time_s = first_s + 1e-3 * (sent_ms - first_ms)
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        yield np.asarray(grey, dtype=np.uint8), time_s
+
+
+def _again(source: str) -> cv2.VideoCapture:
+    """A stream opened again.
+
+    Raises:
+        RendezviewError: it cannot be for `AGAIN_S`.
+    """
+    until_s = time.monotonic() + AGAIN_S
+    while True:
+        capture = _opened(source)
+        if capture.isOpened():
+            return capture
+        if time.monotonic() > until_s:
+            raise RendezviewError(
+                f"{without_password(source)}: no more pictures come from this camera, and for "
+                f"{AGAIN_S:g} s it cannot be opened again: {why_unreachable(source)}"
+            )
+        time.sleep(_PAUSE_S)
+
+
+def _check_size(image: GreyImage, camera: Camera, name: str) -> None:
+    height, width = image.shape
+    if (width, height) != (camera.width, camera.height):
+        raise RendezviewError(
+            f"{name}: its pictures are {width} × {height}, the camera file is for {camera.width} × "
+            f"{camera.height}: set the camera to that size, or calibrate it as it is"
+        )
 
 
 class _Taken:

@@ -1,0 +1,83 @@
+"""A network camera: a real stream of JPEG pictures over HTTP, from a thread of the test."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import cv2
+import numpy as np
+import pytest
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.camera import Camera
+from rendezview.io.sequences import live
+from rendezview.io.sequences.live import live_frames, why_unreachable, without_password
+
+CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+
+
+class _Pictures(BaseHTTPRequestHandler):
+    """Eight pictures a connection, each brighter than the last; then the connection breaks."""
+
+    count = 0
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+        self.end_headers()
+        for _ in range(8):
+            type(self).count += 1
+            grey = np.full((48, 64), 10 * type(self).count, np.uint8)
+            content = cv2.imencode(".jpg", grey)[1].tobytes()
+            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(content)}\r\n\r\n"
+            self.wfile.write(head.encode() + content + b"\r\n")
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    _Pictures.count = 0
+    server = ThreadingHTTPServer(("127.0.0.1", 0), _Pictures)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://user:word@127.0.0.1:{server.server_port}/stream.mjpg"
+    server.shutdown()
+    server.server_close()
+
+
+def test_a_stream_that_breaks_off_is_opened_again_and_its_times_rise(address):
+    notes: list[str] = []
+    frames = live_frames(address, CAMERA, notes.append)
+    taken = list(itertools.islice(frames, 12))
+    greys = [float(frame.read().mean()) for frame in taken]
+    assert greys == sorted(greys)
+    assert greys[-1] >= 90.0  # of the second connection
+    times = [frame.time_s for frame in taken]
+    assert times == sorted(set(times))
+    assert len(notes) == 1
+    assert "broke off after" in notes[0]
+    assert "word" not in notes[0] + taken[0].name
+
+
+def test_pictures_of_another_size_than_the_calibration_are_refused(address):
+    with pytest.raises(RendezviewError, match="its pictures are 64 × 48, the camera file is for"):
+        next(live_frames(address, Camera(80, 48, 60.0, 60.0, 39.5, 23.5)))
+
+
+def test_a_stream_that_does_not_come_back_is_an_error(address, monkeypatch):
+    monkeypatch.setattr(live, "AGAIN_S", 0.0)
+    frames = live_frames(address, CAMERA)
+    next(frames)
+    monkeypatch.setattr(live, "_opened", lambda _: cv2.VideoCapture())
+    with pytest.raises(RendezviewError, match="cannot be opened again"):
+        list(frames)
+
+
+def test_why_a_stream_is_out_of_reach_is_told_without_its_password():
+    assert "refused" in why_unreachable("rtsp://127.0.0.1:9/live")
+    assert why_unreachable("tcp://127.0.0.1/live") == "the address has no port"
+    assert without_password("rtsp://me:secret@host/1") == "rtsp://host/1"
