@@ -60,6 +60,7 @@ def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
         page.uncheck("#layer-ellipses")
         until(page, f"!({_ORANGE})({_on_ellipse(page, state, frame.camera.width)})")
         page.check("#layer-ellipses")
+        page.close()  # it would poll a service that is gone
         session.close()
     served.stop()
 
