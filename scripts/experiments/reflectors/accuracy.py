@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated
@@ -11,6 +12,7 @@ import numpy as np
 
 from experiments.frame import show, table_of, two
 from experiments.peers.pnp import PEERS, median_deg, one_camera
+from experiments.reflectors.plain import Simulator, plain
 from experiments.reflectors.run import CAMERA, CLIENT
 from rendezview.geometry.pose import Pose, minimal_rotation
 from rendezview.io.target import Target
@@ -40,6 +42,8 @@ RANGES_M = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
 NAMES = ("range", "azimuth", "elevation", "roll", "pitch", "yaw")
 SOLVERS = ("this sensor", *PEERS)
 OPTIONS = ReflectorFrameOptions()
+PINHOLE = plain.Pinhole(CAMERA.width, CAMERA.height, CAMERA.fx, CAMERA.cx, CAMERA.cy)
+LOOK = plain.Look()
 
 
 def random_pose(
@@ -98,17 +102,46 @@ def six_by_spots(pattern: ReflectorPattern, pose: Pose) -> np.ndarray:
     return six_by_pose @ np.linalg.inv(spots_by_pose)
 
 
-def pixel_bound(pattern: ReflectorPattern, pose: Pose) -> np.ndarray:
-    """(N, 2) least centroid errors (px) of the reflectors, under the simulator's noise."""
+def plain_light(pattern: ReflectorPattern, pose: Pose, hidden: tuple[int, ...] = ()) -> np.ndarray:
+    """(H, W) light of the tests' simulator; the brightest reflector that is not hidden is 180."""
+    return plain.discs(
+        PINHOLE, pose.rotation, pose.translation_m, pattern.positions_m, pattern.normals,
+        pattern.diameters_m, LOOK, hidden,
+    )  # fmt: skip
+
+
+def lights(pattern: ReflectorPattern, pose: Pose, simulator: Simulator) -> Iterator[np.ndarray]:
+    """(H, W) light of each reflector by itself."""
     gain = exposure(CAMERA, pattern, pose, OPTIONS)
+    all_ = plain_light(pattern, pose)
+    for k in range(len(pattern)):
+        if simulator == "own":
+            grey = np.zeros((CAMERA.height, CAMERA.width), np.float32)
+            paint_reflector(grey, CAMERA, pattern, k, pose, gain, OPTIONS)
+            yield grey
+        else:
+            one = plain_light(pattern, pose, tuple(n for n in range(len(pattern)) if n != k))
+            top = np.unravel_index(np.argmax(one), one.shape)
+            yield one * all_[top] / one[top]
+
+
+def pictures(
+    simulator: Simulator, pattern: ReflectorPattern, pose: Pose, rng: np.random.Generator
+) -> LitDark:
+    """The lit and the dark picture of a pose."""
+    if simulator == "own":
+        return LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng))
+    return LitDark(*plain.pair(PINHOLE, plain_light(pattern, pose), LOOK, rng))
+
+
+def pixel_bound(pattern: ReflectorPattern, pose: Pose, simulator: Simulator) -> np.ndarray:
+    """(N, 2) least centroid errors (px) of the reflectors, under the simulator's noise."""
     noise = math.sqrt(2.0 * (OPTIONS.noise_sigma_grey**2 + 1.0 / 12.0))  # of the difference
     bounds = np.empty((len(pattern), 2))
-    for k in range(len(pattern)):
-        grey = np.zeros((CAMERA.height, CAMERA.width), np.float32)
-        paint_reflector(grey, CAMERA, pattern, k, pose, gain, OPTIONS)
-        lit = np.nonzero(grey)
+    for k, light in enumerate(lights(pattern, pose, simulator)):
+        lit = np.nonzero(light > 1e-4)
         rows, columns = (slice(max(i.min() - 8, 0), i.max() + 9) for i in lit)
-        grey = grey[rows, columns]
+        grey = light[rows, columns]
         for axis in (0, 1):
             # Spots are few pixels wide: the slope of the sampled spot, not of neighbouring pixels.
             waves = np.fft.fftfreq(grey.shape[axis])
@@ -140,11 +173,11 @@ class Reading:
     refined: Pose  # from the spots
 
 
-def read(rng: np.random.Generator, range_m: float) -> Reading | None:
+def read(rng: np.random.Generator, range_m: float, simulator: Simulator) -> Reading | None:
     """One random pair, read on its own; None where the acquirer finds no three spots."""
     pattern, finder = acquirer()
     pose, six = random_pose(rng, pattern, range_m)
-    spots = find_spots(LitDark(*render_pair(CAMERA, pattern, pose, OPTIONS, rng)))
+    spots = find_spots(pictures(simulator, pattern, pose, rng))
     found = finder.acquire(spots)
     if found.refined is None or found.reflectors is None or len(found.reflectors) < 3:
         return None
@@ -164,7 +197,10 @@ def read(rng: np.random.Generator, range_m: float) -> Reading | None:
     )  # fmt: skip
 
 
-def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) -> None:
+def run(
+    *, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21,
+    simulator: Simulator = "own",
+) -> None:  # fmt: skip
     """All six numbers against the Cramér–Rao bound, from 12 m to 1 m, on simulated pictures.
 
     The paper's camera (512 × 384, 652 px a radian, 8 bit) and target (far target of
@@ -178,24 +214,24 @@ def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) 
     """
     pattern, _ = acquirer()
     rng = np.random.default_rng(seed)
-    title = f"RMS error over the bound of the pixels, {frames} pairs, seed {seed}"
+    title = f"RMS error over the bound of the pixels, {frames} pairs, seed {seed}, {simulator}"
     columns = ("range m", "no pose", "spot RMS px", "spot bias px", "/ pixel bound", *NAMES)
     ratios = table_of(title, columns, left=0)
     columns = ("range m", "range %", *(f"{name} °" for name in NAMES[1:]))
     title = "median bound → median error (bound's σ × 0.674 would be the median)"
     sizes = table_of(title, columns, left=0)
-    plain = table_of("closed form with calibration: median / 95 %", columns, left=0)
+    closed_form_table = table_of("closed form with calibration: median / 95 %", columns, left=0)
     beside = table_of(
         "median turn off the truth, right readings (wrong ones), the same spots",
         ("range m", *SOLVERS),
         left=0,
     )
-    constants = learn(seed + 1000)
+    constants = learn(seed + 1000, simulator)
     for range_m in RANGES_M:
-        tried = [read(rng, range_m) for _ in range(frames)]
+        tried = [read(rng, range_m, simulator) for _ in range(frames)]
         readings = [reading for reading in tried if reading is not None]
         spot_error = np.array([r.spots_px - r.truth_px for r in readings])
-        least = np.array([pixel_bound(pattern, r.pose) for r in readings])
+        least = np.array([pixel_bound(pattern, r.pose, simulator) for r in readings])
         bound = np.array(
             [
                 np.sqrt(six_by_spots(pattern, r.pose) ** 2 @ own.ravel() ** 2)
@@ -215,9 +251,9 @@ def run(*, frames: Annotated[int, "pairs at each range"] = 400, seed: int = 21) 
         sizes.add_row(f"{range_m:g}", *[f"{b:.4f} → {e:.4f}" for b, e in medians])
         answers = [(closed_form(CAMERA, pattern, r.spots_px, constants), r.six) for r in readings]
         rough = np.abs([values(six) - true for six, true in answers if six is not None]) * units
-        plain.add_row(f"{range_m:g}", *[two(column) for column in rough.T])
+        closed_form_table.add_row(f"{range_m:g}", *[two(column) for column in rough.T])
         beside.add_row(f"{range_m:g}", *against_peers(readings, pattern))
-    show(ratios, sizes, plain, beside, width=150)
+    show(ratios, sizes, closed_form_table, beside, width=150)
 
 
 def against_peers(readings: list[Reading], pattern: ReflectorPattern) -> list[str]:
@@ -233,10 +269,10 @@ def against_peers(readings: list[Reading], pattern: ReflectorPattern) -> list[st
     ]
 
 
-def learn(seed: int) -> ClosedFormCalibration:
+def learn(seed: int, simulator: Simulator) -> ClosedFormCalibration:
     """Constants of the closed form, of 300 other pairs, 1 to 12 m."""
     rng = np.random.default_rng(seed)
-    tried = [read(rng, math.exp(rng.uniform(0.0, math.log(12.0)))) for _ in range(300)]
+    tried = [read(rng, math.exp(rng.uniform(0.0, math.log(12.0))), simulator) for _ in range(300)]
     readings = [(r.spots_px, SixNumbers(*r.six)) for r in tried if r is not None]
     print(f"closed form calibrated on {len(readings)} of 300 pairs, seed {seed}")
     return calibrate(CAMERA, acquirer()[0], readings)

@@ -9,12 +9,11 @@ import numpy as np
 
 from experiments.frame import show, table_of
 from experiments.peers.pnp import PEERS, of_reading
-from experiments.reflectors.plain import CAMERA, PINHOLE, THREE, plain
+from experiments.reflectors.plain import CAMERA, PINHOLE, THREE, Simulator, pictures, plain
 from experiments.reflectors.run import CLIENT
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
-    LitDark,
     ReflectorSensor,
     SixNumbers,
     TrackingOptions,
@@ -42,16 +41,16 @@ def approach(roll_deg: float) -> list[Pose]:
     return poses
 
 
-def run(*, seed: int = 5) -> None:
+def run(*, seed: int = 5, simulator: Simulator = "plain") -> None:
     """Range from which the roll is known, and readings with a roll half a turn off, by roll.
 
-    Plain pictures of the client's two targets, 8 m to 0.75 m in 80 readings, the far target on
-    the boresight first. Tracked: one sensor; single: each reading on its own.
+    The client's two targets, 8 m to 0.75 m in 80 readings, the far target on the boresight first.
+    Tracked: one sensor; single: each reading on its own.
     """
     patterns = patterns_of(Target.load(CLIENT))
     all_ = merged(patterns)
     table = table_of(
-        f"seed {seed}",
+        f"seed {seed}, {simulator} simulator",
         "roll ° | known from m, single | tracked | wrong as known, single | tracked"
         " | solvePnP, poselib wrong on the single ones' spots",
         left=0,
@@ -62,12 +61,8 @@ def run(*, seed: int = 5) -> None:
         known, wrong = {"single": 0.0, "tracked": 0.0}, {"single": 0, "tracked": 0}
         others = dict.fromkeys(PEERS, 0)
         for n, truth in enumerate(approach(roll)):
-            look = plain.Look()
-            light = plain.discs(
-                PINHOLE, truth.rotation, truth.translation_m, all_.positions_m, all_.normals,
-                all_.diameters_m, look,
-            )  # fmt: skip
-            frames = LitDark(*plain.pair(PINHOLE, light, look, rng))
+            placed = truth.rotation, truth.translation_m
+            frames = pictures(simulator, all_, placed, plain.Look(), rng)
             alone = ReflectorSensor(CAMERA, patterns, tracking=TrackingOptions(confirm=False))
             for name, reading in (
                 ("single", alone.update(0.0, frames)), ("tracked", sensor.update(0.5 * n, frames))
@@ -89,13 +84,13 @@ def run(*, seed: int = 5) -> None:
     show(table)
 
 
-def larger(*, readings: int = 100, seed: int = 6) -> None:
+def larger(*, readings: int = 100, seed: int = 6, simulator: Simulator = "plain") -> None:
     """Book's cure: one outer reflector larger by a ratio. Which way up is found, and how often.
 
-    Plain pictures of the paper's three reflectors, 1 to 5 m, tilt to 30°, every roll.
+    The paper's three reflectors, 1 to 5 m, tilt to 30°, every roll.
     """
     table = table_of(
-        f"{readings} readings, seed {seed}",
+        f"{readings} readings, seed {seed}, {simulator} simulator",
         "ratio | right | half a turn off | open | none"
         " | solvePnP, poselib wrong on the spots of the first two",
         left=0,
@@ -110,12 +105,8 @@ def larger(*, readings: int = 100, seed: int = 6) -> None:
             placed = plain.look_at(
                 rng, PINHOLE, math.exp(rng.uniform(0.0, math.log(5.0))), 0.5, 150.0
             )
-            look = plain.Look()
-            light = plain.discs(
-                PINHOLE, *placed, pattern.positions_m, pattern.normals, diameters, look
-            )
             sensor = ReflectorSensor(CAMERA, [pattern], tracking=TrackingOptions(confirm=False))
-            reading = sensor.update(0.0, LitDark(*plain.pair(PINHOLE, light, look, rng)))
+            reading = sensor.update(0.0, pictures(simulator, pattern, placed, plain.Look(), rng))
             if reading.pose is None:
                 counts["none"] += 1
             elif reading.roll_ambiguous:

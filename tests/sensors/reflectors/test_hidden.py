@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.plain_pictures import Look, Pinhole, discs, look_at, pair
 
 from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import (
     Acquirer,
@@ -18,15 +20,18 @@ from rendezview.sensors.reflectors import (
     ReflectorSensor,
     SixNumbers,
     find_spots,
+    patterns_of,
     pose_of,
     predict_spots,
 )
+from rendezview.sensors.reflectors.acquisition import merged
 from rendezview.sensors.reflectors.choice import mirror
 from rendezview.sensors.reflectors.judgement import common_variance, least_facing
 from rendezview.sensors.reflectors.matching import match_all, match_spots, size_score
 from rendezview.sensors.reflectors.spots import COLUMNS, SIZE
 from rendezview.sensors.reflectors.triplets import expected_size
 
+CLIENT = Path(__file__).resolve().parents[3] / "models_cad" / "client"
 HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
@@ -207,3 +212,20 @@ def test_near_by_a_beam_and_the_tilt_make_discs_unlike_and_all_are_found(
             reading = sensor.update(0.1 * k, picture(three, truth, rng))
         assert reading.status is Status.OK
         assert min(reading.pose.angle_to(truth), reading.pose.angle_to(truth @ HALF_TURN)) < 0.01
+
+
+def test_neighbours_named_wrongly_are_no_pose_because_another_spot_gives_way(picture, paper_camera):
+    """Far off, one of the client's near reflectors is hidden: the other two could be any two."""
+    patterns = patterns_of(Target.load(CLIENT))
+    both, rng = merged(patterns), np.random.default_rng(105)
+    wrong = 0
+    for n in range(24):
+        truth = pose_of(SixNumbers(7.6 + 0.02 * n, 0.0, 0.0, 0.0, 0.05, -0.04), patterns[1])
+        aim = truth.apply(patterns[0].centre_m)
+        turn = Rotation.from_rotvec([math.atan2(aim[1], aim[2]), -math.atan2(aim[0], aim[2]), 0.0])
+        truth = Pose(turn.as_matrix(), np.zeros(3)) @ truth
+        spots = find_spots(picture(both, truth, rng, hidden=(3,)))
+        found = Acquirer(paper_camera, patterns).acquire(spots)
+        if found.refined is not None and not found.roll_ambiguous:
+            wrong += found.refined.camera_from_target.angle_to(truth) > 0.03
+    assert wrong == 0

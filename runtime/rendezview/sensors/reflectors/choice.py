@@ -34,6 +34,7 @@ _MOST_MATCHED = 200
 _MOST_REFINED = 40  # Source: experiment reflector-hidden --seed 1
 _SAME_RAD = 0.02  # rad: poses nearer than this are one. Source: by construction, the error at 8 m
 _PRIOR_RAD = 0.35  # rad: the last pose chooses a pose this near. Source: by construction, 20°
+_FEW = 4  # spots that hardly contradict wrong names. Source: by construction, 8 numbers for 6
 _PRIOR_RATIO = 3.0  # … and nearer by this factor than any other. Source: by construction
 
 
@@ -54,6 +55,7 @@ class _Hypothesis:
     where: Ints  # (N,) their spots
     score: float  # χ² of the triplet
     total: float  # χ² of all its spots: sizes, and places where there are more than three
+    dropped: int = 0  # spots near where it has a reflector, that do not fit
 
     @property
     def pose(self) -> Pose:
@@ -138,6 +140,13 @@ class Chooser:
                 f"{count + 1} poses show the same {most} spots as well (χ² {best.total:.1f} and "
                 f"{next(h.total for h in near if not self._alike(h, best)):.1f}): uncover more "
                 "reflectors, give a prior, or look again",
+            )
+        if chosen.dropped and most <= _FEW:
+            # Neighbours that are named wrongly fit too, if another spot gives way.
+            return Acquisition(
+                Status.AMBIGUOUS,
+                f"{most} spots fit, {chosen.dropped} beside them do not: names or spots may be "
+                "wrong; uncover more reflectors, or look again",
             )
         groups = set(self._group_of[chosen.which].tolist())
         ambiguous = prior is None and len(groups) == 1 and len(self._turns[chosen.group]) > 1
@@ -249,7 +258,7 @@ class Chooser:
         self, spots: SpotTable, which: Ints, where: Ints, pose: Pose, group: int, score: float
     ) -> _Hypothesis | None:
         """Least squares on the spots of a hypothesis; a spot out of the gate is dropped."""
-        options, pattern = self.options, self.constellation
+        options, pattern, matched = self.options, self.constellation, len(which)
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
             refined = refine(
@@ -258,7 +267,7 @@ class Chooser:
             if refined is None or not refined.converged:
                 return None
             if len(which) == 3:
-                return _Hypothesis(refined, group, which, where, score, score)
+                return _Hypothesis(refined, group, which, where, score, score, matched - 3)
             whole = np.hypot(sigma, options.gate_px + options.gate_size * spots.size_px[where])
             off = np.abs(refined.residuals_px).max(axis=1) / whole
             if off.max() < options.gate_sigma:
@@ -273,7 +282,8 @@ class Chooser:
             (options.size_sigma, options.diameter_sigma, options.blur_sigma),
         )  # fmt: skip
         places = float(np.sum((refined.residuals_px / whole[:, None]) ** 2))
-        return _Hypothesis(refined, group, which, where, score, sizes + places)
+        dropped = matched - len(which)
+        return _Hypothesis(refined, group, which, where, score, sizes + places, dropped)
 
 
 def mirror(pose: Pose, pattern: ReflectorPattern, which: Ints) -> Pose:
