@@ -272,6 +272,14 @@ class Recognizer:
         if self.sketch is not None:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
+            if sketched is not None and prior is None:
+                # Grey edges judge what the sketch proposes, and are the finer ones.
+                proposed = search.proposed(frame, sky, _answers(sketched, found), traced.outlines)
+                clock.lap("refine")
+                if proposed is not None and self._confident(proposed):
+                    pose = proposed.best.pose
+                    seen = self.outline.recognize(traced, None, None, pose, clock)
+                    return self._given(seen, proposed)
             if sketched is not None and self._confident(sketched):
                 pose = sketched.best.pose
                 # Grey edges are the finer ones, where they are seen.
@@ -320,6 +328,12 @@ class Recognizer:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
         close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
         return found.confidence >= self.least_confidence and not close and _is_known(found.best)
+
+
+def _answers(*looks: Found | None) -> list[Pose]:
+    """The best poses of some looks, and their rivals."""
+    poses = [(f.best, f.rival) for f in looks if f is not None]
+    return [refined.pose for both in poses for refined in both if refined is not None]
 
 
 def _is_known(refined: Refined) -> bool:

@@ -91,6 +91,14 @@ class LevelSearch:
         found = level[0].at(*level[1:], prior, error_rad, sufficient_inlier_ratio)
         return self._finished(found, image, sky)
 
+    def proposed(
+        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines]
+    ) -> Found | None:
+        """``PoseSearch.proposed``; the first proposal tells the size of the target."""
+        level = self._near(image, sky, proposals[0])
+        found = level[0].proposed(*level[1:], proposals, bodies)
+        return self._finished(found, image, sky)
+
     def near(
         self,
         image: Picture,

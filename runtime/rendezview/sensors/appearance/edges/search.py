@@ -140,7 +140,7 @@ class PoseSearch:
             )
             best = candidates.most_inliers
             if best is not None and best not in turned:
-                candidates.add(self._half_turned(image, sky, best))
+                candidates.add(self._half_turned(image, sky, best.pose))
                 turned.append(best)
             found = candidates.choose()
             confidence = 0.0 if found is None else found.confidence
@@ -200,7 +200,7 @@ class PoseSearch:
                 more += self._around(image, sky, pose) + self._close_to(image, sky, pose.pose)
                 if pose not in turned:
                     turned.append(pose)
-                    more += self._half_turned(image, sky, pose)
+                    more += self._half_turned(image, sky, pose.pose)
             if not more:
                 break
             candidates.add(more)
@@ -236,6 +236,22 @@ class PoseSearch:
         if found is None or found.confidence < _CONFIDENT:
             return None
         return replace(found, single=True)
+
+    def proposed(
+        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines]
+    ) -> Found | None:
+        """The best of some poses that another witness proposes, and of half turns of it.
+
+        Args:
+            proposals: right to a few degrees, or another answer.
+        """
+        candidates = Candidates(self.refiner, self.retrieval, image, sky, bodies, self.ballot)
+        refined = [self.refiner.refine(image, sky, pose) for pose in proposals]
+        candidates.add([r for r in refined if r is not None])
+        best = candidates.most_inliers
+        pose = proposals[0] if best is None else best.pose
+        candidates.add(self._half_turned(image, sky, pose))
+        return candidates.choose()
 
     def near(
         self,
@@ -286,13 +302,13 @@ class PoseSearch:
         found.append(self.refiner.refine(image, sky, prior))
         return [refined for refined in found if refined is not None]
 
-    def _half_turned(self, image: Picture, sky: Sky, best: Refined) -> list[Refined]:
+    def _half_turned(self, image: Picture, sky: Sky, pose: Pose) -> list[Refined]:
         """Poses from half turns of one: many craft look nearly the same from behind or below.
 
         Each is refined directly and after coarse alignment, which may move it away.
         """
-        rotations = best.pose.rotation @ self._half_turns
-        centres = np.tile(best.pose.apply(self.model.centre_m), (len(rotations), 1))
+        rotations = pose.rotation @ self._half_turns
+        centres = np.tile(pose.apply(self.model.centre_m), (len(rotations), 1))
         starts = map(Pose, rotations, centres - rotations @ self.model.centre_m)
         refined = [self.refiner.refine(image, sky, start) for start in starts]
         found = [r for r in refined if r is not None]

@@ -1,0 +1,55 @@
+"""Poses that another witness proposes, judged by the grey edges."""
+
+import numpy as np
+import pytest
+
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance.edges.levels import LevelSearch
+from rendezview.sensors.appearance.edges.starts import half_turns
+from rendezview.sensors.appearance.sky import Sky
+
+
+@pytest.fixture
+def truth(refining_model) -> Pose:
+    turn = np.linalg.qr(np.random.default_rng(8).normal(size=(3, 3)))[0]
+    rotation = turn * np.sign(np.linalg.det(turn))
+    centre = np.array([0.1, -0.05, 1.4 * refining_model.sphere_radius_m])
+    return Pose(rotation, centre - rotation @ refining_model.centre_m)
+
+
+def turned(pose: Pose, turn: np.ndarray, centre_m: np.ndarray) -> Pose:
+    """The pose turned in the target's frame about the view centre."""
+    rotation = pose.rotation @ turn
+    return Pose(rotation, pose.apply(centre_m) - rotation @ centre_m)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_proposal_that_is_half_a_turn_off_leads_to_the_pose(
+    refining_model, bumpy_mesh, camera, draw, truth, axis
+):
+    search = LevelSearch(refining_model, camera)
+    frame = draw(bumpy_mesh, truth, camera)
+    wrong = turned(truth, half_turns(refining_model)[axis], refining_model.centre_m)
+    found = search.proposed(frame, Sky.of(frame), [wrong], [])
+    assert found is not None
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+    assert not found.prior  # the proposal is no evidence of its own
+    assert found.confidence > 0.9
+
+
+def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camera, draw, truth):
+    search = LevelSearch(refining_model, camera)
+    frame = draw(bumpy_mesh, truth, camera)
+    aside = Pose(truth.rotation, truth.translation_m).perturbed([0.03, -0.02, 0.02, 0.0, 0.0, 0.0])
+    quarter = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    other = turned(truth, quarter, refining_model.centre_m)
+    found = search.proposed(frame, Sky.of(frame), [other, aside], [])
+    assert found is not None
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+
+
+def test_an_empty_frame_bears_no_proposal_out(refining_model, camera, truth):
+    frame = np.random.default_rng(1).normal(8.0, 2.0, (camera.height, camera.width))
+    frame = np.clip(frame, 0, 255).astype(np.uint8)
+    found = LevelSearch(refining_model, camera).proposed(frame, Sky.of(frame), [truth], [])
+    assert found is None or found.confidence < 0.5
