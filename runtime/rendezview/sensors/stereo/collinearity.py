@@ -188,7 +188,7 @@ def solve(
             if not length < 1e30:
                 return cost, taken, False
             if length < tolerance * tolerance and damping < 1e-2:
-                rotation[:], translation[:] = trial_r, trial_t
+                _move(trial_r, trial_t, rotation, translation)
                 return cost - length, taken, True  # so short a step is as good as linear
             trial = _cost_at(
                 trial_r, trial_t, leds, cr, ct, xy, weight, prior, prior_rotation,
@@ -199,10 +199,17 @@ def solve(
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e9:
                 return cost, taken, False
-        rotation[:], translation[:] = trial_r, trial_t
-        information[:], gradient[:], cost = trial_information, trial_gradient, trial
+        _move(trial_r, trial_t, rotation, translation)
+        _move(trial_information, trial_gradient, information, gradient)
+        cost = trial
         damping = 0.1 * damping if damping > 1e-6 else 0.0
     return cost, iterations, False
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _move(matrix: Array, vector: Array, to_matrix: Array, to_vector: Array) -> None:
+    linear_algebra.copy_matrix_into(matrix, to_matrix)
+    linear_algebra.copy_into(vector, to_vector)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -256,8 +263,9 @@ def _add_prior(
     gradient: Array,
 ) -> float:
     away = np.empty(6)
-    away[:3] = so3.between(rotation, prior_rotation)
+    turn = so3.between(rotation, prior_rotation)
     for i in range(3):
+        away[i] = turn[i]
         away[3 + i] = translation[i] - prior_translation[i]
     cost = 0.0
     for i in range(6):

@@ -197,7 +197,10 @@ def _capped(
     each = np.empty(weight.shape[:2])
     for i in range(rotations.shape[0]):
         squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
-        out[i] = np.minimum(each, cap).sum()
+        out[i] = 0.0
+        for k in range(weight.shape[0]):
+            for j in range(weight.shape[1]):
+                out[i] += min(each[k, j], cap)
 
 
 @njit(cache=True, nogil=True)
@@ -213,9 +216,11 @@ def _settle(
 ) -> None:
     """Iterate each pose with Geman's and McClure's weights, from loose to tight."""
     each = np.empty(weight.shape[:2])
-    nothing, identity, origin = np.zeros((6, 6)), np.eye(3), np.zeros(3)
+    nothing, no_turn, origin = np.zeros((6, 6)), np.zeros((3, 3)), np.zeros(3)  # no prior
     information = np.empty((6, 6))
     softened = np.empty_like(weight)
+    # A 4 would be a type of its own, for which `solve` is compiled again.
+    steps: int = np.int64(4)  # type: ignore[assignment]
     for i in range(rotations.shape[0]):
         for scale2 in (900.0, 200.0, 60.0, 20.0, 20.0, 20.0):
             squares(rotations[i], translations[i], leds, normals, cr, ct, xy, weight, each)
@@ -226,6 +231,6 @@ def _settle(
                     if not g > 1e-6:
                         softened[k, j] = 0.0
             solve(
-                rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, identity,
-                origin, 4, 1e-3, information,
+                rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, no_turn,
+                origin, steps, 1e-3, information,
             )  # fmt: skip
