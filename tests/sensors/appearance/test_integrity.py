@@ -167,6 +167,14 @@ def test_the_second_witness_is_asked_every_tenth_frame_at_most():
     assert times == [0, 10, 20]
 
 
+def test_a_sketch_is_no_second_witness_of_its_own_pose():
+    asked: list[int] = []
+    monitor = IntegrityMonitor(IntegrityOptions(), model(constant=-3.0))
+    for k in range(3):
+        monitor.judge(evidence(float(k), sketched=k < 2), lambda k=k: asked.append(k))
+    assert asked == [2]
+
+
 def test_a_disagreement_is_asked_about_again():
     monitor = IntegrityMonitor(IntegrityOptions(second_every=5), model(no_second=15.0))
     answers = [DISAGREES, AGREES]

@@ -61,7 +61,7 @@ def _panel(
     axes.plot(shown, shown, color=PROBLEM, linewidth=1.2)
     axes.set(xscale="log", yscale="log", xlim=shown, ylim=shown)
     title = (
-        f"{int(free.sum())} poses without an alarm (colour: how many), "
-        f"{int(wrong.sum())} misleading; grey: {int((~free).sum())} with an alarm"
+        f"{int(free.sum())} without an alarm (colour: how many), "
+        f"{int(wrong.sum())} misleading; grey: {int((~free).sum())} with one"
     )
     axes.set_title(title, color=MUTED, fontsize=8)

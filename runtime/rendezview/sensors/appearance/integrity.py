@@ -126,8 +126,8 @@ class IntegrityMonitor:
         protection = self._protection(evidence)
         waited = self._followed - self._asked >= self.options.second_every
         doubt = protection.wrong > self.options.risk or WITNESSES in protection.alarms
-        if ask is None or not (waited and doubt):
-            return protection
+        if ask is None or evidence.sketched or not (waited and doubt):
+            return protection  # of its own pose a sketch is no second witness
         self._asked, self._second = self._followed, ask()
         return self._protection(evidence)
 
