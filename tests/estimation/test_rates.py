@@ -124,13 +124,15 @@ def test_errors_of_the_attitude_turn_with_it():
     np.testing.assert_allclose(covariance, wanted, atol=1e-12)
 
 
-def test_mixed_rates_are_those_of_plain_numpy():
+@pytest.mark.parametrize("least", [0.0, 0.3])
+def test_mixed_rates_are_those_of_plain_numpy(least):
     rng = np.random.default_rng(3)
     root = rng.normal(0.0, 0.1, (4, 13, 13))
     covariances, states = root @ root.transpose(0, 2, 1), rng.normal(0.0, 0.1, (4, 13))
     scores, mean, spread = rng.normal(0.0, 2.0, 4), np.zeros(3), np.zeros((3, 3))
-    bank_module.mix(scores, states, covariances, 0, mean, spread)
-    weights = np.exp(scores) / np.exp(scores).sum()
+    bank_module.mix(scores, states, covariances, 0, least, mean, spread)
+    weights = np.maximum(np.exp(scores - scores.max()), least)
+    weights /= weights.sum()
     both = np.hstack([np.zeros((3, 3)), np.eye(3), np.eye(3), np.zeros((3, 4))])
     rates = states @ both.T
     off = rates - weights @ rates
@@ -154,7 +156,7 @@ def test_a_bank_of_one_filter_is_that_filter(row):
     mean, spread = np.zeros(6), np.zeros((6, 6))
     assert bank_module.step_bank(
         dt, kinds, kinds, rotations, places, states, covariances, scores, np.eye(3), place,
-        measured, 0.5, 1e-3, 12.0, mean, spread,
+        measured, 0.5, 1e-3, 12.0, 0.0, mean, spread,
     )  # fmt: skip
     step, state, change, covariance, likely = plain_filter(
         dt, kinds[0], 1e-3, *first, place, measured[3:, 3:]
@@ -186,6 +188,27 @@ def test_a_restarted_filter_has_the_rate_of_the_best_and_its_error(row):
 def test_rates_have_the_errors_that_they_claim(hertz):
     nees = [errors_of(swinging, hertz, 15.0, seed, 4.0)[2] for seed in range(5)]
     assert 3.0 < np.mean(nees) < 8.0
+
+
+def pushed(t):
+    """A steady turn that a push of 6°/s² changes at 6 s for a second."""
+    axis, since = np.array([0.6, 0.0, 0.8]), np.clip(t - 6.0, 0.0, 1.0)
+    rate = 0.1 + 0.1 * since
+    angle = 0.1 * t + 0.05 * since**2 + 0.1 * max(t - 7.0, 0.0)
+    pose = Pose(Rotation.from_rotvec(angle * axis).as_matrix(), np.array([0.0, 0.0, 5.0]))
+    return pose, np.append(rate * axis, np.zeros(3))
+
+
+def test_a_least_weight_covers_a_push_that_nobody_announced():
+    options = RateOptions(least_weight=1e-3)
+    covered, plain = (
+        np.concatenate([errors_of(pushed, 10.0, 12.0, seed, 4.0, given)[2] for seed in range(4)])
+        for given in (options, None)
+    )
+    assert np.mean(plain) > 12.0
+    assert np.mean(covered) < 8.0
+    errors = [errors_of(pushed, 10.0, 12.0, 1, 8.0, given)[0] for given in (options, None)]
+    assert rms(errors[0]) == pytest.approx(rms(errors[1]), rel=0.1)
 
 
 @pytest.mark.parametrize("hertz", [2.0, 5.0, 10.0, 30.0])

@@ -57,6 +57,9 @@ class RateOptions:
     memory_s: float = 10.0  # s, of the likelihoods. Source: experiment reflector-rates
     # of the logarithm of a likelihood: that far behind, a filter restarts. Source: reflector-rates
     behind: float = 12.0
+    # of the best filter's weight, 0 to 1; no other has less. With 1e-3 the covariance holds a push
+    # that began unseen, and is too large in steady motion. Source: experiment reflector-rates
+    least_weight: float = 0.0
 
     def kinds(self) -> Array:
         """(B, 7) the filters, a row each."""
@@ -116,7 +119,7 @@ class RateBank:
             dt, self._kinds[0], self._kinds[1], self._rotations, self._places, self._states,
             self._covariances, self._scores, pose.rotation.copy(), pose.translation_m.copy(),
             np.ascontiguousarray(covariance),
-            kept, options.frequency_walk, options.behind, rates, spread,
+            kept, options.frequency_walk, options.behind, options.least_weight, rates, spread,
         )  # fmt: skip
         if not sound:
             self._begin(time_s, pose, covariance)

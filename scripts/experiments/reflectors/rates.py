@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.frame import nees, show, table_of
 from experiments.reflectors.plain import plain
-from rendezview.estimation.rates import RateBank
+from rendezview.estimation.rates import RateBank, RateOptions
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 
@@ -136,7 +136,7 @@ def bound(hertz: float, law: tuple[float, np.ndarray] | None, sigma: np.ndarray)
     return math.sqrt(float(np.mean(variances)))
 
 
-def run(*, runs: int = 10, seed: int = 8, kind: str = "") -> None:
+def run(*, runs: int = 10, seed: int = 8, kind: str = "", least_weight: float = 0.0) -> None:
     """Rates of moving targets: the filters beside a line through eight readings, same poses.
 
     Poses with the errors of reflectors at 5 m; errors from 4 s on. The target swings at up to
@@ -144,7 +144,9 @@ def run(*, runs: int = 10, seed: int = 8, kind: str = "") -> None:
     pushed: 3°/s² an axis (one σ) for one second of six. The bound (Cramér–Rao) is that of the
     motion's own law with unknown numbers: no method that uses past readings and is right on average
     is below it. NEES: 6 is right. --kind: the beginning of a motion.
+    --least-weight: of a filter, see `RateOptions`.
     """
+    options = RateOptions(least_weight=least_weight)
     table = table_of(
         f"{runs} runs of {SECONDS:g} s, seed {seed}; rms of turn, °/s, and velocity, mm/s; NEES",
         "motion | Hz | turn: line | ours | bound | mm/s: line | ours | bound | mean | median",
@@ -156,7 +158,7 @@ def run(*, runs: int = 10, seed: int = 8, kind: str = "") -> None:
         for hertz in (2.0, 5.0, 10.0, 30.0):
             rng, ours, line, errors, bounds = np.random.default_rng(seed), [], [], [], []
             for _ in range(runs):
-                motion, bank, kept = make(rng), RateBank(), []
+                motion, bank, kept = make(rng), RateBank(options), []
                 bounds.append(
                     (bound(hertz, motion.turns, SIGMA[:3]), bound(hertz, motion.moves, SIGMA[3:]))
                 )
