@@ -43,7 +43,8 @@ def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
             session.measure("laser", echo)
             state = session.track(frame.read(), frame.time_s)
             text_has(page, "#numbers", f"{state['frame']} · t =")
-            if state["ring"]["ellipse"] and state["pose"] and not shot:
+            fitted = bool(state["trajectory"] and state["trajectory"].get("segment"))
+            if state["ring"]["ellipse"] and state["pose"] and fitted and not shot:
                 shot = True
                 until(page, f"rendezview.frame === {state['frame']}")
                 until(page, "rendezview.spaces > 0")
