@@ -9,12 +9,18 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from rendezview.io.target import Target
 from rendezview.training.mesh import Mesh, load_mesh
 
 EXTENT_M = np.array([2.0, 1.0, 0.5])
 FORMATS = ["stl", "obj", "ply", "glb", "gltf", "3mf", "dae"]
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+# A body, a mast and a wing: the wing alone lies in the box.
+_BODY = [((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)), ((0.5, 0.5, 0.9), (0.9, 0.3, 0.5))]
+_WING = ((1.2, 1.4, 0.05), (0.1, 1.5, 0.0))
+_HINGE_M = [0.1, 0.8, 0.0]  # where the wing joins the body
+WING_BOXES_M = "[[[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]]]"
 
 
 def box(scale: float = 1.0) -> trimesh.Trimesh:
@@ -35,6 +41,27 @@ def export(folder: Path, suffix: str, scene: object, **options: object) -> Path:
             write(folder / name, content)
         return next(folder.glob("*.gltf"))
     return write(folder / f"mesh.{suffix}", made)
+
+
+def winged_mesh(wing_turn_rad: float = 0.0) -> trimesh.Trimesh:
+    """Body and wing, the wing turned about its hinge, which is parallel to x."""
+    made = []
+    for size_m, place_m in (*_BODY, _WING):
+        made.append(trimesh.creation.box(size_m))
+        made[-1].apply_translation(place_m)
+    made[-1].apply_transform(
+        trimesh.transformations.rotation_matrix(wing_turn_rad, [1.0, 0.0, 0.0], _HINGE_M)
+    )
+    return trimesh.util.concatenate(made)
+
+
+def winged_target(folder: Path, parts: str) -> Target:
+    """A target file with that mesh and the lines that say what the wing is."""
+    folder.mkdir(exist_ok=True)
+    winged_mesh().export(folder / "winged.obj")
+    text = f'name = "winged"\n[mesh]\npath = "winged.obj"\nunit = "m"\n{parts}'
+    (folder / "target.toml").write_text(text, encoding="utf-8")
+    return Target.load(folder)
 
 
 def triangles(mesh: Mesh) -> np.ndarray:

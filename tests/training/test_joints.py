@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from tests.quick_training import REFINING
+from tests.training.mesh_samples import winged_target
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -21,13 +22,7 @@ from rendezview.training.joints import posed, sheet_angles, with_parts
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.target_job import train_target
 
-BODY = [((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)), ((0.5, 0.5, 0.9), (0.9, 0.3, 0.5))]
-WING = ((1.2, 1.4, 0.05), (0.1, 1.5, 0.0))
-TOML = """
-name = "winged"
-[mesh]
-path = "winged.obj"
-unit = "m"
+JOINT = """
 [[joints]]
 name = "wing"
 boxes_m = [[[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]]]
@@ -37,24 +32,13 @@ limits_deg = [0.0, 30.0]
 """
 
 
-def winged(folder: Path, toml: str = TOML) -> Target:
-    boxes = []
-    for size, place in (*BODY, WING):
-        box = trimesh.creation.box(size)
-        box.apply_translation(place)
-        boxes.append(box)
-    trimesh.util.concatenate(boxes).export(folder / "winged.obj")
-    (folder / "target.toml").write_text(toml, encoding="utf-8")
-    return Target.load(folder)
-
-
 def whole_mesh(target: Target) -> Mesh:
     return with_parts(load_mesh(target.mesh_path, target.unit), target)
 
 
 @pytest.fixture(scope="module")
 def target(tmp_path_factory: pytest.TempPathFactory) -> Target:
-    return winged(tmp_path_factory.mktemp("winged"))
+    return winged_target(tmp_path_factory.mktemp("winged"), JOINT)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +160,7 @@ def test_wrong_joints_are_refused_by_the_file(
     tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     with pytest.raises(RendezviewError, match=message):
-        winged(tmp_path, TOML.replace(*change))
+        winged_target(tmp_path, JOINT.replace(*change))
 
 
 @pytest.mark.parametrize(
@@ -190,8 +174,8 @@ def test_wrong_joints_are_refused_by_the_file(
 def test_joints_that_do_not_fit_the_mesh_are_refused(
     tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
-    text = TOML.replace(*change).replace("[1.0, 3.0, 1.0]]", "[1.0, 9.0, 1.0]]")
-    target = winged(tmp_path, text)
+    text = JOINT.replace(*change).replace("[1.0, 3.0, 1.0]]", "[1.0, 9.0, 1.0]]")
+    target = winged_target(tmp_path, text)
     with pytest.raises(RendezviewError, match=message):
         whole_mesh(target)
 
@@ -199,12 +183,12 @@ def test_joints_that_do_not_fit_the_mesh_are_refused(
 def test_a_joint_whose_turn_shows_nothing_is_refused(tmp_path: Path) -> None:
     body, drum = trimesh.creation.box((2.0, 1.0, 1.0)), trimesh.creation.cylinder(0.4, 1.0, 256)
     drum.apply_translation([0.0, 0.0, 2.0])
-    trimesh.util.concatenate([body, drum]).export(tmp_path / "winged.obj")
-    text = TOML.replace("[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]", "[-1.0, -1.0, 1.0], [1.0, 1.0, 3.0]")
+    text = JOINT.replace("[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]", "[-1.0, -1.0, 1.0], [1.0, 1.0, 3.0]")
     text = text.replace("[0.0, 1.0, 0.0]", "[0.0, 0.0, 1.0]").replace("[0.1, 0.0", "[0.0, 0.0")
-    (tmp_path / "target.toml").write_text(text, encoding="utf-8")
+    target = winged_target(tmp_path, text)
+    trimesh.util.concatenate([body, drum]).export(target.mesh_path)
     with pytest.raises(RendezviewError, match="cannot be observed"):
-        whole_mesh(Target.load(tmp_path))
+        whole_mesh(target)
 
 
 def test_too_many_sheets_are_refused(target: Target) -> None:

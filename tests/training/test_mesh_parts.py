@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.spatial.transform import Rotation
 from tests.quick_training import REFINING
+from tests.training.mesh_samples import WING_BOXES_M, winged_mesh, winged_target
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -24,37 +24,12 @@ from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.surface_points import candidate_points
 from rendezview.training.target_job import train_target
 
-BODY = [((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)), ((0.5, 0.5, 0.9), (0.9, 0.3, 0.5))]
-WING = ((1.2, 1.4, 0.05), (0.1, 1.5, 0.0))
-BOX = "[[[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]]]"
+WING = f'[[parts]]\nname = "wing"\ntrust = {{}}\nboxes_m = {WING_BOXES_M}\n'
 OPTIONS = TrainingOptions(contour_points=200, contour_resolution_px=256)
 
 
-def boxes(wing_turn_rad: float = 0.0) -> trimesh.Trimesh:
-    made = []
-    for size, place in (*BODY, WING):
-        box = trimesh.creation.box(size)
-        if size is WING[0]:  # bent where it joins the body
-            hinge = [0.1, 0.8, 0.0]
-            box.apply_translation(place)
-            box.apply_transform(trimesh.transformations.rotation_matrix(
-                wing_turn_rad, [1.0, 0.0, 0.0], hinge))  # fmt: skip
-        else:
-            box.apply_translation(place)
-        made.append(box)
-    return trimesh.util.concatenate(made)
-
-
-def target_with(folder: Path, part: str) -> Target:
-    folder.mkdir(exist_ok=True)
-    boxes().export(folder / "winged.obj")
-    text = f'name = "winged"\n[mesh]\npath = "winged.obj"\nunit = "m"\n{part}'
-    (folder / "target.toml").write_text(text, encoding="utf-8")
-    return Target.load(folder)
-
-
 def trusting(folder: Path, trust: float) -> Target:
-    return target_with(folder, f'[[parts]]\nname = "wing"\ntrust = {trust}\nboxes_m = {BOX}\n')
+    return winged_target(folder, WING.format(trust))
 
 
 def share_on_wing(mesh: Mesh) -> float:
@@ -85,7 +60,7 @@ def test_a_less_trusted_part_has_fewer_contour_and_surface_points(tmp_path: Path
 
 def test_a_bent_part_that_is_not_trusted_costs_little(tmp_path: Path) -> None:
     camera = Camera.from_fov(480, 360, np.deg2rad(40.0))
-    bent = boxes(np.deg2rad(6.0))
+    bent = winged_mesh(np.deg2rad(6.0))
     bent.export(tmp_path / "bent.obj")
     shown = load_mesh(tmp_path / "bent.obj", "m")
     rng, options = np.random.default_rng(3), SceneOptions(sky_frame="camera")
@@ -118,22 +93,22 @@ def test_a_bent_part_that_is_not_trusted_costs_little(tmp_path: Path) -> None:
         ('[[parts]]\nname = "a"\ntrust = 0.5\n', "nowhere"),
         ('[[parts]]\nname = "a"\ntrust = 1.5\nnodes = ["b"]\n', "trust"),
         ('[[parts]]\nname = "a"\ntrust = 0.5\nboxes_m = [[[1, 1, 1], [0, 2, 2]]]\n', "corners"),
-        (f'[[parts]]\nname = "a"\ntrust = 1.0\nboxes_m = {BOX}\n' * 2, "more than once"),
+        (f'[[parts]]\nname = "a"\ntrust = 1.0\nboxes_m = {WING_BOXES_M}\n' * 2, "more than once"),
     ],
 )
 def test_a_wrong_part_is_refused_with_its_reason(tmp_path: Path, part: str, words: str) -> None:
     with pytest.raises(RendezviewError, match=words):
-        target_with(tmp_path, part)
+        winged_target(tmp_path, part)
 
 
 def test_parts_must_have_faces_and_leave_some(tmp_path: Path) -> None:
-    nowhere = target_with(
+    nowhere = winged_target(
         tmp_path, '[[parts]]\nname = "a"\ntrust = 0.5\nboxes_m = [[[8, 8, 8], [9, 9, 9]]]\n'
     )
     mesh = load_mesh(nowhere.mesh_path, nowhere.unit)
     with pytest.raises(RendezviewError, match="no face"):
         with_trust(mesh, nowhere)
-    everything = target_with(
+    everything = winged_target(
         tmp_path, '[[parts]]\nname = "a"\ntrust = 0.0\nboxes_m = [[[-9, -9, -9], [9, 9, 9]]]\n'
     )
     with pytest.raises(RendezviewError, match="no part"):

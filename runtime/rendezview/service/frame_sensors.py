@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import json_value
 from rendezview.io.sequences.frame import GreyImage
 from rendezview.io.target import DockingRing, Reflector, Target
@@ -21,7 +20,7 @@ from rendezview.sensors.ring.observation import RingObservation
 from rendezview.sensors.ring.prior_log import prior_of_pose
 from rendezview.service.fusion_messages import FusionRequest
 from rendezview.service.messages import SessionRequest
-from rendezview.service.sensor_lines import Json, context_of
+from rendezview.service.sensor_lines import Json, context_of, pose_of_fused
 from rendezview.service.session_filter import SessionFilter
 
 RING, REFLECTORS = "ring", "reflectors"  # names of the session's own sensors
@@ -132,12 +131,11 @@ def ring_record(observation: RingObservation) -> Json:
 
 def _prior(known: Json, ring: DockingRing) -> RingPrior | None:
     """What a `Fused` state tells of the ring; None without a pose."""
-    if known["pose"] is None or known["covariance"] is None:
+    found = pose_of_fused(known)
+    if found is None:
         return None
-    covariance: Array = np.array(known["covariance"])[:6, :6]
-    pose = Pose.from_quat_wxyz(known["pose"]["quat_wxyz"], known["pose"]["translation_m"])
     try:
-        return prior_of_pose(pose, covariance, ring)
+        return prior_of_pose(*found, ring)
     except ValueError:  # no variance along the line of sight: the state is of no use
         return None
 

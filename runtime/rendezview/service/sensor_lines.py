@@ -16,7 +16,7 @@ from pydantic_core import from_json
 from rendezview.errors import RendezviewError
 from rendezview.fusion import BeamSurface, Measurement, PoseMeasurement, RangeMeasurement
 from rendezview.fusion.logs import LogContext, read_record
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.files import describe
 from rendezview.io.target import DockingRing
 from rendezview.service.fusion_messages import MOST_MARKS, FusionRequest, Marks, SurfaceMessage
@@ -36,6 +36,15 @@ class SensorLine:
     record: Json
     measurement: Measurement | None
     marks: Json | None
+
+
+def pose_of_fused(fused: Json) -> tuple[Pose, Array] | None:
+    """The pose of a `Fused` state and its covariance (6, 6); None where the filter has none."""
+    pose, covariance = fused["pose"], fused["covariance"]
+    if pose is None or covariance is None:
+        return None
+    found = Pose.from_quat_wxyz(pose["quat_wxyz"], pose["translation_m"])
+    return found, np.array(covariance)[:6, :6]
 
 
 def split_records(text: bytes) -> list[Json]:

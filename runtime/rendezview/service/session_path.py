@@ -12,7 +12,7 @@ from rendezview.io.results import json_value
 from rendezview.sensors.appearance import AppearanceObservation
 from rendezview.service.frame_sensor_messages import TrajectoryRequest
 from rendezview.service.messages import SessionRequest
-from rendezview.service.sensor_lines import Json
+from rendezview.service.sensor_lines import Json, pose_of_fused
 from rendezview.trajectory import FollowerOptions, PathFollower, Shape, plan_of
 from rendezview.trajectory.follower import record
 
@@ -62,7 +62,7 @@ class SessionPath:
                 time_s, observation.pose, observation.covariance, *observation.cloud
             )
         else:
-            report = self._follower.update(time_s, *_pose(fused))
+            report = self._follower.update(time_s, *(pose_of_fused(fused) or (None, None)))
         plan = self._follower.plan
         self._record = {
             "time_s": time_s,
@@ -87,14 +87,6 @@ def trajectory_of(request: SessionRequest) -> TrajectoryRequest | None:
     if asked is True or (asked.shape is None and asked.plan is None):
         raise RendezviewError("sensors: trajectory: what path is flown? Give a shape or a plan")
     return asked
-
-
-def _pose(fused: Json) -> tuple[Pose | None, Array | None]:
-    """The pose of a `Fused` state and its covariance (6, 6)."""
-    if fused["pose"] is None or fused["covariance"] is None:
-        return None, None
-    pose = Pose.from_quat_wxyz(fused["pose"]["quat_wxyz"], fused["pose"]["translation_m"])
-    return pose, np.array(fused["covariance"])[:6, :6]
 
 
 def warm_up(rng: np.random.Generator) -> None:

@@ -69,12 +69,12 @@ def looks(
         began_s = time.process_time()
         seen = tracker.update(float(k), picture)
         spent_s = time.process_time() - began_s
-        second = None
-        if seen.pose is not None and poses % SECOND_EVERY == 0:
+        evidence, second = Evidence.of(seen, float(k), predicted, model.centre_m), None
+        due = poses % SECOND_EVERY == 0
+        if due and seen.pose is not None and not (evidence is not None and evidence.sketched):
             second = recognizer.second_look(picture, seen.pose)
         poses += seen.pose is not None
         lost = 0 if seen.pose is not None else lost + 1
-        evidence = Evidence.of(seen, float(k), predicted, model.centre_m)
         lines.append(line(k, seen, evidence, second, truth, model, spent_s))
         if lost > MOST_LOST:
             break

@@ -109,11 +109,11 @@ class ViewModel:
     error_model: ErrorModel | None = None  # of refined poses; None: the packaged one serves
     # (6, 6) of the strain that calibration left: xx, yy, zz, xy, xz, yz; None: not calibrated
     shape_covariance: Array | None = None
-    # Of a target with joints: the mesh is at these angles, and ``sheets`` are the same target at
-    # others, with the same view centre and radius.
     # As the target file has them, for the sensors beside this one.
     docking_ring: DockingRing | None = None
     reflectors: tuple[Reflector, ...] = ()
+    # Of a target with joints: the mesh is at these angles, and ``sheets`` are the same target at
+    # others, with the same view centre and radius.
     joints: tuple[Joint, ...] = ()
     angles_rad: Array = field(default_factory=lambda: np.zeros(0))  # (J,)
     sheets: tuple[ViewModel, ...] = ()
