@@ -29,7 +29,7 @@ from rendezview.evaluation import (
     tree_tests,
     write_report,
 )
-from rendezview.evaluation.page import _STYLE, MP4, Card, _figure
+from rendezview.evaluation.page import _STYLE, WEBM, Card, _figure
 from rendezview.evaluation.report_frames import shown_frames
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -257,9 +257,9 @@ def test_a_report_is_one_page_that_needs_nothing_else(run: Run, tmp_path: Path) 
 
 
 def test_a_video_of_known_shape_leaves_room_below_for_its_player() -> None:
-    known = _figure(Card("film", "Film", "of it", b"video", MP4, 0.75))
+    known = _figure(Card("film", "Film", "of it", b"video", WEBM, 0.75))
     assert 'class="apart" style="--tall: 0.7500"' in known
-    assert "apart" not in _figure(Card("film", "Film", "of it", b"video", MP4))
+    assert "apart" not in _figure(Card("film", "Film", "of it", b"video", WEBM))
     assert "video.apart" in _STYLE
 
 

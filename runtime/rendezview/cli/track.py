@@ -94,7 +94,7 @@ def track(
     ] = None,
     video: Annotated[
         Path | None,
-        typer.Option(help="Frames with the result drawn over them (.mp4, .webm, .avi or .gif)."),
+        typer.Option(help="Frames with the result drawn over them (.webm, .mp4, .avi or .gif)."),
     ] = None,
     plan: PlanFile = None,
     shape: ShapeName = None,

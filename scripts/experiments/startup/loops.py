@@ -86,7 +86,7 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
             ]  # fmt: skip
             fuse_to_contact(
                 frames, poses, ring, laser, log=Path(folder) / "state.jsonl",
-                video=Path(folder) / "ring.mp4",
+                video=Path(folder) / "ring.webm",
             )  # fmt: skip
 
     return recorded(work)

@@ -85,7 +85,7 @@ def test_a_video_plays_in_real_time_where_that_can_be_watched():
 
 
 @pytest.mark.parametrize("suffix", [".mp4", ".webm", ".avi", ".gif"])
-def test_a_video_is_read_back(tmp_path, suffix):
+def test_a_video_is_written_in_silence_and_read_back(tmp_path, suffix, capfd):
     path = tmp_path / f"run{suffix}"
     with VideoWriter(path, 10.0) as video:
         for level in (40, 120, 200):
@@ -102,6 +102,7 @@ def test_a_video_is_read_back(tmp_path, suffix):
         assert frame.shape == (120, 160, 3)
         levels.append(frame.mean())
     np.testing.assert_allclose(levels, [40, 120, 200, 240], atol=6)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_an_interrupted_video_keeps_its_frames_and_an_empty_one_leaves_no_file(tmp_path):
@@ -115,7 +116,7 @@ def test_an_interrupted_video_keeps_its_frames_and_an_empty_one_leaves_no_file(t
 
 
 def test_a_video_of_another_ending_is_refused(tmp_path):
-    with pytest.raises(RendezviewError, match=r"must end in \.mp4, \.webm, \.avi or \.gif"):
+    with pytest.raises(RendezviewError, match=r"must end in \.webm, \.mp4, \.avi or \.gif"):
         VideoWriter(tmp_path / "run.mov", 10.0)
     with pytest.raises(RendezviewError, match="absent"):
         VideoWriter(tmp_path / "absent" / "run.mp4", 10.0)

@@ -16,7 +16,7 @@ from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.contact import contact_picture, fuse_to_contact
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
-from rendezview.evaluation.page import MP4, Card
+from rendezview.evaluation.page import WEBM, Card
 from rendezview.evaluation.palette import png
 from rendezview.evaluation.report import write_report
 from rendezview.io.bundled import find_target
@@ -130,7 +130,7 @@ def demo(
             ring,
             output / "laser.jsonl",
             log=output / "state.jsonl",
-            video=output / "ring.mp4",
+            video=output / "ring.webm",
         )
     evaluation = evaluate_rows(sequence, tracked.rows, target.symmetries, model.centre_m)
     report = write_report(
@@ -141,9 +141,9 @@ def demo(
         observations=observations,
         evaluation=evaluation,
         more=[
-            _film(output / "approach.mp4", "The approach", "Edges of the model and the axes at "
+            _film(output / "approach.webm", "The approach", "Edges of the model and the axes at "
                   "each pose; the ellipse is the uncertainty of the centre, 3 σ."),
-            _film(output / "ring.mp4", "The docking ring", "Ellipses found; orange: the ring, "
+            _film(output / "ring.webm", "The docking ring", "Ellipses found; orange: the ring, "
                   "purple: a circle that may be it, no pose is given. Green: the axis."),
             Card("contact", "To the docking ring", "Errors of the ring's centre on the last "
                  "metres. The ring takes over where the picture no longer holds the target.",
@@ -222,7 +222,7 @@ def _track(
     """Track the sequence into a log, results and a video; fills ``observations``."""
 
     def lines() -> Iterator[Line]:
-        with video_of(output / "approach.mp4", sequence, model) as video:
+        with video_of(output / "approach.webm", sequence, model) as video:
             for frame, observation in follow(model, sequence, watch=video.watch):
                 observations.append(observation)
                 row = result_row(sequence.scene_id, frame, observation)
@@ -241,4 +241,4 @@ def _film(path: Path, title: str, words: str) -> Card:
     width, height = (video.get(k) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
     video.release()
     tall = height / width if width > 0.0 else None
-    return Card(path.stem, title, words, path.read_bytes(), MP4, tall)
+    return Card(path.stem, title, words, path.read_bytes(), WEBM, tall)

@@ -22,7 +22,7 @@ from rendezview.evaluation.palette import (
 from rendezview.io.sequences import Sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 
-PNG, MP4 = "image/png", "video/mp4"
+PNG, WEBM = "image/png", "video/webm"
 # Names of the pictures in a column of their own, and of those over the whole width.
 _PAIR = ("sphere", "signature", "cloud", "model")
 _WIDE = ("curves", "stages")
@@ -36,7 +36,7 @@ class Card:
     title: str
     words: str
     picture: bytes
-    kind: str = PNG  # or MP4
+    kind: str = PNG  # or WEBM
     tall: float | None = None  # height of a video over its width: its player stands below it then
 
 
@@ -109,7 +109,7 @@ def page(
                     if card.name.startswith("frame_"))  # fmt: skip
     pair = "".join(_figure(by_name[n]) for n in _PAIR if n in by_name)
     wide = "".join(_figure(by_name[n]) for n in _WIDE if n in by_name)
-    videos = [card for card in cards if card.kind == MP4]
+    videos = [card for card in cards if card.kind == WEBM]
     films = "".join(map(_figure, videos))
     others = [c for c in cards if c.kind == PNG and c.name not in (*_PAIR, *_WIDE)
               and not c.name.startswith("frame_")]  # fmt: skip
@@ -222,10 +222,10 @@ def _image(card: Card, words: str) -> str:
 
 def _tag(card: Card, words: str) -> str:
     data = base64.b64encode(card.picture).decode("ascii")
-    if card.kind == MP4:
+    if card.kind == WEBM:
         apart = "" if card.tall is None else f'class="apart" style="--tall: {card.tall:.4f}" '
         return (
             f'<video {apart}aria-label="{escape(words)}" controls autoplay muted loop playsinline '
-            f'src="data:{MP4};base64,{data}"></video>'
+            f'src="data:{WEBM};base64,{data}"></video>'
         )
     return f'<img alt="{escape(words)}" src="data:{PNG};base64,{data}">'
