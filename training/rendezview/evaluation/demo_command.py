@@ -44,6 +44,7 @@ from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
 _TARGET = "client"  # it has a docking ring
+_ORDER = 2  # 162 nodes instead of 642: as many poses, as accurate, in half the time
 _VIEWS = 8_000  # perturbed views; fewer than the default, so that the demo is short
 _HELD_OUT_VIEWS = 1000
 _SHELLS = (1.0, 2.0)  # sphere radii; the ranges of the demo
@@ -92,6 +93,7 @@ def demo(
             model_path,
             name=target.name,
             options=TrainingOptions(
+                order=_ORDER,
                 perturbed_views=_VIEWS,
                 held_out_views=_HELD_OUT_VIEWS,
                 contour_radii=_SHELLS,
