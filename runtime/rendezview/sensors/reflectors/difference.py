@@ -257,15 +257,20 @@ def _dips(soft: npt.NDArray[Any]) -> float:
     return float(parted[middle] - parted[rank]) / _DARKEST_SIGMA
 
 
-def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:
-    """(H, W) 255 where a pixel may belong to a spot."""
-    difference = frames.lit if frames.dark is None else cv2.subtract(frames.lit, frames.dark)
-    mask = cv2.threshold(difference, level, 255, cv2.THRESH_BINARY)[1]
+def drop_glare(mask: npt.NDArray[Any], frames: LitDark, options: ThresholdOptions) -> None:
+    """Zero a mask (H, W) where the lit picture is too bright for a reflector, or the dark one."""
     if options.upper_grey is not None:
         mask[frames.lit > options.upper_grey] = 0
     if frames.dark is not None and options.dark_grey < 255.0:
         clear = cv2.threshold(frames.dark, options.dark_grey, 255, cv2.THRESH_BINARY_INV)[1]
-        mask = cv2.bitwise_and(mask, clear, dst=mask)
+        cv2.bitwise_and(mask, clear, dst=mask)
+
+
+def spot_mask(frames: LitDark, level: float, options: ThresholdOptions) -> Grey:
+    """(H, W) 255 where a pixel may belong to a spot."""
+    difference = frames.lit if frames.dark is None else cv2.subtract(frames.lit, frames.dark)
+    mask = cv2.threshold(difference, level, 255, cv2.THRESH_BINARY)[1]
+    drop_glare(mask, frames, options)
     if options.opening is Opening.NONE:
         return np.asarray(mask, dtype=np.uint8)
     left, top, width, height = cv2.boundingRect(mask)

@@ -16,6 +16,10 @@ from rendezview.sensors.reflectors.triplets import expected_size
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+# Of a spot's distance to one reflector, that to another: then it is the other's. Source: by
+# construction, a third of the way between the two
+_NEARER = 0.5
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def expect_spots(
@@ -35,6 +39,16 @@ def expect_spots(
         out[i, 2] = expected_size(
             blur_px, disc_radius(focal_px, x, y, z, nx, ny, nz, 0.5 * diameters[i])
         )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _another_nearer(expected: Array, k: int, spot: Array, offset: float) -> bool:
+    """Whether a spot is clearly nearer to another reflector: that of a neighbour that is hidden."""
+    for j in range(expected.shape[0]):
+        x, y = expected[j, 0], expected[j, 1]
+        if j != k and math.hypot(spot[0] - x, spot[1] - y) < _NEARER * offset:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -68,6 +82,8 @@ def match_spots(
                 taken = taken or where[c] == s
             if not taken:
                 nearest, chosen = offset, s
+        if chosen >= 0 and _another_nearer(expected, k, table[chosen], nearest):
+            continue
         if chosen >= 0:
             which[count], where[count] = k, chosen
             count += 1

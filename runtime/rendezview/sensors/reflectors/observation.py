@@ -10,7 +10,7 @@ import numpy as np
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import DockingRing
 from rendezview.sensors.measurement import Measurement
-from rendezview.sensors.observation import Observation
+from rendezview.sensors.observation import Observation, Status
 from rendezview.sensors.reflectors.pattern import SixNumbers
 from rendezview.sensors.reflectors.rates import Rates
 from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable
@@ -65,6 +65,29 @@ class ReflectorObservation(Observation):
             "note": self.note,
             "stage_ms": self.stage_ms,
         }
+
+
+def missed(
+    time_s: float, spots: SpotTable, names: tuple[str, ...], lost: list[str],
+    stage_ms: dict[str, float], *, search: bool,
+) -> ReflectorObservation:  # fmt: skip
+    """A reading while tracking whose visible reflectors ``names`` fix no pose, or that has none.
+
+    ``lost`` are those expected but not visible. ``search``: the whole picture is searched next.
+    """
+    if names:
+        return ReflectorObservation(
+            Status.PARTIAL,
+            f"{len(names)} of the reflectors visible ({', '.join(names)}), which fixes no pose; "
+            f"not visible: {', '.join(lost)}",
+            time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
+        )  # fmt: skip
+    return ReflectorObservation(
+        Status.LOST,
+        "no reflector where it was expected"
+        + (": the whole picture is searched next" if search else ""),
+        time_s=time_s, tracked=True, stage_ms=stage_ms,
+    )  # fmt: skip
 
 
 def rates_record(rates: Rates | None) -> dict[str, Any] | None:

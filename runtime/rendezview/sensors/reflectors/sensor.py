@@ -16,11 +16,11 @@ from rendezview.sensors.reflectors.acquisition import Acquirer, merged
 from rendezview.sensors.reflectors.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.sensors.reflectors.hidden_noise import HiddenNoise
-from rendezview.sensors.reflectors.observation import ReflectorObservation
+from rendezview.sensors.reflectors.observation import ReflectorObservation, missed
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined
-from rendezview.sensors.reflectors.spots import SpotTable, find_spots
+from rendezview.sensors.reflectors.spots import CROWD, SpotTable, find_spots
 from rendezview.sensors.reflectors.tolerance import DotSizes, fit_dots
 from rendezview.sensors.reflectors.track import (
     Branch,
@@ -136,6 +136,13 @@ class ReflectorSensor:
         spots = self._spots(frames)
         middle = time.perf_counter()
         found = self.acquirer.acquire(spots, prior)
+        missing = found.status in (Status.NO_SPOTS, Status.NOT_FOUND)
+        if missing and frames.dark is not None and len(spots) <= CROWD:
+            # Discs as faint as the threshold fall to pieces.
+            faint = self._spots(frames, faint=True)
+            again = self.acquirer.acquire(faint, prior)
+            if again.refined is not None:
+                spots, found = faint, again
         if found.status is Status.NOT_FOUND and prior is None:
             found = self._with_other_dots(spots) or found
         end = time.perf_counter()
@@ -162,9 +169,9 @@ class ReflectorSensor:
             ambiguous = self._track.roll_ambiguous and not self._resolves(found.reflectors)
         return self._adopt(time_s, found, spots, ambiguous, stage_ms)
 
-    def _spots(self, frames: LitDark) -> SpotTable:
+    def _spots(self, frames: LitDark, faint: bool = False) -> SpotTable:
         """The spots of the whole picture; the noise that pixels do not show is in their errors."""
-        spots = find_spots(frames, self.threshold)
+        spots = find_spots(frames, self.threshold, faint=faint)
         if len(spots) >= 3 and not spots.overfull:
             self._fit.hidden = HiddenNoise.of(frames)
             self._fit.hidden.widen(spots.table)
@@ -267,7 +274,7 @@ class ReflectorSensor:
         """The reading, where a search of the whole picture finds a pose that explains more spots.
 
         It is searched while a reflector that should be visible is not, or while the roll is open
-        and another group could tell it. A second reading in a row that agrees takes the track over.
+        and another group could tell it. A second reading that agrees takes the track over.
         Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
@@ -285,15 +292,17 @@ class ReflectorSensor:
         if found is None or found.refined is None or found.reflectors is None:
             return None
         pose = found.refined.camera_from_target
+        confirms = False
         if refined is not None:
-            explained = len(found.reflectors) > len(seen)
-            if not explained or self.acquirer.alike(found, refined.camera_from_target):
+            alike = self.acquirer.alike(found, refined.camera_from_target)
+            confirms = alike and several and self._resolves(found.reflectors)
+            if len(found.reflectors) <= len(seen) or (alike and not confirms):
                 return None
         if self._agrees(found):
             self._track = None
             return self._adopt(time_s, found, spots, found.roll_ambiguous, stage_ms)
         self._unconfirmed = (time_s, pose, found.table(spots, len(self.constellation)))
-        if refined is None:
+        if refined is None or confirms:
             return None
         return ReflectorObservation(
             Status.AMBIGUOUS,
@@ -322,25 +331,13 @@ class ReflectorSensor:
             track.before, track.before_s = track.places, track.time_s
             track.places, track.time_s = places, time_s
             track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
-        if len(seen):
-            expected = zip(
-                self.constellation.names, np.isfinite(self._fit.expected[:, 0]), strict=True
-            )
-            lost = [name for name, visible in expected if visible and name not in names]
-            return ReflectorObservation(
-                Status.PARTIAL,
-                f"{len(seen)} of the reflectors visible ({', '.join(names)}), which fixes no pose; "
-                f"not visible: {', '.join(lost)}",
-                time_s=time_s, spots=spots, reflectors=names, tracked=True, stage_ms=stage_ms,
-            )  # fmt: skip
-        return ReflectorObservation(
-            Status.LOST,
-            "no reflector where it was expected"
-            + ("" if self.is_tracking else ": the whole picture is searched next"),
-            time_s=time_s,
-            tracked=True,
-            stage_ms=stage_ms,
-        )
+        shown = np.isfinite(self._fit.expected[:, 0])
+        lost = [
+            name
+            for name, expected in zip(self.constellation.names, shown, strict=True)
+            if expected and name not in names
+        ]
+        return missed(time_s, spots, names, lost, stage_ms, search=not self.is_tracking)
 
     # --- both
 

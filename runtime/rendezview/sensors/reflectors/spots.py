@@ -28,6 +28,7 @@ from rendezview.sensors.reflectors.difference import (
     LitDark,
     ThresholdOptions,
     background_of,
+    drop_glare,
     faint_mask,
     noise_grey,
     spot_mask,
@@ -41,6 +42,9 @@ _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by cons
 _OVERLAP = 4.0
 # share of a spot's size: moved further, it may not be the spot. Source: reflector-nees --seed 101
 _DOMINATED = 0.1
+# In a crowd of more, chance fits dots of another size, or fainter ones. Source: experiments
+# reflector-tolerance and reflector-nees
+CROWD = 20
 # more than that is no picture of a target. Source: by construction, a bound of time
 MOST_SPOTS = 400
 # Columns of the spot table that the compiled loops fill.
@@ -111,10 +115,13 @@ def find_spots(
     frames: LitDark,
     options: ThresholdOptions | None = None,
     centroid: Centroid | None = None,
+    *,
+    faint: bool = False,
 ) -> SpotTable:
     """All spots of a picture, in the order in which a scan meets them.
 
-    ``centroid`` wins over that of the options.
+    ``centroid`` wins over that of the options. ``faint``: look for spots below the threshold of
+    single pixels too, as is done where fewer than three are above it.
     """
     chosen = options or ThresholdOptions()
     noise = noise_grey(frames)
@@ -123,10 +130,12 @@ def find_spots(
         count = _label_faint(frames.lit, noise, chosen, table)
     else:
         level = threshold_of(chosen, noise, frames)
-        dark = frames.dark_or_nothing
-        count = _label(spot_mask(frames, level, chosen), frames.lit, dark, level, table)
-        if 0 <= count < _FEWEST and chosen.lower_grey is None:  # faint ones
+        dark, count = frames.dark_or_nothing, 0
+        if not faint or chosen.lower_grey is not None:
+            count = _label(spot_mask(frames, level, chosen), frames.lit, dark, level, table)
+        if 0 <= count < _FEWEST and chosen.lower_grey is None:
             mask = faint_mask(frames.lit, dark, noise, chosen.faint_factor)
+            drop_glare(mask, frames, chosen)
             count = _label(mask, frames.lit, dark, noise, table)
     overfull = count < 0
     found = table[: MOST_SPOTS if overfull else count]
@@ -140,8 +149,7 @@ def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Arra
     behind, factor = background_of(lit), options.faint_factor
     for _ in range(_RISES):
         mask = faint_mask(lit, behind, noise, factor)
-        if options.upper_grey is not None:
-            mask[lit > options.upper_grey] = 0
+        drop_glare(mask, LitDark(lit), options)
         count = _label(mask, lit, behind, noise, table)
         if count >= 0:
             break

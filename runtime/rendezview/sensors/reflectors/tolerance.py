@@ -22,14 +22,13 @@ from rendezview.sensors.reflectors.acquisition_options import Acquisition, Acqui
 from rendezview.sensors.reflectors.discs import camera_numbers
 from rendezview.sensors.reflectors.matching import expect_spots
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
-from rendezview.sensors.reflectors.spots import SpotTable
+from rendezview.sensors.reflectors.spots import CROWD, SpotTable
 
 # × the diameter and × the blur: steps of about twice what one acquisition tolerates. Source: by
 # construction, from acquisition_options.py: diameter_sigma, blur_sigma, size_limit
 _DIAMETERS = (1.0, 0.87, 1.15, 0.75, 1.33)
 # Source: by construction, likewise
 _BLURS = (1.0, 1.4, 0.7, 2.0, 2.8, 4.0, 5.5)
-_MOST_SPOTS = 20  # in a crowd chance would fit some size. Source: experiment reflector-tolerance
 _LEAST_SURE = 8.0  # χ² of the triplet at most. Source: as AcquisitionOptions.sparse_limit
 _SAME_SHARE = 0.02  # of the range, between poses that agree. Source: by construction, 5 × the error
 _BLURRED = 0.75  # blur over size from which a size tells the blur. Source: by construction, σ / 2
@@ -58,7 +57,7 @@ def fit_dots(
     camera: Camera, patterns: list[ReflectorPattern], options: AcquisitionOptions, spots: SpotTable
 ) -> Fitted | None:
     """Diameter and blur at which the spots are the target; None where none or several are."""
-    if not 3 <= len(spots) <= _MOST_SPOTS:
+    if not 3 <= len(spots) <= CROWD:
         return None
     best: tuple[float, float, float, Acquisition] | None = None
     # One thing that is different is likelier than two.
