@@ -25,6 +25,7 @@ from experiments.stereo.accuracy import (
     turned_deg,
 )
 from experiments.stereo.cases import leds_of
+from experiments.stereo.plain import OwnLaboratory
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -49,8 +50,8 @@ from rendezview.simulation import (
     sun_at_phase,
     trajectory,
 )
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions, picture_rig
+from rendezview.simulation.led_laboratory import LaboratoryOptions
+from rendezview.simulation.led_pictures import PictureOptions
 from rendezview.simulation.mesh_error import deformed
 from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
 from rendezview.training.mesh import load_mesh
@@ -205,7 +206,7 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
     --part figure8 has the figures of many runs.
     """
     craft = Target.load(target)
-    laboratory = Laboratory(leds_of(craft), LaboratoryOptions(), seed)
+    laboratory = OwnLaboratory(leds_of(craft), LaboratoryOptions(), seed)
     rng = np.random.default_rng(seed)
     record = laboratory.calibration(rng)
     rig = calibrate_laboratory(record).rig
@@ -216,7 +217,6 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
     noise = laboratory.noise / np.sqrt(AVERAGED)
     mean = laboratory.currents(poses, None) + rng.normal(0.0, noise, single.shape)
     options = PictureOptions(signal_to_noise=200.0)
-    cameras = picture_rig(laboratory, options)
     panels = {
         "photodiodes, one scan a reading": {
             "the paper's solver": by_paper(plain, craft, single, poses[0]),
@@ -227,7 +227,7 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
             "the paper's solver": by_paper(plain, craft, mean, poses[0]),
             "ours": turned_deg(by_tracker(rig, craft, mean, None, poses)[0]),
             "ours, two picture cameras, no mean": turned_deg(
-                by_pictures(cameras, craft, poses, options, rng)[0]
+                by_pictures(laboratory, craft, poses, options, rng)[0]
             ),
         },
     }

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from experiments.frame import show
 from experiments.peers.pnp import rig as by_peers
 from experiments.stereo.cases import Job, leds_of, spots_of, squared
+from experiments.stereo.plain import Simulator, Truth
 from experiments.stereo.starts import convergence, faults, identity, recovery
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -28,8 +29,7 @@ from rendezview.sensors.stereo import (
 from rendezview.sensors.stereo.agreement import iterate
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.spots import find_spots
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
+from rendezview.simulation.led_pictures import PictureOptions
 
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it
@@ -42,6 +42,7 @@ def run(
     target: str = "models_cad/scole", seed: int = 11,
     cases: Annotated[int | None, "default: 10000; 100 runs; 2000; 500"] = None,
     snr: Annotated[float, "signal-to-noise ratio"] = 200.0,
+    simulator: Simulator = "own",
 ) -> None:  # fmt: skip
     """Pose errors of the stereo LED tracker in its simulated laboratory.
 
@@ -52,12 +53,13 @@ def run(
     recovery: the pose from one reading, without a prior.
     faults: lights missing, exchanged, or reflected; NEES of the right ones.
     identity: two picture cameras, all lights on at once, none named.
+    --simulator: the product's own, or the tests' plain one, which shares no code with it.
     """
     parts = {"figure8": figure8, "convergence": convergence, "recovery": recovery,
              "faults": faults, "identity": identity}  # fmt: skip
-    print(f"seed {seed}, signal-to-noise {snr:g}, target {target}")
+    print(f"seed {seed}, signal-to-noise {snr:g}, target {target}, {simulator} simulator")
     start = time.perf_counter()
-    parts[part](Job(seed, cases, snr), Target.load(target))
+    parts[part](Job(seed, cases, snr, simulator), Target.load(target))
     print(f"{time.perf_counter() - start:.0f} s")
 
 
@@ -80,7 +82,7 @@ def turned_deg(rotations: np.ndarray) -> np.ndarray:
 
 def figure8(job: Job, target: Target) -> None:
     runs, seed = job.cases or 100, job.seed
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(signal_to_noise=job.snr), seed)
+    laboratory = job.laboratory(target, distorted=True)
     rng = np.random.default_rng(seed)
     record = laboratory.calibration(rng)
     rig = calibrate_laboratory(record).rig
@@ -123,13 +125,10 @@ def figure8(job: Job, target: Target) -> None:
             _row(table, step, name, scans, lines, None if "filter" in name else
                  float(np.rad2deg(bound)) / np.sqrt(scans), squares.get(name, []))  # fmt: skip
         options = PictureOptions(signal_to_noise=job.snr)
-        cameras = picture_rig(laboratory, options)
-        bound = np.sqrt(
-            np.mean([_about_z(picture_bound(cameras, laboratory.leds, p, options)) for p in poses])
-        )
+        bound = np.sqrt(np.mean([_about_z(laboratory.picture_bound(p, options)) for p in poses]))
         lines, off = [], []
         for _ in range(max(runs // 10, 1)):
-            rotations, own = by_pictures(cameras, target, poses, options, rng)
+            rotations, own = by_pictures(laboratory, target, poses, options, rng)
             lines.append(line(angles, turned_deg(rotations)))
             off += own
         _row(table, step, "ours, two picture cameras", 1, lines, float(np.rad2deg(bound)), off)
@@ -195,16 +194,15 @@ def by_others(rig: Rig, target: Target, currents: np.ndarray) -> dict[str, np.nd
 
 
 def by_pictures(
-    rig: Rig, target: Target, poses: list[Pose], options: PictureOptions, rng: np.random.Generator
-) -> tuple[np.ndarray, list[float]]:
+    laboratory: Truth, target: Target, poses: list[Pose], options: PictureOptions,
+    rng: np.random.Generator,
+) -> tuple[np.ndarray, list[float]]:  # fmt: skip
     """Single readings of two pictures; the lights are not named. Rotations, and NEES."""
+    rig = laboratory.picture_rig
     tracker = StereoTracker.of_target(rig, target)
     rotations, squares = [], []
     for k, pose in enumerate(poses):
-        spots = [
-            find_spots(draw(rig, c, pose.apply(tracker.leds), options, rng))
-            for c in range(len(rig))
-        ]
+        spots = [find_spots(picture) for picture in laboratory.pictures(pose, options, rng)]
         observation = tracker.update(k / RATE_HZ, spots)
         rotations.append(observation.fit.rotation)
         squares.append(squared(rig, observation, pose))

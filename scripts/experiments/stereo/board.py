@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, nees, show, table_of
 from experiments.peers.pnp import PEERS, median_deg
 from experiments.peers.pnp import rig as by_peers
+from experiments.stereo.plain import Simulator, plain
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
@@ -15,6 +18,8 @@ from rendezview.io.target import Target
 from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
 from rendezview.sensors.stereo.board import BoardViews, Chessboard, calibrate_board
 from rendezview.sensors.stereo.tracker import TrackerOptions
+
+Project = Callable[[np.ndarray], np.ndarray]  # (N, 3), first camera's frame → (N, 2) px
 
 BOARD = Chessboard(9, 6, 0.025)
 SIZE = (1280, 960)
@@ -35,7 +40,29 @@ def true_rig(rng: np.random.Generator) -> Rig:
     return Rig(tuple(cameras))
 
 
-def views_of(rig: Rig, rng: np.random.Generator, pairs: int, sigma_px: float) -> BoardViews:
+def own_pair(rng: np.random.Generator) -> list[Project]:
+    return [camera.project for camera in true_rig(rng).cameras]
+
+
+def plain_pair(rng: np.random.Generator) -> list[Project]:
+    """Likewise by OpenCV's projection, with a third radial coefficient."""
+    eyes = []
+    for place in (0.0, 0.4):
+        wobble = rng.normal(0.0, 0.02, 3) if place else np.array([0.0, 0.0, 1e-9])
+        aim = plain.turn(wobble, float(np.linalg.norm(wobble)))
+        position = np.array([place, *rng.normal(0.0, 0.01, 2)]) if place else np.zeros(3)
+        focal = 1200.0 * (1.0 + 0.01 * rng.standard_normal())
+        cx, cy = (639.5, 479.5) + 5.0 * rng.standard_normal(2)
+        matrix = np.array([[focal, 0.0, cx], [0.0, focal, cy], [0.0, 0.0, 1.0]])
+        k1, k2, k3 = (-0.1, 0.05, 0.0) + (0.02, 0.02, 0.005) * rng.standard_normal(3)
+        lens = np.array([k1, k2, *(5e-4 * rng.standard_normal(2)), k3])
+        eyes.append(plain.Eye(plain.Place(aim, position), SIZE, matrix, lens))
+    return [eye.project for eye in eyes]
+
+
+def views_of(
+    pair: list[Project], rng: np.random.Generator, pairs: int, sigma_px: float
+) -> BoardViews:
     """Corners of a board before both cameras, tilted by up to 40°, half a metre to one away."""
     corners: list[list[np.ndarray | None]] = [[], []]
     while len(corners[0]) < pairs:
@@ -43,29 +70,30 @@ def views_of(rig: Rig, rng: np.random.Generator, pairs: int, sigma_px: float) ->
         place = np.array([*rng.uniform(-0.15, 0.15, 2), rng.uniform(0.5, 1.0)])
         middle = turn @ BOARD.points_m.mean(axis=0)
         points = BOARD.points_m @ turn.T + place - middle + (0.1, 0.0, 0.0)
-        seen = [camera.project(points) for camera in rig.cameras]
+        seen = [project(points) for project in pair]
         inside = [((s > 5.0) & (s < np.subtract(SIZE, 6.0))).all() for s in seen]
         if not any(inside):
             continue
         for k, (spots, there) in enumerate(zip(seen, inside, strict=True)):
             noisy = spots + rng.normal(0.0, sigma_px, spots.shape)
             corners[k].append(noisy if there else None)
-    return BoardViews(
-        BOARD, tuple(c.name for c in rig.cameras), (SIZE, SIZE), tuple(map(tuple, corners))
-    )
+    return BoardViews(BOARD, ("left", "right"), (SIZE, SIZE), tuple(map(tuple, corners)))
 
 
 def run(
-    *, rigs: int = 20, poses: int = 10, pairs: int = 12, corner_px: float = 0.15, seed: int = 17
-) -> None:
+    *, rigs: int = 20, poses: int = 10, pairs: int = 12, corner_px: float = 0.15, seed: int = 17,
+    simulator: Simulator = "own",
+) -> None:  # fmt: skip
     """NEES (6 is right) of poses by a pair calibrated from a few simulated board pairs.
 
     SCOLE's lights a quarter as far apart, 1.5 to 4 m away, every roll, tilt to 40°. Corners have
     --corner-px of noise. With the calibration's covariance, and with the residual's floor alone.
+    The plain simulator projects with OpenCV.
     """
     leds = 0.25 * np.array([led.position_m for led in Target.load(MODELS_CAD / "scole").leds])
     table = table_of(
-        f"{rigs} rigs of {pairs} board pairs, {poses} poses each, seed {seed}",
+        f"{rigs} rigs of {pairs} board pairs, {poses} poses each, seed {seed}, {simulator} "
+        "simulator",
         "spots σ px | poses | with the calibration: NEES | worst rig | without: NEES | median turn "
         "off, °: ours | solvePnP, one camera | poselib, both",
         left=0,
@@ -75,7 +103,7 @@ def run(
         kept: dict[bool, list[list[float]]] = {True: [], False: []}
         found, turns = 0, {name: list[float]() for name in ("ours", *PEERS)}
         for _ in range(rigs):
-            truth = true_rig(rng)
+            truth = (plain_pair if simulator == "plain" else own_pair)(rng)
             made = calibrate_board(views_of(truth, rng, pairs, corner_px)).rig
             state = rng.bit_generator.state
             for with_error, squares in kept.items():
@@ -98,8 +126,8 @@ def run(
 
 
 def errors(
-    truth: Rig, tracker: StereoTracker, rng: np.random.Generator, poses: int, spot_px: float,
-    turns: dict[str, list[float]],
+    pair: list[Project], tracker: StereoTracker, rng: np.random.Generator, poses: int,
+    spot_px: float, turns: dict[str, list[float]],
 ) -> list[float]:  # fmt: skip
     """Normalised squared errors of single poses, first camera's frame; angles into ``turns``."""
     squares = []
@@ -111,8 +139,8 @@ def errors(
         far = float(rng.uniform(1.5, 4.0))
         pose = Pose(facing, np.array([*(0.1 * far * rng.uniform(-1.0, 1.0, 2)), far]))
         spots = []
-        for camera in truth.cameras:
-            places = camera.project(pose.apply(tracker.leds))
+        for project in pair:
+            places = project(pose.apply(tracker.leds))
             places = places + rng.normal(0.0, spot_px, places.shape)
             sigma = np.full(places.shape, spot_px)
             spots.append(Spots(places, sigma, np.arange(len(places))))

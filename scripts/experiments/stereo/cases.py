@@ -8,12 +8,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import nees
+from experiments.stereo.plain import Simulator, Truth, laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
 from rendezview.sensors.stereo import Rig, Sights, Spots, StereoObservation, StereoTracker
 from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview.simulation.led_laboratory import LaboratoryOptions
 
 
 @dataclass(frozen=True)
@@ -23,11 +24,12 @@ class Job:
     seed: int
     cases: int | None
     snr: float
+    simulator: Simulator = "own"
 
-    def laboratory(self, target: Target) -> Laboratory:
-        """Cameras without distortion, which nobody has to calibrate."""
-        options = LaboratoryOptions(signal_to_noise=self.snr, distorted=False)
-        return Laboratory(leds_of(target), options, self.seed)
+    def laboratory(self, target: Target, *, distorted: bool = False) -> Truth:
+        """By default cameras without distortion, which nobody has to calibrate."""
+        options = LaboratoryOptions(signal_to_noise=self.snr, distorted=distorted)
+        return laboratory(self.simulator, leds_of(target), options, self.seed)
 
 
 def leds_of(target: Target) -> np.ndarray:

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from experiments.frame import MODELS_CAD, nees, show, table_of
 from experiments.peers.pnp import PEERS
 from experiments.peers.pnp import rig as by_peers
+from experiments.stereo.plain import Simulator, Truth, laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.stereo import StereoTracker
 from rendezview.sensors.stereo.multiplex import MultiplexedTracker
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview.simulation.led_laboratory import LaboratoryOptions
 
 SLOT_S, READING_S = 1.0 / 60.0, 0.1
 _SETTLED = 10  # readings before the errors count
@@ -45,7 +46,7 @@ def turning(rate_rad_s: float) -> Callable[[float], Pose]:
 
 
 def errors(
-    laboratory: Laboratory, rate_deg_s: float, corrected: bool, readings: int, seed: int
+    laboratory: Truth, rate_deg_s: float, corrected: bool, readings: int, seed: int
 ) -> Errors:
     """Errors of a run at one rate, ten readings a second."""
     at, rng = turning(np.deg2rad(rate_deg_s)), np.random.default_rng(seed)
@@ -91,23 +92,25 @@ def errors(
     )  # fmt: skip
 
 
-def laboratory_of(signal_to_noise: float, seed: int) -> Laboratory:
+def laboratory_of(signal_to_noise: float, seed: int, simulator: Simulator = "own") -> Truth:
     """SCOLE's six lights before two perfect photodiodes."""
     leds = np.array([led.position_m for led in Target.load(MODELS_CAD / "scole").leds])
     options = LaboratoryOptions(signal_to_noise=signal_to_noise, distorted=False)
-    return Laboratory(leds, options, seed=seed)
+    return laboratory(simulator, leds, options, seed)
 
 
-def run(*, readings: int = 100, snr: float = 4000.0, seed: int = 16) -> None:
+def run(
+    *, readings: int = 100, snr: float = 4000.0, seed: int = 16, simulator: Simulator = "own"
+) -> None:
     """Six lights 1/60 s apart, ten readings a second: errors of a turning target.
 
     Two photodiodes 7 m above the stage. Each reading's pose is compared with the truth at its
     first light. 'as one' takes the lights as simultaneous, as OpenCV's solvePnP (one camera) and
     poselib (both) do with the same lights.
     """
-    laboratory = laboratory_of(snr, seed)
+    truth = laboratory_of(snr, seed, simulator)
     table = table_of(
-        f"{readings} readings, S/N {snr:g}, seed {seed}",
+        f"{readings} readings, S/N {snr:g}, seed {seed}, {simulator} simulator",
         "°/s | as one: poses | turn | farthest light, mm | NEES "
         "| in time: poses | turn | farthest light, mm | NEES | solvePnP, poselib, mm",
         left=0,
@@ -115,7 +118,7 @@ def run(*, readings: int = 100, snr: float = 4000.0, seed: int = 16) -> None:
     for rate in (0.0, 5.0, 20.0, 40.0):
         cells = []
         for corrected in (False, True):
-            found = errors(laboratory, rate, corrected, readings, seed)
+            found = errors(truth, rate, corrected, readings, seed)
             cells += [
                 f"{found.poses}", f"{found.turn_deg:.3f}°", f"{found.light_mm:.2f}",
                 f"{found.nees:.1f}",

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from experiments.frame import show
 from experiments.peers.pnp import PEERS
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.cases import Job, at_pose, judge, leds_of, random_pose, spots_of
+from experiments.stereo.cases import Job, at_pose, judge, random_pose, spots_of
+from experiments.stereo.plain import PlainLaboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import Spots, StereoTracker
+from rendezview.sensors.stereo import Rig, Spots, StereoTracker
 from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions, picture_rig
+from rendezview.sensors.stereo.spots import find_spots
+from rendezview.simulation.led_pictures import PictureOptions
 
 
 def far_off(answer: Pose | None, truth: Pose) -> bool:
@@ -161,12 +162,29 @@ def faults(job: Job, target: Target) -> None:
     print("solvePnP (first camera) and poselib (all) have the same lights: more than 10° off")
 
 
+def scattered(
+    rig: Rig, lights: np.ndarray, sigma_px: float, rng: np.random.Generator, hidden: int, false: int
+) -> list[Spots]:
+    """Spots of lights in no order, with noise; some hidden, some false."""
+    spots = []
+    for camera in rig.cameras:
+        seen = camera.project(lights)
+        seen = seen[rng.permutation(len(seen))[hidden:]]
+        seen = np.concatenate([seen, rng.uniform(0.0, 1023.0, (false, 2))])
+        seen = seen[rng.permutation(len(seen))]
+        seen = seen + rng.normal(0.0, sigma_px, seen.shape)
+        spots.append(Spots(seen, np.full(seen.shape, sigma_px), np.full(len(seen), -1)))
+    return spots
+
+
 def identity(job: Job, target: Target) -> None:
     cases = job.cases or 300
-    laboratory = Laboratory(leds_of(target), LaboratoryOptions(distorted=False), job.seed)
-    rig = picture_rig(laboratory, PictureOptions())
+    laboratory = job.laboratory(target)
+    rig = laboratory.picture_rig
     rng = np.random.default_rng(job.seed)
     sigma_px = 0.05
+    # Of so much noise the places in a picture have that error: √(2/π) / 16 px.
+    options = PictureOptions(signal_to_noise=16.0)
     table = Table("spots", "right", "refused", "wrong", "NEES", "median ms", *PEERS)
     for name, hidden, false in (("all six", 0, 0), ("one hidden", 1, 0), ("two false", 0, 2),
                                 ("one hidden, two false", 1, 2)):  # fmt: skip
@@ -176,14 +194,11 @@ def identity(job: Job, target: Target) -> None:
         for _ in range(cases):
             pose = random_pose(rng, 30.0)
             tracker = StereoTracker.of_target(rig, target)
-            spots = []
-            for camera in rig.cameras:
-                seen = camera.project(pose.apply(tracker.leds))
-                seen = seen[rng.permutation(len(seen))[hidden:]]
-                seen = np.concatenate([seen, rng.uniform(0.0, 1023.0, (false, 2))])
-                seen = seen[rng.permutation(len(seen))]
-                seen = seen + rng.normal(0.0, sigma_px, seen.shape)
-                spots.append(Spots(seen, np.full(seen.shape, sigma_px), np.full(len(seen), -1)))
+            if isinstance(laboratory, PlainLaboratory):
+                drawn = laboratory.pictures(pose, options, rng, hidden, false)
+                spots = [find_spots(picture) for picture in drawn]
+            else:
+                spots = scattered(rig, pose.apply(tracker.leds), sigma_px, rng, hidden, false)
             start = time.perf_counter()
             observation = tracker.update(0.0, spots)
             spent.append(1e3 * (time.perf_counter() - start))
