@@ -114,15 +114,20 @@ def squares(
     0 where not visible; infinite where the light would be behind the camera or shine away from
     it (``normals`` (L, 3), zeros where its beam is not known).
     """
+    p, n, q, m = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for j in range(leds.shape[0]):
-        p = rotation @ leds[j] + translation
-        n = rotation @ normals[j]
+        so3.rotate_into(rotation, leds[j], p)
+        so3.rotate_into(rotation, normals[j], n)
+        for i in range(3):
+            p[i] += translation[i]
         for k in range(cr.shape[0]):
             out[k, j] = 0.0
             if weight[k, j, 0] == 0.0:
                 continue
-            q = cr[k] @ p + ct[k]
-            m = cr[k] @ n
+            so3.rotate_into(cr[k], p, q)
+            so3.rotate_into(cr[k], n, m)
+            for i in range(3):
+                q[i] += ct[k, i]
             if not q[2] > _NEAREST or m[0] * q[0] + m[1] * q[1] + m[2] * q[2] > 0.0:
                 out[k, j] = np.inf
                 continue

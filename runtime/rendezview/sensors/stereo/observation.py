@@ -140,10 +140,10 @@ def _in_camera(
     """
     c = camera_rotation
     covariance, lower = np.empty((6, 6)), np.empty((6, 6))
-    if not is_information:
-        covariance[:] = spread[:6, :6]
-    elif not invert(spread, lower, covariance):
-        covariance[:] = np.nan
+    inverted = is_information and invert(spread, lower, covariance)
+    for i in range(0 if inverted else 6):
+        for j in range(6):
+            covariance[i, j] = np.nan if is_information else spread[i, j]
     half = np.empty((6, 6))
     for i in range(3):
         out_translation[i] = camera_translation[i]

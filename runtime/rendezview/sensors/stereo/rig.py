@@ -229,10 +229,10 @@ def _fill_sights(
         x, y, sx, sy = ideal_spot(
             spots[i, 0], spots[i, 1], sigma[i, 0], sigma[i, 1], k, lens, corrects
         )
-        if np.isfinite(x) and np.isfinite(y) and twice[j] == 1:
-            xy[j, 0], xy[j, 1], weight[j, 0], weight[j, 1] = x, y, 1.0 / sx, 1.0 / sy
-        else:
-            xy[j], weight[j] = 0.0, 0.0
+        wx, wy = 1.0 / sx, 1.0 / sy
+        if not (np.isfinite(x) and np.isfinite(y) and twice[j] == 1):
+            x = y = wx = wy = 0.0
+        xy[j, 0], xy[j, 1], weight[j, 0], weight[j, 1] = x, y, wx, wy
     return True
 
 

@@ -227,9 +227,9 @@ def _settle(
             for k in range(weight.shape[0]):
                 for j in range(weight.shape[1]):
                     g = scale2 / (scale2 + each[k, j])  # 0 where the light is not visible
-                    softened[k, j] = weight[k, j] * g
-                    if not g > 1e-6:
-                        softened[k, j] = 0.0
+                    g = g if g > 1e-6 else 0.0
+                    # One by one: numba compiles a row's assignment for two seconds.
+                    softened[k, j, 0], softened[k, j, 1] = weight[k, j, 0] * g, weight[k, j, 1] * g
             solve(
                 rotations[i], translations[i], leds, cr, ct, xy, softened, nothing, no_turn,
                 origin, steps, 1e-3, information,
