@@ -63,8 +63,16 @@ def run(
     print(f"{time.perf_counter() - start:.0f} s")
 
 
+_NO_POSE = np.full((3, 3), np.nan)
+
+
 def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
-    """Slope, and r.m.s. scatter about the fitted line (two degrees of freedom fewer)."""
+    """Slope, and r.m.s. scatter about the fitted line (two degrees of freedom fewer).
+
+    NaN: a reading without a pose, which is left out and counted beside the table.
+    """
+    seen = np.isfinite(read_deg)
+    set_deg, read_deg = set_deg[seen], read_deg[seen]
     slope, offset = np.polyfit(set_deg, read_deg, 1)
     left = read_deg - slope * set_deg - offset
     return float(slope), float(np.sqrt((left**2).sum() / (len(left) - 2)))
@@ -75,9 +83,12 @@ def turned_deg(rotations: np.ndarray) -> np.ndarray:
 
     Unlike the yaw of eq. 3 it does not depend on the orientation of the lights' plane on the stage.
     """
-    u, _, vt = np.linalg.svd(rotations.mean(axis=0))
-    _x, _y, z, w = Rotation.from_matrix(rotations @ (u @ vt).T).as_quat().T
-    return np.rad2deg(2.0 * np.arctan2(z, w))
+    seen = np.isfinite(rotations[:, 0, 0])
+    turned = np.full(len(rotations), np.nan)
+    u, _, vt = np.linalg.svd(rotations[seen].mean(axis=0))
+    _x, _y, z, w = Rotation.from_matrix(rotations[seen] @ (u @ vt).T).as_quat().T
+    turned[seen] = np.rad2deg(2.0 * np.arctan2(z, w))
+    return turned
 
 
 def figure8(job: Job, target: Target) -> None:
@@ -100,6 +111,7 @@ def figure8(job: Job, target: Target) -> None:
         bound = np.sqrt(np.mean([_about_z(laboratory.bound(pose)) for pose in poses]))
         rows: dict[str, list[tuple[float, float]]] = {}
         squares: dict[str, list[float]] = {}
+        none: dict[str, int] = {}  # readings without a pose
         for _ in range(runs):
             currents = laboratory.currents(poses, rng)
             mean = laboratory.currents(poses, None) + rng.normal(
@@ -115,9 +127,11 @@ def figure8(job: Job, target: Target) -> None:
                 (f"ours, {AVERAGED} scans", averaged, mean, None),
             ):
                 rotations, off = by_tracker(cameras, target, given, motion, poses)
+                none[name] = none.get(name, 0) + int(np.isnan(rotations[:, 0, 0]).sum())
                 rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
                 squares.setdefault(name, []).extend(off)
             for name, rotations in by_others(rig, target, currents).items():
+                none[name] = none.get(name, 0) + int(np.isnan(rotations[:, 0, 0]).sum())
                 rows.setdefault(name, []).append(line(angles, turned_deg(rotations)))
         table.add_row(f"{step}°", "paper, as printed", "several scans", "≠ 1", f"{PAPER[step]}°")
         for name, lines in rows.items():
@@ -132,6 +146,7 @@ def figure8(job: Job, target: Target) -> None:
             lines.append(line(angles, turned_deg(rotations)))
             off += own
         _row(table, step, "ours, two picture cameras", 1, lines, float(np.rad2deg(bound)), off)
+        print(f"{step}°, readings without a pose: {none}")
     show(table, width=110)
 
 
@@ -176,8 +191,10 @@ def by_tracker(
     rotations, squares = [], []
     for k, reading in enumerate(currents):
         observation = tracker.update(k / RATE_HZ, spots_of(rig, reading))
-        rotations.append((observation.estimate or observation.fit).rotation)
-        squares.append(squared(rig, observation, poses[k]))
+        found = observation.estimate or observation.fit
+        rotations.append(_NO_POSE if found is None else found.rotation)
+        if observation.pose is not None:
+            squares.append(squared(rig, observation, poses[k]))
     return np.stack(rotations), squares
 
 
@@ -188,8 +205,7 @@ def by_others(rig: Rig, target: Target, currents: np.ndarray) -> dict[str, np.nd
         sights = rig.sights(spots_of(rig, reading), len(target.leds))
         answers = by_peers(leds_of(target), sights, rig).values()
         for own, pose in zip(rotations.values(), answers, strict=True):
-            if pose is not None:
-                own.append(pose.rotation)
+            own.append(_NO_POSE if pose is None else pose.rotation)
     return {name: np.stack(own) for name, own in rotations.items() if own}
 
 
@@ -204,6 +220,7 @@ def by_pictures(
     for k, pose in enumerate(poses):
         spots = [find_spots(picture) for picture in laboratory.pictures(pose, options, rng)]
         observation = tracker.update(k / RATE_HZ, spots)
-        rotations.append(observation.fit.rotation)
-        squares.append(squared(rig, observation, pose))
+        rotations.append(_NO_POSE if observation.fit is None else observation.fit.rotation)
+        if observation.pose is not None:
+            squares.append(squared(rig, observation, pose))
     return np.stack(rotations), squares
