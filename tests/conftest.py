@@ -12,6 +12,7 @@ import pytest
 import trimesh
 from tests.quick_training import REFINING
 
+from rendezview.cli.compiling import compile_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
@@ -35,6 +36,13 @@ BUMPS_M = [  # size, place: no rotation and no mirror maps this body to itself
 # a tenth of the tests' time.
 gc.freeze()
 gc.set_threshold(200_000, 50, 100)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Of several workers none compiles a listed loop that another one compiles too."""
+    workers = 0 if hasattr(config, "workerinput") else getattr(config.option, "numprocesses", None)
+    if workers:
+        compile_ahead("serve", "track", "train", "demo", "reflectors", "stereo")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

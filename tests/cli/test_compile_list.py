@@ -1,4 +1,4 @@
-"""Tracking needs no loop, for no types of arguments, that is not in the list of loops."""
+"""Tracking and the service need no loop, of any types of arguments, that is not in the list."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from rendezview.cli.compiling import recorded
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.following import follow
+from rendezview.service.tracking import warm_up
 
 model, sequence = ViewModel.load(sys.argv[1]), open_sequence(sys.argv[2])
 
@@ -27,11 +28,13 @@ def work():
         for frame, observation in follow(model, sequence, prior=prior):
             print(observation.status, observation.reason, file=sys.stderr)
 
-print(json.dumps(recorded(work)))
+print(json.dumps({"track": recorded(work), "serve": recorded(lambda: warm_up(model))}))
 """
 
 
-def test_every_loop_of_tracking_is_listed(tmp_path, bumpy_mesh, camera, refining_model):
+def test_every_loop_of_tracking_and_of_the_service_is_listed(
+    tmp_path, bumpy_mesh, camera, refining_model
+):
     model, scene = tmp_path / "bumpy.rvm", tmp_path / "scene"
     refining_model.save(model)
     start_m = 2.0 * refining_model.sphere_radius_m
@@ -45,8 +48,13 @@ def test_every_loop_of_tracking_is_listed(tmp_path, bumpy_mesh, camera, refining
     cv2.imwrite(str(last), hard)
     command = [sys.executable, "-c", _TRACK, str(model), str(scene)]
     run = subprocess.run(command, capture_output=True, text=True, check=True)
-    called = [(e["loop"], e["arguments"]) for e in json.loads(run.stdout.splitlines()[-1])]
-    listed = [(e["loop"], e["arguments"]) for e in compiling.load_loops("track")]
-    names = {name.rpartition(":")[2] for name, _ in called}
+    called = {
+        group: [(e["loop"], e["arguments"]) for e in entries]
+        for group, entries in json.loads(run.stdout.splitlines()[-1]).items()
+    }
+    names = {name.rpartition(":")[2] for group in called.values() for name, _ in group}
     assert {"align_each", "shading", "mean_shift", "align_to_sketch"} <= names, run.stderr
-    assert [each for each in called if each not in listed] == []
+    assert {"fit_steps", "judge", "downhill_simplex", "ring_expected"} <= names, run.stderr
+    for group, loops in called.items():
+        listed = [(e["loop"], e["arguments"]) for e in compiling.load_loops(group)]
+        assert [each for each in loops if each not in listed] == [], group

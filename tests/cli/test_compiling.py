@@ -40,10 +40,13 @@ def test_an_argument_that_no_loop_takes_is_an_error():
         compiling.type_to_json(typeof("text"))
 
 
-@pytest.mark.parametrize("group", ["track", "train"])
-def test_listed_loops_exist_and_take_their_arguments(group):
+@pytest.mark.parametrize(
+    ("group", "least"),
+    [("track", 20), ("train", 20), ("demo", 20), ("serve", 60), ("reflectors", 15), ("stereo", 6)],
+)
+def test_listed_loops_exist_and_take_their_arguments(group, least):
     entries = compiling.load_loops(group)
-    assert len(entries) > 20
+    assert len(entries) > least
     for entry in entries:
         loop = compiling._named(entry["loop"])
         assert len(loop.py_func.__code__.co_varnames) >= len(entry["arguments"])

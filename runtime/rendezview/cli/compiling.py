@@ -192,7 +192,7 @@ def _seconds(entries: Sequence[dict[str, Any]]) -> float:
     return sum(float(entry["seconds"]) for entry in entries)
 
 
-def recorded(run: Callable[[], None]) -> list[dict[str, Any]]:
+def recorded(run: Callable[[], object]) -> list[dict[str, Any]]:
     """The loops that a run calls from Python, by types of arguments, with the seconds of each.
 
     With an empty cache the seconds are those of compiling; a loop that was compiled as a part of

@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import typer
 
+from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar, say, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.bundled import find_target
@@ -233,6 +234,8 @@ def _run(
     overlay: Path | None, output: Path | None, total: int | None,
 ) -> int:  # fmt: skip
     """Write log and pictures of all readings; the number of poses."""
+    compile_ahead("reflectors")
+    tell_of_compiling()
 
     def lines() -> Iterator[Line]:
         for pair, pictures, reading, more in steps:

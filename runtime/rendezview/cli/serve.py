@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from rendezview.cli.compiling import compile_ahead
 from rendezview.errors import RendezviewError
 
 if TYPE_CHECKING:
@@ -145,6 +146,7 @@ def serve(
         _be_gateway(loaded, bool(model or source), tell)
         return
     service = Service(loaded, model, source, speed)
+    compile_ahead("serve")
     set_up_logging(loaded.log_level)
     run(service, tell)
 

@@ -13,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar, say_summary
 from rendezview.errors import RendezviewError
 from rendezview.io.files import check_place
@@ -150,6 +151,8 @@ def track(
     series = open_readings(readings, loaded, names, rate_hz=rate, options=options)
     if not series:
         raise RendezviewError(f"{readings}: holds no readings")
+    compile_ahead("stereo")
+    tell_of_compiling()
 
     def lines() -> Iterator[Line]:
         for reading in series:

@@ -318,8 +318,8 @@ class _Counted(Listener):
 def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) -> int:
     """Compile all loops, or read them from their cache, before the first frame.
 
-    A blob before a noisy sky, dark (without and with a prior) and bright, runs all loops, always in
-    the same order. The order matters: it decides which compiled copy of a shared loop a process
+    A blob before a noisy sky, dark (without a prior) and bright (with one), runs all loops, always
+    in the same order. The order matters: it decides which compiled copy of a shared loop a process
     uses, and copies that were compiled separately may round differently. For the same reason,
     restart a process that had to compile before you record its poses.
 
@@ -340,8 +340,7 @@ def warm_up(model: ViewModel, tell: Callable[[int], None] = lambda count: None) 
             noise = rng.integers(sky_grey, sky_grey + 12, size=(240, 320), dtype=np.uint8)
             image = noise.copy()
             image[70:170, 110:220] = rng.integers(170, 250, size=(100, 110), dtype=np.uint8)
-            for known in (None, prior) if sky_grey == 0 else (None,):
-                recognizer.recognize(image, known)
+            recognizer.recognize(image, None if sky_grey == 0 else prior)
             if recognizer.search is not None:
                 recognizer.search.at(image, Sky.of(image), prior, np.pi)
         contour_at(model, camera, prior)

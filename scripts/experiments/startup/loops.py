@@ -16,14 +16,23 @@ import numpy as np
 from experiments.frame import ROOT
 from rendezview.cli.compiling import recorded
 from rendezview.evaluation.contact import fuse_to_contact
+from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
 from rendezview.io.results import ResultRow
-from rendezview.io.sequences import open_sequence
+from rendezview.io.sequences import BopSceneWriter, open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, result_row
 from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
+from rendezview.sensors.reflectors.run import Mode, pair_up, record
+from rendezview.sensors.reflectors.run import follow as read
+from rendezview.sensors.stereo import MotionOptions, StereoTracker, TrackerOptions
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.service.tracking import warm_up
 from rendezview.simulation.command import default_camera
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview.simulation.ranger import Ranger, write_echoes
+from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
 from rendezview.simulation.scene import SceneOptions, simulate
 from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training import job
@@ -92,8 +101,63 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
     return recorded(work)
 
 
+def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of ``rendezview reflectors``; the model and the scene are not used."""
+    patterns = patterns_of(find_target("client"))
+    camera = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
+    rng = np.random.default_rng(0)
+    with tempfile.TemporaryDirectory() as folder:
+        places = [Path(folder) / name for name in ("lit", "dark")]
+        with BopSceneWriter(places[0], camera) as lit, BopSceneWriter(places[1], camera) as dark:
+            for k in range(6):
+                pose = pose_of(
+                    SixNumbers(4.0 - 0.1 * k, 0.02, 0.04, 0.02 * k, 0.1, 0.1), patterns[0]
+                )
+                pair = render_pair(camera, patterns[0], pose, ReflectorFrameOptions(), rng)
+                for writer, image in zip((lit, dark), pair, strict=True):
+                    writer.add(k, image, pose, 0.5 * k)
+        taken = [open_sequence(place) for place in places]
+
+        def work() -> None:
+            for sequences, mode in ((taken, Mode.SPLITTER), (taken[:1], Mode.SINGLE)):
+                for independent in (False, True):
+                    pairs = pair_up(sequences, mode)
+                    for pair, frames, seen in read(pairs, patterns, independent=independent):
+                        record(pair, seen, patterns, None, frames)
+
+        return recorded(work)
+
+
+def stereo(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of ``rendezview stereo track``; the model and the scene are not used."""
+    target = find_target("scole")
+    leds = np.array([led.position_m for led in target.leds])
+    made = Laboratory(leds, LaboratoryOptions(signal_to_noise=1000.0), seed=71)
+    rng = np.random.default_rng(1)
+    rig = calibrate_laboratory(made.calibration(rng, scans=4)).rig
+    currents = made.currents(made.stage(np.deg2rad(np.arange(0.0, 20.0, 2.0))), rng)
+    currents[4] = np.nan
+
+    def work() -> None:
+        for motion in (None, MotionOptions(angular_acceleration=0.02, linear_acceleration=0.02)):
+            options = TrackerOptions(motion=motion, calibration_error=True)
+            tracker = StereoTracker.of_target(rig, target, options)
+            for k, seen in enumerate(currents):
+                spots = [c.photodiode.read(row) for c, row in zip(rig.cameras, seen, strict=True)]
+                tracker.update(0.1 * k, spots).record()
+
+    return recorded(work)
+
+
+def serve(model: Path, scene: Path) -> list[dict[str, Any]]:
+    """The loops of a worker of ``rendezview serve``; the scene is not used."""
+    loaded = ViewModel.load(model)
+    return recorded(lambda: warm_up(loaded))
+
+
 GROUPS: dict[str, Callable[[Path, Path], list[dict[str, Any]]]] = {
-    "track": track, "train": train, "demo": demo,
+    "track": track, "train": train, "demo": demo, "reflectors": reflectors, "stereo": stereo,
+    "serve": serve,
 }  # fmt: skip
 
 
