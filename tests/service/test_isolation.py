@@ -50,40 +50,39 @@ if "rendezview.service.worker" in sys.orig_argv:
 
 
 def test_a_model_that_is_sent_again_is_used_and_logged(
-    start_service, refining_model, camera, tour, tmp_path
+    service, client, refining_model, camera, tour, tmp_path
 ):
     """Under one name; a session that is open keeps its own."""
-    served = start_service("--record", str(tmp_path))
     bigger = replace(refining_model, name="bigger", provenance={"why": "other content"})
     paths = [tmp_path / name for name in ("first.rvm", "second.rvm")]
     for path, model in zip(paths, (refining_model, bigger), strict=True):
         model.save(path)
     hashes = []
-    with served.client() as client:
-        kept = None
-        for path in paths:
-            content = path.read_bytes()
-            answer = httpx.put(
-                f"{served.url}v1/models/sat?replace=true", content=content, timeout=60.0
-            )
-            assert answer.status_code == 201, answer.text
-            session = client.open(camera, model="sat", prior=tour[0][1])
-            state = session.track(tour[0][2], 0.0)
-            assert state["pose"] is not None
-            assert state["model_sha256"] == session.info()["model_sha256"]
-            assert state["model_sha256"] == answer.json()["sha256"]
-            hashes.append(state["model_sha256"])
-            session.close()
-            log = read_log(max(tmp_path.glob("s-*.mcap"), key=lambda log: log.stat().st_mtime))
-            assert log.notes["model_sha256"] == hashes[-1]
-            assert model_of(log, None).name == ("bumpy" if path == paths[0] else "bigger")
-            if kept is None:
-                kept = client.open(camera, model="sat", prior=tour[0][1])
-        assert len(set(hashes)) == 2
-        assert kept.track(tour[0][2], 0.0)["model_sha256"] == hashes[0]  # it keeps its own
-        with pytest.raises(ServiceError, match="there is one already"):
-            client.send_model("sat", paths[0])
-    served.stop()
+    kept = None
+    for path in paths:
+        content = path.read_bytes()
+        answer = httpx.put(
+            f"{service.url}v1/models/sat?replace=true", content=content, timeout=60.0
+        )
+        assert answer.status_code == 201, answer.text
+        session = client.open(camera, model="sat", prior=tour[0][1])
+        state = session.track(tour[0][2], 0.0)
+        assert state["pose"] is not None
+        assert state["model_sha256"] == session.info()["model_sha256"]
+        assert state["model_sha256"] == answer.json()["sha256"]
+        hashes.append(state["model_sha256"])
+        session.close()
+        log = read_log(max(service.folder.glob("s-*.mcap"), key=lambda log: log.stat().st_mtime))
+        assert log.notes["model_sha256"] == hashes[-1]
+        assert model_of(log, None).name == ("bumpy" if path == paths[0] else "bigger")
+        if kept is None:
+            kept = client.open(camera, model="sat", prior=tour[0][1])
+    assert len(set(hashes)) == 2
+    assert kept.track(tour[0][2], 0.0)["model_sha256"] == hashes[0]  # it keeps its own
+    with pytest.raises(ServiceError, match="there is one already"):
+        client.send_model("sat", paths[0])
+    kept.close()
+    client.request("DELETE", "/v1/models/sat")
 
 
 def test_a_step_of_the_clock_does_not_reach_a_session(start_service, camera, tour, tmp_path):

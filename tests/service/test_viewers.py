@@ -8,6 +8,8 @@ import struct
 import subprocess
 import tempfile
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from websockets.sync.client import connect
@@ -23,10 +25,19 @@ def _free_port() -> int:
         return int(free.getsockname()[1])
 
 
-def test_foxglove_receives_poses_pictures_and_states(start_service, camera, tour) -> None:
+@pytest.fixture(scope="module")
+def served(start_service) -> Iterator[tuple[Any, int, int]]:
+    """A service with both live streams, and their ports."""
     pytest.importorskip("foxglove")
-    port = _free_port()
-    served = start_service("--foxglove", str(port))
+    pytest.importorskip("rerun")
+    ports = _free_port(), _free_port()
+    service = start_service("--foxglove", str(ports[0]), "--rerun", str(ports[1]))
+    yield service, *ports
+    service.stop()
+
+
+def test_foxglove_receives_poses_pictures_and_states(served, camera, tour) -> None:
+    served, port, _ = served
     with (
         served.client() as client,
         client.open(camera, name="live", prior=tour[0][1]) as session,
@@ -63,10 +74,8 @@ def test_foxglove_receives_poses_pictures_and_states(start_service, camera, tour
     assert b"\xff\xd8\xff" in seen["/live/camera/image"]
 
 
-def test_rerun_receives_a_stream(tmp_path, start_service, camera, tour) -> None:
-    pytest.importorskip("rerun")
-    port = _free_port()
-    served = start_service("--rerun", str(port))
+def test_rerun_receives_a_stream(served, camera, tour) -> None:
+    served, _, port = served
     with served.client() as client, client.open(camera, name="live", prior=tour[0][1]) as session:
         for time_s, _, image in tour[:4]:
             assert session.track(image, time_s)["pose"] is not None

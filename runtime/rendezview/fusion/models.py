@@ -86,8 +86,10 @@ def _ring(
     if state.extras[0] <= -0.9:
         return "the ring's radius is lost"
     ring = measurement.ring
+    # Copies: for read-only arrays numba would compile the loop a second time.
+    centre_m, axis = np.array(ring.centre_m), np.array(ring.axis)
     before, loose, residual, slope, white, root = ring_expected(
-        measurement.centres_m, measurement.axes, measurement.covariances, ring.centre_m, ring.axis,
+        measurement.centres_m, measurement.axes, measurement.covariances, centre_m, axis,
         state.rotation, state.translation_m, state.extras, state.covariance, start,
         sensor.inflation, sensor.floor_rad, sensor.floor_range, sensor.bias_share, chance_of_other,
     )  # fmt: skip

@@ -26,6 +26,7 @@ from rendezview.estimation.least_squares import (
     ROUNDING,
     damped_step,
 )
+from rendezview.estimation.linear_algebra import copy_into, descending
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.shapes import places
 
@@ -101,7 +102,8 @@ def downhill_simplex(
     size = len(start)
     place, out = np.empty((len(weights), 3)), np.empty((len(weights), RESIDUALS))
     corners, costs = np.empty((size + 1, size)), np.empty(size + 1)
-    corners[:] = start
+    for k in range(size + 1):
+        copy_into(start, corners[k])
     for k in range(size):
         corners[k + 1, k] += steps[k]
     _fill_costs(code, corners, data, weights, cut, place, out, costs, 0)
@@ -109,7 +111,7 @@ def downhill_simplex(
     expand, contract, shrink = 1.0 + 2.0 / size, 0.75 - 0.5 / size, 1.0 - 1.0 / size
     trial, second = np.empty(size), np.empty(size)
     while asked < most:
-        order = np.argsort(costs)
+        order = descending(-costs)
         corners, costs = corners[order], costs[order]
         if costs[size] - costs[0] <= near:
             break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from rendezview.estimation.linear_algebra import quantile
 from rendezview.geometry.pose import Array
 from rendezview.trajectory.nothing import Nothing
 from rendezview.trajectory.shapes import SPIRAL, basis, frame_of
@@ -116,7 +117,7 @@ def _scan_hops(
                         distances[k] += (places[k, j] - fitted) ** 2
                     cost += weights[k] * distances[k]
                 if rounds > 0:
-                    cost = np.median(distances)
+                    cost = quantile(distances, 0.5)
                     for k in range(len(times)):
                         own[k] = weights[k] / (1.0 + distances[k] / (_CUT_MEDIANS * cost)) ** 2
             if cost < least:

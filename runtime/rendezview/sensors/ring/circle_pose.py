@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.linear_algebra import copy_into
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.lens import lens_vector
 from rendezview.sensors.ring.ellipse import Ellipse
@@ -205,56 +206,64 @@ def pose_covariance(camera: Camera, pose: CirclePose, shape_covariance: Array) -
 
 
 def _covariance_at(camera: Camera, pose: CirclePose, axis: Array, shape_covariance: Array) -> Array:
-    out = np.empty((5, 5))
-    if not _propagate(
-        lens_vector(camera), pose.centre_m, axis, tangent_basis(axis), pose.radius_m,
-        shape_covariance, out,
+    """Covariance of the pose from that of the shape, slopes and bends taken at ``axis``."""
+    jacobian, bends = np.empty((5, 5)), np.zeros((5, 2))
+    if not _differences(
+        lens_vector(camera), pose.centre_m, axis, tangent_basis(axis), pose.radius_m, jacobian,
+        bends,
     ):  # fmt: skip
         return np.full((5, 5), np.inf)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _propagate(
-    camera: Array, centre: Array, axis: Array, basis: Array, radius: float,
-    shape_covariance: Array, out: Array,
-) -> bool:  # fmt: skip
-    """Covariance of the pose from that of the shape, slopes and bends taken at ``axis``."""
-    base, ahead, behind = np.empty(5), np.empty(5), np.empty(5)
-    if not picture_of_circle(camera, centre, axis, radius, base):
-        return False
     information = np.linalg.inv(shape_covariance)
-    jacobian, bends = np.empty((5, 5)), np.zeros((5, 2))
-    reach_m = 1e-5 * np.sqrt(centre @ centre)
-    for k in range(5):
-        size = reach_m if k < 3 else 1e-3
-        for side in range(2):
-            c, n = centre.copy(), axis.copy()
-            move = size if side == 0 else -size
-            if k < 3:
-                c[k] += move
-            else:
-                n += move * basis[:, k - 3]
-                n /= np.sqrt(n @ n)
-            if not picture_of_circle(camera, c, n, radius, ahead if side == 0 else behind):
-                return False
-        jacobian[:, k] = (ahead - behind) / (2.0 * size)
-        if k >= 3:
-            bends[:, k - 3] = (ahead - 2.0 * base + behind) / (size * size)
     plain = jacobian.T @ information @ jacobian
     # The centre absorbs part of a bend: only the remainder determines the tilt.
-    place = np.ascontiguousarray(jacobian[:, :3])
-    taken = np.linalg.solve(place.T @ information @ place, place.T @ information)
-    left = bends - place @ (taken @ bends)
-    curve = np.diag(left.T @ information @ left)
+    place = jacobian[:, :3]
+    left = bends - place @ np.linalg.solve(
+        place.T @ information @ place, place.T @ information @ bends
+    )
+    curve = np.sum(left * (information @ left), axis=0)
     spread = np.full(2, 0.1)
     covariance = plain
     for _ in range(_FIXED_POINT_STEPS):
         total = plain.copy()
         for k in range(2):
             total[3 + k, 3 + k] += 0.25 * curve[k] * spread[k] ** 2 + 1.0 / _LARGEST_ANGLE_RAD**2
-        covariance = np.asarray(np.linalg.inv(total))
-        for k in range(2):
-            spread[k] = np.sqrt(0.5 * (spread[k] ** 2 + covariance[3 + k, 3 + k]))
-    out[:] = 0.5 * (covariance + covariance.T)
+        covariance = np.asarray(np.linalg.inv(total), dtype=np.float64)
+        spread = np.sqrt(0.5 * (spread**2 + np.diag(covariance)[3:]))
+    return 0.5 * (covariance + covariance.T)
+
+
+@njit(cache=True, nogil=True)
+def _differences(
+    camera: Array, centre: Array, axis: Array, basis: Array, radius: float, jacobian: Array,
+    bends: Array,
+) -> bool:  # fmt: skip
+    """Fill slopes (5, 5) and bends (5, 2) of the picture's shape by centre and tilt.
+
+    The linear algebra is numpy's own: small matrix products compile for seconds.
+    """
+    base, ahead, behind = np.empty(5), np.empty(5), np.empty(5)
+    if not picture_of_circle(camera, centre, axis, radius, base):
+        return False
+    reach_m = 1e-5 * np.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    c, n = np.empty(3), np.empty(3)
+    for k in range(5):
+        size = reach_m if k < 3 else 1e-3
+        for side in range(2):
+            move = size if side == 0 else -size
+            copy_into(centre, c)
+            copy_into(axis, n)
+            if k < 3:
+                c[k] += move
+            else:
+                for i in range(3):
+                    n[i] += move * basis[i, k - 3]
+                length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
+                for i in range(3):
+                    n[i] /= length
+            if not picture_of_circle(camera, c, n, radius, ahead if side == 0 else behind):
+                return False
+        for i in range(5):
+            jacobian[i, k] = (ahead[i] - behind[i]) / (2.0 * size)
+            if k >= 3:
+                bends[i, k - 3] = (ahead[i] - 2.0 * base[i] + behind[i]) / (size * size)
     return True

@@ -101,7 +101,8 @@ def predict_edge(
     if not edge.is_visible:
         return False
     pose_slope_into(edge, row)
-    row[:6] *= place[0]
+    for a in range(6):  # not `row[:6] *=`, which compiles for two seconds
+        row[a] *= place[0]
     row[U], row[V] = place[0] * edge.u + place[1], place[0] * edge.v + place[2]
     row[NX], row[NY] = edge.nx, edge.ny
     return True
