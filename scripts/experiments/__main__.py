@@ -17,6 +17,7 @@ EXPERIMENTS = {
         "pose-accuracy": ("pose.accuracy", "first poses and tracked poses on these frames"),
         "pose-cut": ("pose.accuracy:cut", "poses of targets that the image border cuts"),
         "pose-scale": ("pose.scale", "poses over fields of view and picture sizes"),
+        "close-in": ("pose.close_in", "poses close to a docking ring, from a prior"),
         "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
         "pose-shape": ("pose.shape", "a wrong mesh before and after calibration of its shape"),

@@ -31,6 +31,7 @@ class Script:
         self.prior_error_rad = MatchOptions().prior_error_rad
         self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
         self.search = None
+        self.overflows = lambda pose: False
 
     def recognize(
         self,

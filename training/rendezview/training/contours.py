@@ -32,7 +32,7 @@ from rendezview.training.crossings import (
     face_normals,
 )
 from rendezview.training.curve import evenly_spread
-from rendezview.training.drawn_view import draw_view
+from rendezview.training.drawn_view import DrawnView, draw_view
 from rendezview.training.edge_profiles import edge_profiles
 from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions, ViewGeometry
@@ -45,6 +45,8 @@ _THIN_PX = 2.0  # px; an edge with a shorter free run is unreliable
 _CLEAR_RADII = 3.0 / 196.0  # target radii beyond _THIN_PX; from there an edge is fully reliable
 _FREE_RADII = 64.0 / 196.0  # target radii; length along the normal in which a free run ends
 _INNER_SHARE = 0.25  # share of the points for steps and creases inside the outline
+_NEAR_SHARE = 0.5  # the same of a near view, whose outline is mostly beside the picture
+_MARGIN_PX = 8  # px; no edge of a near view is nearer to the border
 _CANDIDATES = 4  # candidates per kept point, for which free runs are measured
 # Pixels per kept point, for which the exact crossing is computed. Source: experiment benchmark: the
 # median attitude error of a first pose is 0.023°, with 8 it is 0.082°
@@ -80,10 +82,12 @@ def contour_points(
     normals = face_normals(view.vertices, view.faces)
     step_m = STEP_RADII * geometry.target_radius_m
     count = options.contour_points
-    inner = round(_INNER_SHARE * count)
+    inner = round((_INNER_SHARE if geometry.near_half_rad is None else _NEAR_SHARE) * count)
     pixels, edges = edge_pixels(
         view.vertices, view.faces, normals, albedo, focal, middle, nearness, owner, step_m
     )
+    if geometry.near_half_rad is not None:
+        pixels = _of_sphere(pixels, view, range_m, geometry.target_radius_m)
     crossings = edge_crossings(
         view.vertices, view.points, view.faces, normals, beside,
         _some_pixels(pixels, _PIXELS * (count - inner), _PIXELS * inner), focal, middle, nearness,
@@ -118,6 +122,17 @@ def contour_points(
         "start": _packed(np.clip(starts, -127, 127), count, np.int8),
         "surfaces": _packed(surfaces, count, np.uint8),
     }
+
+
+def _of_sphere(pixels: Int32s, view: DrawnView, range_m: float, radius_m: float) -> Int32s:
+    """The pixels (M, 4) of ``edge_pixels`` inside the border that show a sphere's content."""
+    last = len(view.owner) - 1 - _MARGIN_PX
+    u, v = pixels[:, 0], pixels[:, 1]
+    z = 1.0 / view.nearness[v, u]
+    x, y = (u - view.middle) / view.focal * z, (v - view.middle) / view.focal * z
+    inside = x**2 + y**2 + (z - range_m) ** 2 < radius_m**2
+    inside &= (np.minimum(u, v) >= _MARGIN_PX) & (np.maximum(u, v) <= last)
+    return np.ascontiguousarray(pixels[inside])
 
 
 def _inwards(crossings: Array, shift: Array) -> Array:

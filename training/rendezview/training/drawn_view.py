@@ -14,6 +14,8 @@ from rendezview.training.projection import NEAREST_M, SurfaceRenderer, Window
 from rendezview.training.views import look_from
 from rendezview.training.zbuffer import draw_parallel, draw_perspective, empty_buffers
 
+_LEAST_DEPTH_M = 0.02  # m, of a near face. Source: by construction, its pixels stay finite
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnView:
@@ -45,10 +47,17 @@ def draw_view(
     """
     rotation = look_from(direction)
     vertices = (mesh.vertices_m - geometry.centre_m) @ rotation.T + np.array([0.0, 0.0, range_m])
-    focal = (0.5 * size_px - border_px) / np.tan(np.arcsin(geometry.target_radius_m / range_m))
+    half_rad = np.arcsin(min(1.0, geometry.target_radius_m / range_m))
+    if geometry.near_half_rad is not None:
+        half_rad = min(half_rad, geometry.near_half_rad)
+    focal = (0.5 * size_px - border_px) / np.tan(half_rad)
     middle = 0.5 * (size_px - 1)
-    faces = np.ascontiguousarray(mesh.faces, dtype=np.int32)
-    points = vertices[:, :2] / vertices[:, 2:] * focal + middle
+    faces = np.array(mesh.faces, dtype=np.int32, order="C")
+    if geometry.near_half_rad is not None:
+        # What reaches behind the camera is beside the picture.
+        behind = (vertices[faces][..., 2] < _LEAST_DEPTH_M).any(axis=1)
+        faces[behind] = int(np.argmax(vertices[:, 2]))
+    points = vertices[:, :2] / np.maximum(vertices[:, 2:], NEAREST_M) * focal + middle
     if renderer is None:
         nearness, owner = empty_buffers(size_px, size_px)
         if vertices[:, 2].min() > NEAREST_M:

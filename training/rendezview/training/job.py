@@ -79,7 +79,8 @@ def train(
         options: see ``TrainingOptions``.
         symmetries: of the target, declared or found by ``find_symmetries``.
         shape_error: σ of the strain between the mesh and the real spacecraft.
-        docking_ring, reflectors: of the target, kept in the model for other sensors.
+        docking_ring, reflectors: of the target, kept in the model for other sensors; views of the
+            part around the ring serve a close camera.
         camera: the flight camera; it sets the sphere radius and the sharpness of the perturbed
             views. ``None``: a 40° field of view, 480 pixels.
         bounding_sphere: centre (3,) and radius (m) around the target at all angles of its joints;
@@ -109,7 +110,12 @@ def train(
             shards, mesh, beside, renderer, surfaces, geometry, options, executor, progress
         )
         trained = _train(stages, name, tuple(symmetries), shape_error, inputs)
-        model = dataclasses.replace(trained.model, docking_ring=docking_ring, reflectors=reflectors)
+        model = dataclasses.replace(
+            trained.model,
+            docking_ring=docking_ring,
+            reflectors=reflectors,
+            near=stages.near(docking_ring, camera),
+        )
         trained = dataclasses.replace(trained, model=model)
     finally:
         cv2.setNumThreads(threads)

@@ -55,6 +55,9 @@ class TrainingOptions:
     # px; width of the views that decide which edges are visible. Source: pose-accuracy, the
     # errors are those of 800, where contours take half as long again
     contour_resolution_px: int = 560
+    # rad; near views are within this angle of the docking ring's axis, as seen from its centre; 0:
+    # none. Source: corridors of approach are 10° to 15° to either side
+    near_cone_rad: float = float(np.deg2rad(20.0))
     shadowed_silhouettes: bool = (
         True  # sunlit parts per Sun direction, for first poses in hard light
     )
@@ -87,6 +90,7 @@ class TrainingOptions:
             "contour_radii": len(self.contour_radii) > 0
             and all(0.3 <= r < np.inf for r in self.contour_radii)
             and sorted(set(self.contour_radii)) == list(self.contour_radii),
+            "near_cone_rad": 0.0 <= self.near_cone_rad <= np.pi / 3,
             "contour_resolution_px": 64 <= self.contour_resolution_px <= 8192,
             "surface_points": self.surface_points == 0 or 64 <= self.surface_points <= 65_536,
             "voters": 0 <= self.voters <= 64,
@@ -134,6 +138,8 @@ class ViewGeometry:
     focal_px: float  # of the lattice's views: the bounding sphere fills the picture
     flight_focal_px: float  # of the perturbed views: that of the flight camera
     flight_half_px: float  # from the flight camera's boresight to the nearest border
+    # rad; a drawn view is at most twice as wide, and shows the sphere's content only. None: all
+    near_half_rad: float | None = None
 
 
 DEFAULT_RADII = 3.0  # target radii; sphere radius without a camera

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.geometry.pose import Array
+from rendezview.io.target import DockingRing
 from rendezview.sensors.appearance.edges.contours import Contours
+from rendezview.sensors.appearance.edges.near_views import NearSphere
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model import ViewModel
@@ -23,6 +26,7 @@ from rendezview.training.calibrate import prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
 from rendezview.training.learn import Samples, TreeSet, learn_trees
 from rendezview.training.mesh import Mesh
+from rendezview.training.near_spheres import near_spheres
 from rendezview.training.options import TrainingOptions, ViewGeometry
 from rendezview.training.perturbed_views import perturbed_views
 from rendezview.training.projection import SilhouetteRenderer, SurfaceRenderer
@@ -103,13 +107,41 @@ class TrainingStages:
         directions = Geodesic.of_order(self.options.order + 1).nodes
         shells_m = np.array(radii) * self.geometry.sphere_radius_m
         renderer = self.edges_shown or self.surfaces
-        shared = (self.mesh, self.beside, self.geometry, self.options, renderer)
+        return self._contours("contours", self.geometry, directions, shells_m, renderer)
+
+    def near(self, ring: DockingRing | None, camera: Camera | None) -> tuple[NearSphere, ...]:
+        """Contour points of the part around the docking ring; none without one, or with joints."""
+        if 0 in (self.options.contour_points, self.options.near_cone_rad):
+            return ()
+        if ring is None or self.mesh.face_part is not None:
+            return ()
+        spheres = near_spheres(self.geometry, self.options, ring, camera)
+        return tuple(
+            NearSphere(
+                near.geometry.centre_m,
+                near.geometry.target_radius_m,
+                near.directions,
+                self._contours(f"near-{k}", near.geometry, near.directions, near.shells_m, None),
+            )
+            for k, near in enumerate(spheres)
+        )
+
+    def _contours(
+        self,
+        stage: str,
+        geometry: ViewGeometry,
+        directions: Array,
+        shells_m: Array,
+        renderer: SurfaceRenderer | None,
+    ) -> Contours:
+        """Contour points of views from directions (V, 3) at each distance."""
+        shared = (self.mesh, self.beside, geometry, self.options, renderer)
         parts = [
             (directions[p.start : p.stop], range_m)
             for range_m in shells_m
             for p in shares(len(directions), _SLOW_VIEWS_PER_SHARD)
         ]
-        shards = self._run("contours", _contour_arrays, shared, parts)
+        shards = self._run(stage, _contour_arrays, shared, parts)
         views = {name: np.concatenate([a[name] for a in shards]) for name in shards[0]}
         palette, views["strip"] = surface_palette(views.pop("surfaces"))
         shape = (len(shells_m), len(directions))

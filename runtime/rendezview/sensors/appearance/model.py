@@ -19,6 +19,7 @@ from rendezview.io.target import DockingRing, Reflector
 from rendezview.sensors.appearance.container import read_container, write_container
 from rendezview.sensors.appearance.edges.contours import Contours, surfaces_of_cells
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
+from rendezview.sensors.appearance.edges.near_views import NearSphere
 from rendezview.sensors.appearance.edges.shading import Surface
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.outline.trees import Forest
@@ -112,6 +113,7 @@ class ViewModel:
     # As the target file has them, for the sensors beside this one.
     docking_ring: DockingRing | None = None
     reflectors: tuple[Reflector, ...] = ()
+    near: tuple[NearSphere, ...] = ()  # of the part around the docking ring; (): trained without
     # Of a target with joints: the mesh is at these angles, and ``sheets`` are the same target at
     # others, with the same view centre and radius.
     joints: tuple[Joint, ...] = ()
@@ -194,6 +196,8 @@ class ViewModel:
                 continue
             values = {f.name: getattr(part, f.name) for f in fields(part)}
             arrays |= {f"{name}.{n}": value for n, value in values.items() if value is not None}
+        for k, sphere in enumerate(self.near):
+            arrays |= {f"near{k}.{n}": array for n, array in sphere.arrays().items()}
         header = {
             "name": self.name,
             "order": self.order,
@@ -214,6 +218,8 @@ class ViewModel:
             header["error_model"] = self.error_model.record()
         if self.docking_ring is not None:
             header["docking_ring"] = self.docking_ring.record()
+        if self.near:
+            header["near"] = [sphere.header() for sphere in self.near]
         if self.reflectors:
             header["reflectors"] = [reflector.record() for reflector in self.reflectors]
         if self.joints:
@@ -255,6 +261,10 @@ class ViewModel:
             if "docking_ring" in header
             else None,
             reflectors=tuple(Reflector.of_record(r) for r in header.get("reflectors", [])),
+            near=tuple(
+                NearSphere.stored(sphere, _below(arrays, f"near{k}."))
+                for k, sphere in enumerate(header.get("near", []))
+            ),
             joints=tuple(Joint.of_record(joint) for joint in header.get("joints", [])),
             angles_rad=np.array(header.get("angles_rad", []), dtype=np.float64),
             sheets=tuple(
@@ -288,6 +298,8 @@ class ViewModel:
             self.contours.check(count)
         if self.lit is not None:
             self.lit.check(count)
+        for sphere in self.near:
+            sphere.check()
         if self.surface is not None:
             self.surface.check()
         if self.voters is not None:

@@ -13,7 +13,9 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.grey_frame import Picture, check_frame
+from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
+from rendezview.sensors.appearance.edges.close import CloseSearch
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.edges.refinement import Refined
@@ -97,6 +99,9 @@ class Recognizer:
         self.trees = trees
         self.least_confidence = least_confidence
         self.search = LevelSearch(model, camera) if refine and model.contours is not None else None
+        self.close = None
+        if self.search is not None and model.near:
+            self.close = CloseSearch(model, camera)
         self.sketch = None
         # A sketch shows one angle of the joints only.
         sketch = sketch and not model.joints
@@ -251,6 +256,11 @@ class Recognizer:
         sky = Sky.of(frame, sun_camera)
         error_rad = prior_error_rad or self.prior_error_rad
         found = None
+        if prior is not None and self.close is not None:
+            found = self.close.at(frame, sky, prior)
+            clock.lap("refine")
+            if found is not None:
+                return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
         if prior is not None:
             found = search.at(frame, sky, prior, error_rad, enough_inliers)
             clock.lap("refine")
@@ -263,6 +273,8 @@ class Recognizer:
             clock.lap("refine")
         confident = found.best.pose if found is not None and self._confident(found) else None
         seen = self.outline.recognize(traced, prior, prior_error_rad, confident, clock)
+        if found is None and prior is not None and self.overflows(prior):
+            return _refused(seen, None)
         if found is None and prior is not None:
             also = [] if seen.pose is None else [seen.pose]
             found = search.near(frame, sky, prior, error_rad, traced.outlines, also)
@@ -300,6 +312,11 @@ class Recognizer:
             if sketched is not None and (found is None or sketched.confidence > found.confidence):
                 found = sketched
         return _refused(seen, found)
+
+    def overflows(self, pose: Pose) -> bool:
+        """Whether a target there is too near for a whole view: no search near it can find one."""
+        depth_m = pose.apply(self.model.centre_m)[2]
+        return bool(depth_m < NEAREST_RADII * self.model.target_radius_m)
 
     def _sketched(
         self, search: SketchSearch, frame: Picture, sky: Sky, prior: Pose | None, error_rad: float

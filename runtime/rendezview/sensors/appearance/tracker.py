@@ -40,6 +40,9 @@ class TrackerOptions:
     # frames without a pose; then all attitudes are searched too. Source: by hand; pose-trials
     # sequences
     restart_after: int = 2
+    # frames without a pose; where the target should overflow the picture, all attitudes are
+    # searched so often, if a whole silhouette is there. Source: a chosen limit
+    close_restart: int = 15
     # 0 … 1; a restart needs more than a pose near a prediction. Source: by hand; pose-trials
     # sequences
     restart_confidence: float = 0.9
@@ -205,6 +208,9 @@ class Tracker:
             angles_rad=self._predicted_angles(time_s), time_s=time_s,
         )  # fmt: skip
         late = prior is not None and self._misses >= options.restart_after
+        if prior is not None and self.recognizer.overflows(prior):
+            due = self._misses % options.close_restart == options.close_restart - 1
+            late = due and observation.silhouette is not None
         if late and observation.pose is None and self.recognizer.search is not None:
             again = self.recognizer.recognize(image, None, None, sun_camera, time_s=time_s)
             if again.pose is not None and (again.confidence or 0.0) >= options.restart_confidence:

@@ -270,13 +270,19 @@ def test_gauss_newton_step_is_the_damped_solution_and_refuses_to_leave():
     rng = np.random.default_rng(8)
     jacobian, residual = rng.normal(size=(40, 6)), 0.01 * rng.normal(size=40)
     matrix, right = jacobian.T @ jacobian, jacobian.T @ residual
-    held, radius_m = 0.3, 2.0
+    held, radius_m, nearest_m = 0.3, 2.0, 1.5
     damped = matrix + np.diag([held * radius_m**2] * 3 + [held] * 3)
     step = np.linalg.solve(damped, right)
     rotation, centre = np.eye(3), np.array([0.1, 0.2, 9.0])
-    moved = gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, rotation, centre)
+    moved = gauss_newton_step(
+        matrix.copy(), right, held, 1.0, radius_m, nearest_m, rotation, centre
+    )
     assert rotation == pytest.approx(Rotation.from_rotvec(step[:3]).as_matrix(), abs=1e-9)
     assert centre == pytest.approx(np.array([0.1, 0.2, 9.0]) + step[3:], abs=1e-9)
     assert moved > 0.0
     near = np.array([0.0, 0.0, 1.0])  # within the target
-    assert gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, np.eye(3), near) < 0.0
+    assert gauss_newton_step(
+        matrix.copy(), right, held, 1.0, radius_m, nearest_m, np.eye(3), near
+    ) < 0.0  # fmt: skip
+    passed = gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, 0.5, np.eye(3), near)
+    assert passed > 0.0

@@ -53,7 +53,7 @@ class Stage(NamedTuple):
 CLOSE_PX = 1.5  # px; spread of a refined pose's inliers … Source: fixed with error_model.json
 _LOOSE_PX = 3.0  # px; … and of a roughly aligned one's. Source: by construction, twice that
 _LOOSE_STRIDE = 2  # one point in two is enough to judge that. Source: by construction
-_AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
+AGREEING = 0.53  # of the spread: it counts exp(−½). Source: fixed with error_model.json
 _INNER_SHARE = 0.5  # of inner edges in the loose ratio. Source: by hand, docs/notes/refinement.md
 # Source: experiment pose-accuracy: one of 200 right poses lies below (commit b583915)
 _HOPELESS = 0.65  # of the best loose ratio; poses below are dropped
@@ -62,7 +62,10 @@ _LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construc
 _LONGEST_TURN_RAD = 0.2  # rad, of one step. Source: by construction, linear to 2 %
 _ALONG = 0.1  # of a move in depth, which shows so much less. Source: by construction
 _SMALL = 0.01  # of the target's radius, px: a smaller one stops earlier. Source: by construction
-_NEAREST_RADII, _FURTHEST_RADII = 1.02, 1e9  # of the target's radius; poses beyond have diverged
+# Of the target's radius: poses nearer have diverged. Source: by construction
+NEAREST_RADII = 1.02
+_NEAREST_SHELL = 0.8  # of the nearest distance of views that show a part. Source: by construction
+_FURTHEST_RADII = 1e9  # of the target's radius; poses beyond have diverged
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
@@ -225,6 +228,13 @@ def _to_origin(arm: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
+def nearest_distance(views: ViewTables) -> float:
+    """Least depth of the view centre, m: just outside the target, or inside its nearest view."""
+    outside = NEAREST_RADII * views.radius_m
+    return min(outside, _NEAREST_SHELL * views.shells_m[0])  # type: ignore[no-any-return]
+
+
+@njit(cache=True, nogil=True)
 def align(
     image: Picture, lens: Lens, frame: Array, stages: Array, views: ViewTables, rotation: Array,
     centre: Array, edges: Array,
@@ -245,7 +255,7 @@ def align(
     """
     matrix, right = np.empty((6, 6)), np.empty(6)
     shade = np.zeros(views.palette.shape[0])
-    radius_m = views.radius_m
+    radius_m, nearest_m = views.radius_m, nearest_distance(views)
     sun = np.zeros(3)
     explained = 0.0
     points = views.point.shape[2]
@@ -275,8 +285,8 @@ def align(
                 return DIVERGED
             scale = lens[0][0] / centre[2]  # pixels a metre
             held = stage[DAMPING] * weights * scale * scale
-            moved = gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m, rotation,
-                                       centre)  # fmt: skip
+            moved = gauss_newton_step(matrix, right, held, stage[RELAXATION], radius_m,
+                                      nearest_m, rotation, centre)  # fmt: skip
             if moved < 0.0:
                 return DIVERGED
             # The last step is small in pixels, and beside a target that is small itself.
@@ -288,13 +298,13 @@ def align(
 
 @njit(cache=True, nogil=True)
 def gauss_newton_step(
-    matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, rotation: Array,
-    centre: Array,
+    matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, nearest_m: float,
+    rotation: Array, centre: Array,
 ) -> float:  # fmt: skip
     """Move a pose in place by one damped step; metres that the target's points move, about.
 
-    −1 where the equations give no step or the target leaves the front of the camera. ``held`` is
-    the damping, information per m²; rotations count at the target's radius.
+    −1 where the equations give no step or the view centre comes nearer than ``nearest_m``.
+    ``held`` is the damping, information per m²; rotations count at the target's radius.
     """
     for a in range(3):
         matrix[a, a] += held * radius_m * radius_m
@@ -314,7 +324,7 @@ def gauss_newton_step(
         centre[a] += step[3 + a]
         for b in range(3):
             rotation[a, b] = turned[a, b]
-    if not (centre[2] > _NEAREST_RADII * radius_m and centre[2] < _FURTHEST_RADII * radius_m):
+    if not (centre[2] > nearest_m and centre[2] < _FURTHEST_RADII * radius_m):
         return -1.0
     return turn * radius_m + shift  # type: ignore[no-any-return]
 
@@ -343,7 +353,7 @@ def inlier_ratios(
     for j in range(0, count, stride):
         agrees = 0.0
         if edges[j, STATE] == FOUND:
-            agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / (_AGREEING * spread_px)) ** 2)
+            agrees = np.exp(-0.5 * (edges[j, RESIDUAL] / (AGREEING * spread_px)) ** 2)
         if kinds[j] == OUTLINE:
             outlines += 1.0
             outline += agrees

@@ -18,6 +18,7 @@ from rendezview.geometry.so3 import orthonormalise
 from rendezview.sensors.appearance.edges.alignment import (
     covariance_of,
     gauss_newton_step,
+    nearest_distance,
     nearest_views,
     normal_equations,
     strain_covariance,
@@ -211,7 +212,9 @@ def align_to_sketch(
                 return False
             scale = lens[0][0] * maps.place[0] / centre[2]  # sketch px a metre
             held = _HELD * weights * scale * scale
-            moved = gauss_newton_step(matrix, right, held, 1.0, views.radius_m, rotation, centre)
+            moved = gauss_newton_step(
+                matrix, right, held, 1.0, views.radius_m, nearest_distance(views), rotation, centre
+            )
             if moved < 0.0:
                 return False
             if scale * moved < _STOP_PX:
