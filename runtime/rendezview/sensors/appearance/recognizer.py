@@ -257,7 +257,7 @@ class Recognizer:
         error_rad = prior_error_rad or self.prior_error_rad
         found = None
         if prior is not None and self.close is not None:
-            found = self.close.at(frame, sky, prior)
+            found = self.close.at(frame, sky, prior, enough_inliers)
             clock.lap("refine")
             if found is not None:
                 return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)

@@ -14,6 +14,16 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.close import CloseSearch
+from rendezview.sensors.appearance.edges.edge_search import (
+    COLUMNS,
+    FOUND,
+    NOT_FOUND,
+    RESIDUAL,
+    STATE,
+    U,
+    V,
+)
+from rendezview.sensors.appearance.edges.near_views import NearSphere
 from rendezview.sensors.observation import Status
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.job import train
@@ -130,3 +140,17 @@ def test_a_model_file_keeps_its_near_spheres(model, tmp_path):
         assert one.radius_m == other.radius_m
         assert np.array_equal(one.contours.point, other.contours.point)
         assert np.array_equal(one.directions, other.directions)
+
+
+def test_a_wing_in_the_dark_does_not_count_against_a_pose():
+    """Points without an edge count where the picture is lit, not where the Sun does not reach."""
+    image = np.full((100, 100), 4, np.uint8)
+    image[:, :50] = 150
+    edges = np.zeros((4, COLUMNS))
+    edges[:, STATE] = [FOUND, FOUND, NOT_FOUND, NOT_FOUND]
+    edges[:, (U, V)] = [[20.0, 20.0], [20.0, 60.0], [30.0, 50.0], [80.0, 50.0]]
+    assert NearSphere.inliers(edges, image, 3.0) == (pytest.approx(2.0 / 3.0), 3)
+    edges[:2, RESIDUAL] = 30.0
+    assert NearSphere.inliers(edges, image, 3.0) == (pytest.approx(0.0), 3)
+    edges[:, STATE] = NOT_FOUND
+    assert NearSphere.inliers(edges, image, 3.0) == (0.0, 4)

@@ -118,7 +118,7 @@ class Refined:
     angles_rad: Array | None = None  # (J,) of the joints; None: a rigid target
     joint_support: float = 1.0  # least share of a joint's visible points with an edge in place
     joint_covariance: Array | None = None  # (6 + J, 6 + J) as ``covariance``, then the angles
-    points: int = 0  # of a near part: contour points in the picture
+    points: int = 0  # of a near part: lit contour points in the picture
 
     @property
     def inlier_ratio(self) -> float:
@@ -363,7 +363,7 @@ class Refiner:
         )
         points = 0
         if self.sphere is not None:
-            outline, points = self.sphere.inliers(edges)
+            outline, points = self.sphere.inliers(edges, image, float(frame[1]))
             inner, visible = outline, 1.0
         inflation = self.error_model.inflation(outline, spread_px, frame[2])
         inflation *= self._stages[-1, VIEWS]  # which show the same edges
