@@ -17,6 +17,7 @@ from rendezview.sensors.appearance.edges.alignment import (
     align_each,
     gauss_newton_step,
     inlier_ratios,
+    nearest_distance,
 )
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
 from rendezview.sensors.appearance.edges.edge_search import (
@@ -286,3 +287,10 @@ def test_gauss_newton_step_is_the_damped_solution_and_refuses_to_leave():
     ) < 0.0  # fmt: skip
     passed = gauss_newton_step(matrix.copy(), right, held, 1.0, radius_m, 0.5, np.eye(3), near)
     assert passed > 0.0
+
+
+def test_the_nearest_distance_is_outside_the_target_or_inside_its_nearest_view(scene):
+    views = scene.views
+    assert nearest_distance(views) == pytest.approx(1.02 * views.radius_m)
+    near = views._replace(shells_m=np.array([0.5, 0.8]) * views.radius_m)
+    assert nearest_distance(near) == pytest.approx(0.4 * views.radius_m)

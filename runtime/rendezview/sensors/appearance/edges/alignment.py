@@ -62,10 +62,9 @@ _LEAST_EDGES = 12  # found, for six unknowns: twice as many. Source: by construc
 _LONGEST_TURN_RAD = 0.2  # rad, of one step. Source: by construction, linear to 2 %
 _ALONG = 0.1  # of a move in depth, which shows so much less. Source: by construction
 _SMALL = 0.01  # of the target's radius, px: a smaller one stops earlier. Source: by construction
-# Of the target's radius: poses nearer have diverged. Source: by construction
-NEAREST_RADII = 1.02
+NEAREST_RADII = 1.02  # of the target's radius: nearer has diverged. Source: by construction
 _NEAREST_SHELL = 0.8  # of the nearest distance of views that show a part. Source: by construction
-_FURTHEST_RADII = 1e9  # of the target's radius; poses beyond have diverged
+_FURTHEST_RADII = 1e9  # of the target's radius: farther too. Source: by construction
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 

@@ -24,7 +24,7 @@ _LEAST_POINTS = 40  # in the picture. Source: experiment close-in, seed 7
 # Rad, and of the range: a pose further from the prior is another one. A ring of 72 facets fits
 # again when it is turned by 5°. Source: experiment close-in, seed 1
 _FURTHEST_RAD = np.deg2rad(2.5)
-_FURTHEST_RANGE = 0.05
+_FURTHEST_RANGE = 0.05  # Source: by hand; a frame's way at half the speed of an approach
 # Rad, one σ of the attitude: beside a ring alone, the prior knows more of the roll. Source: as
 # above
 _MOST_SIGMA_RAD = np.deg2rad(0.5)
