@@ -285,3 +285,18 @@ def test_a_singular_covariance_starts_the_bank_anew():
     bank.add(0.0, Pose.identity(), np.diag(SIGMA**2))
     assert bank.add(0.1, Pose.identity(), np.diag(SIGMA**2)) is not None
     assert bank.add(0.2, Pose.identity(), np.full((6, 6), np.nan)) is None
+
+
+@pytest.mark.parametrize("hertz", [5, 10])
+def test_pointing_errors_are_not_taken_for_swings_faster_than_the_readings(hertz):
+    for seed in range(3):
+        rng, bank, places, speeds = np.random.default_rng(seed), RateBank(), [], []
+        for k in range(60):
+            shake = Rotation.from_rotvec(np.radians(0.3) * rng.normal(size=3)).as_matrix()
+            seen = Pose(shake, shake @ [0.0, 0.0, 9.0]).perturbed(rng.normal(0.0, SIGMA))
+            found = bank.add(k / hertz, seen, np.diag(SIGMA**2))
+            places.append(seen.translation_m)
+            if found is not None:
+                speeds.append(np.linalg.norm(found.rates[3:]))
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=1) * hertz
+        assert max(speeds) < 2.0 * steps.max()  # 5 to 150 times without the limit

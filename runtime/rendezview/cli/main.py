@@ -33,6 +33,7 @@ _SUMMARIES = {
     "calibrate": "Calibrate a camera, or a target's shape; print a card of dots.",
     "reflectors": "Read a video guidance sensor: reflectors to six numbers, or calibrate it.",
     "fuse": "Join several sensors' logs into one state: pose, rates, covariance.",
+    "guide": "Fit the path of a log of poses, and say the correction back to a plan.",
     "serve": "Serve poses: frames in, poses out, a page to watch them.",
     "replay": "Repeat a recorded run bit for bit, or mend its log.",
     "rrd": "Convert a run into a recording for the Rerun viewer.",

@@ -83,7 +83,7 @@ def reflectors(
         typer.Option(help="Several cameras with their pictures and ranges, TOML; no pictures."),
     ] = None,
     group: Annotated[
-        list[str] | None, typer.Option(help="Reflector group to use; repeat for several. All.")
+        list[str] | None, typer.Option(help="Groups that there are; repeat for several. All.")
     ] = None,
     mode: Annotated[
         Mode | None,

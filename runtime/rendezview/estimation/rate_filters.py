@@ -16,6 +16,10 @@ _MEAN, _SWING, _CHANGE, _LOG_K = 3, 6, 9, 12  # first state of each, after attit
 # Columns of the kinds of motion: rad/s³ √s, rad/s² √s, rad/s (0: none), and σ of the first mean
 # (rad/s), swing (rad/s), derivative (rad/s²) and logarithm of k.
 JERK, WALK, FREQUENCY, FIRST_MEAN, FIRST_SWING, FIRST_CHANGE, FIRST_LOG_K = range(7)
+# rad of a swing in a step: readings do not show a faster one, which fits white pointing errors with
+# any amplitude. Source: by construction, four readings a period
+_LARGEST_STEP = 0.5 * math.pi
+_NEVER = 1e6  # below any score. Source: by construction
 _SERIES = 1e-3  # rad of a swing in a step; below it the series. Source: by construction, 1e-13 off
 # 1/k: time for which a wrong frequency's jerk keeps its sign. Source: experiment reflector-rates
 _PERSISTS = 0.2
@@ -78,6 +82,8 @@ def step_bank(
                 _move(part, step, rotation, place, rotations[b], places[b], off)
             if not math.isfinite(scores[part, b]):
                 return False
+            if kinds[b, FREQUENCY] > 0.0 and math.exp(state[_LOG_K]) * dt > _LARGEST_STEP:
+                scores[part, b] = -_NEVER
         best = largest_at(scores[part])
         mix(scores[part], states[part], covariances[part], 3 * part, least, mean, spread)
         for b in range(len(kinds)):

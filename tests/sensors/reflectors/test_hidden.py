@@ -26,11 +26,13 @@ from rendezview.sensors.reflectors import (
     predict_spots,
 )
 from rendezview.sensors.reflectors.acquisition import merged
+from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.choice import mirror
 from rendezview.sensors.reflectors.judgement import common_variance, least_facing
 from rendezview.sensors.reflectors.matching import match_all, match_spots, size_score
-from rendezview.sensors.reflectors.spots import COLUMNS, SIZE
+from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, SIZE
 from rendezview.sensors.reflectors.triplets import expected_size
+from rendezview.sensors.reflectors.window_fit import WindowFit
 
 CLIENT = Path(__file__).resolve().parents[3] / "models_cad" / "client"
 HALF_TURN = Pose(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
@@ -52,6 +54,30 @@ def frames_of(pinhole, pattern, pose, rng, hidden=(), look=Look()):  # noqa: B00
 
 def wrong(pose, truth):
     return min(pose.angle_to(truth), pose.angle_to(truth @ HALF_TURN)) > math.radians(5.0)
+
+
+def test_neighbours_names_make_a_reading_ambiguous_and_not_a_wrong_pose(paper_camera):
+    patterns = patterns_of(Target.load(CLIENT))
+    target = merged(patterns)
+    names = {name: k for k, name in enumerate(target.names)}
+    pose = pose_of(SixNumbers(6.0, 0.0, 0.1, 0.0, 0.0, 0.0), patterns[0])
+    table = np.full((len(target), COLUMNS), np.nan)
+    table[:, :2], table[:, SIGMA] = predict_spots(paper_camera, target, pose)[:, :2], 0.02
+    fit = WindowFit(paper_camera, target, AcquisitionOptions(), TrackingOptions())
+    everything = np.arange(len(target))
+    found, kept = fit.without_strangers(pose, fit.solve(pose, table, everything), table, everything)
+    assert found is not None
+    assert len(kept) == len(target)
+    # The windows moved by one reflector of the near group.
+    taken, own = (
+        [names["near-middle"], names["near-right"]],
+        [names["near-left"], names["near-middle"]],
+    )
+    table[taken] = table[own]
+    seen = np.array(sorted(k for name, k in names.items() if name != "near-left"))
+    found, kept = fit.without_strangers(pose, fit.solve(pose, table, seen), table, seen)
+    assert found is None
+    assert len(kept) == 0
 
 
 def test_the_plain_simulator_and_the_sensor_agree_on_where_a_disc_is(pinhole, five, paper_camera):

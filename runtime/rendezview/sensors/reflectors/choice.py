@@ -34,7 +34,7 @@ _MOST_MATCHED = 200
 _MOST_REFINED = 40  # Source: experiment reflector-hidden --seed 1
 _SAME_RAD = 0.02  # rad: poses nearer than this are one. Source: by construction, the error at 8 m
 _PRIOR_RAD = 0.35  # rad: the last pose chooses a pose this near. Source: by construction, 20°
-_FEW = 4  # spots that hardly contradict wrong names. Source: by construction, 8 numbers for 6
+FEW = 4  # spots that hardly contradict wrong names. Source: by construction, 8 numbers for 6
 _PRIOR_RATIO = 3.0  # … and nearer by this factor than any other. Source: by construction
 
 
@@ -141,7 +141,7 @@ class Chooser:
                 f"{next(h.total for h in near if not self._alike(h, best)):.1f}): uncover more "
                 "reflectors, give a prior, or look again",
             )
-        if chosen.dropped and most <= _FEW:
+        if chosen.dropped and most <= FEW:
             # Neighbours that are named wrongly fit too, if another spot gives way.
             return Acquisition(
                 Status.AMBIGUOUS,

@@ -69,12 +69,19 @@ class ReflectorObservation(Observation):
 
 def missed(
     time_s: float, spots: SpotTable, names: tuple[str, ...], lost: list[str],
-    stage_ms: dict[str, float], *, search: bool,
+    stage_ms: dict[str, float], *, search: bool, strange: bool,
 ) -> ReflectorObservation:  # fmt: skip
     """A reading while tracking whose visible reflectors ``names`` fix no pose, or that has none.
 
     ``lost`` are those expected but not visible. ``search``: the whole picture is searched next.
+    ``strange``: spots are where reflectors were expected, but no pose shows enough of them.
     """
+    if strange:
+        return ReflectorObservation(
+            Status.AMBIGUOUS,
+            "the spots where reflectors were expected contradict each other: they may be others",
+            time_s=time_s, tracked=True, stage_ms=stage_ms,
+        )  # fmt: skip
     if names:
         return ReflectorObservation(
             Status.PARTIAL,

@@ -231,7 +231,8 @@ class ReflectorSensor:
         fit, table, outcome = self._fit, self._fit.table, self._fit.outcome
         seen = np.flatnonzero(outcome == VISIBLE)
         refined = fit.solve(track.pose, table, seen) if len(seen) >= 3 else None
-        if refined is not None and len(seen) > 3:
+        count = len(seen)
+        if refined is not None and count > 3:
             refined, seen = fit.without_strangers(track.pose, refined, table, seen)
         branch = Branch.SURE if refined is None else fit.branch(track, refined, table, seen)
         ended = time.perf_counter()
@@ -247,7 +248,9 @@ class ReflectorSensor:
         names = tuple(self.constellation.names[k] for k in seen)
         spots = SpotTable(table[seen])
         if refined is None:
-            return self._miss(time_s, track, seen, spots, names, stage_ms)
+            return self._miss(
+                time_s, track, seen, spots, names, stage_ms, strange=count > len(seen)
+            )
         table = table.copy()
         table[outcome != VISIBLE] = np.nan
         ambiguous = track.roll_ambiguous and not self._resolves(seen)
@@ -320,6 +323,7 @@ class ReflectorSensor:
         spots: SpotTable,
         names: tuple[str, ...],
         stage_ms: dict[str, float],
+        strange: bool,
     ) -> ReflectorObservation:
         track.misses += 1
         self._rates.clear()
@@ -331,13 +335,9 @@ class ReflectorSensor:
             track.before, track.before_s = track.places, track.time_s
             track.places, track.time_s = places, time_s
             track.unseen = np.where(np.isfinite(places[:, 0]), 0, track.unseen + 1)
-        shown = np.isfinite(self._fit.expected[:, 0])
-        lost = [
-            name
-            for name, expected in zip(self.constellation.names, shown, strict=True)
-            if expected and name not in names
-        ]
-        return missed(time_s, spots, names, lost, stage_ms, search=not self.is_tracking)
+        lost = self._fit.missing(names)
+        search = not self.is_tracking
+        return missed(time_s, spots, names, lost, stage_ms, search=search, strange=strange)
 
     # --- both
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
-from rendezview.sensors.reflectors.choice import mirror
+from rendezview.sensors.reflectors.choice import FEW, mirror
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.sensors.reflectors.discs import camera_numbers
 from rendezview.sensors.reflectors.hidden_noise import HiddenNoise
@@ -95,26 +95,25 @@ class WindowFit:
     def without_strangers(
         self, start: Pose, refined: Refined, table: Array, seen: Ints
     ) -> tuple[Refined | None, Ints]:
-        """Drop the spot that fits worst for as long as one is out of the gate."""
-        current: Refined | None = refined
-        while current is not None and len(seen) > 3:
+        """Drop the spot that fits worst for as long as one is out of the gate.
+
+        No pose where four or fewer would be left: they may have their neighbours' names.
+        """
+        while True:
             sigma = np.hypot(table[seen, SIGMA], self.options.floor_px)
-            off = np.abs(current.residuals_px).max(axis=1) / sigma
+            off = np.abs(refined.residuals_px).max(axis=1) / sigma
             if off.max() < self.options.gate_sigma:
-                break
-            # The one without which the rest agree best; any three agree: the nearest pose then.
+                return refined, seen
+            # The one without which the rest agree best.
             trials = []
-            for k in range(len(seen)):
+            for k in range(len(seen) if len(seen) > FEW + 1 else 0):
                 trial = self.solve(start, table, np.delete(seen, k))
                 if trial is not None:
-                    turned = trial.camera_from_target.angle_to(start)
-                    cost = float(np.sum(trial.residuals_px**2)) if len(seen) > 4 else turned
-                    trials.append((cost, k, trial))
+                    trials.append((float(np.sum(trial.residuals_px**2)), k, trial))
             if not trials:
-                return None, seen
-            _, k, current = min(trials, key=lambda item: item[:2])
+                return None, seen[:0]
+            _, k, refined = min(trials, key=lambda item: item[:2])
             seen = np.delete(seen, k)
-        return current, seen
 
     def branch(self, track: Track, refined: Refined, table: Array, seen: Ints) -> Branch:
         """Whether the spots, or the motion, tell the pose from the mirrored one beside it."""
@@ -172,6 +171,12 @@ class WindowFit:
             self._lens, pattern.positions_m, pattern.normals, pattern.diameters_m,
             pose.rotation.copy(), pose.translation_m.copy(), self.camera.fx, self._blur_px, out,
         )  # fmt: skip
+
+    def missing(self, names: tuple[str, ...]) -> list[str]:
+        """Reflectors that were expected in the picture, other than ``names``."""
+        shown = np.isfinite(self.expected[:, 0])
+        pairs = zip(self.constellation.names, shown, strict=True)
+        return [name for name, expected in pairs if expected and name not in names]
 
     def misses(self, seen: Ints) -> bool:
         """Whether a reflector is not visible that is expected well inside the picture."""
