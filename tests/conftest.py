@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from rendezview.training.options import TrainingOptions
 from rendezview.training.projection import Window
 from rendezview.training.rasterizer import NumbaRenderer
 
+SERVICE = "tests/service/"
 Draw = Callable[..., np.ndarray]
 
 BUMPS_M = [  # size, place: no rotation and no mirror maps this body to itself
@@ -45,16 +47,25 @@ def pytest_configure(config: pytest.Config) -> None:
         compile_ahead("serve", "track", "train", "demo", "reflectors", "stereo")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files of the first half and of the second in turns.
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Files go to the worker that is free, in their order; the service's stay together."""
+    from xdist.scheduler import LoadFileScheduling
 
-    Of two workers (``--dist loadfile``) each then has one of the halves, more or less: files that
-    stand together use the same loops, and these are compiled once.
-    """
-    files = list(dict.fromkeys(item.path for item in items))
-    half = (len(files) + 1) // 2
-    rank = {path: 2 * k if k < half else 2 * (k - half) + 1 for k, path in enumerate(files)}
-    items.sort(key=lambda item: rank[item.path])
+    class Scheduling(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            # They share services, models, a flight and a browser. With more workers they would be
+            # what all others wait for.
+            together = self.numnodes <= 2 and nodeid.startswith(SERVICE)
+            return SERVICE if together else super()._split_scope(nodeid)
+
+    config.option.loadscopereorder = False  # else files with few tests come last: the slow ones
+    return Scheduling(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The service's tests first: they take a third of the time, and what comes last is short."""
+    items.sort(key=lambda item: not item.nodeid.startswith(SERVICE))
     for item in items:  # into the JUnit file, which `make evidence` reads
         for marker in item.iter_markers("requirement"):
             item.user_properties += [("requirement", name) for name in marker.args]
