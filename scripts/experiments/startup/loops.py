@@ -75,7 +75,7 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
     path = trajectory(
         "vbar",
         TrajectoryOptions(
-            frames=8, start_range_m=8.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
+            frames=8, start_range_m=40.0, end_range_m=2.0, centre_m=tuple(ring.centre_m),
             approach_axis=tuple(ring.axis), hops=0,
         ),
     )  # fmt: skip
