@@ -193,6 +193,28 @@ def test_calibration_brings_the_closed_form_within_a_percent_and_a_degree(
     assert np.quantile(before, 0.95, axis=0).max() > 2.0
 
 
+def test_a_calibration_on_a_straight_approach_is_no_worse_than_none(three, paper_camera):
+    def run(seed, turned):
+        rng = np.random.default_rng(seed)
+        for _ in range(60):
+            six = SixNumbers(
+                rng.uniform(3.0, 8.0), *rng.uniform(-0.1, 0.1, 2), 0.0,
+                *rng.uniform(-turned, turned, 2),
+            )  # fmt: skip
+            spots = predict_spots(paper_camera, three, pose_of(six, three))
+            yield spots + rng.normal(0.0, 0.013, spots.shape), six
+
+    def worst(constants):
+        errors = [
+            np.abs(as_tuple(closed_form(paper_camera, three, spots, constants)) - as_tuple(six))
+            for spots, six in run(1, 0.35)
+        ]
+        return np.max(errors, axis=0)[4:].max()  # of pitch and yaw
+
+    fitted = calibrate(paper_camera, three, run(0, 0.005))
+    assert worst(fitted) < 1.2 * worst(None)
+
+
 def test_calibration_files_and_runs_that_cannot_work_are_told(three, paper_camera, five, tmp_path):
     (tmp_path / "c.json").write_text(json.dumps({"c5_m": 0.1, "c99": 1}))
     with pytest.raises(RendezviewError, match="c99: "):

@@ -36,6 +36,12 @@ from rendezview.sensors.reflectors.pattern import (
 
 # Of a calibration: three unknowns a regression.
 _LEAST_READINGS = 12  # Source: by construction, four times the unknowns
+# How far constants may be from those of no calibration, one σ: slopes, offsets in rad; terms that
+# fade with range: the base, and its square. A run of one attitude then leaves them nearly as they
+# are. Source: by construction, the size of what weak perspective leaves out
+_FREE = 0.05
+# rad, of a reading: the weight of that. Source: the closed form's median error, with calibration
+_READING_RAD = 2e-3
 
 
 @checked_dataclass(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))
@@ -125,7 +131,8 @@ def calibrate(
     """Fit the constants to readings: (3, 2) centroids of left, centre, right, and the truth.
 
     In the paper's order: yaw first, pitch by the calibrated yaw, range by both, then azimuth and
-    elevation by the calibrated range; each by linear regression.
+    elevation by the calibrated range; each by linear regression, towards no calibration where the
+    readings hardly vary.
 
     Raises:
         RendezviewError: too few readings with a closed form, or all alike.
@@ -152,9 +159,8 @@ def calibrate(
         )
         true = np.array([_seen_from(view, truth)[name] for view, _, truth in kept])
         terms = ("slope", "near_m", "near_m2", "offset_rad")
-        values = dict(
-            zip((f"{name}_{t}" for t in terms), _regress(design, true, name), strict=True)
-        )
+        fit = _regress(design, true, [_FREE, length, length**2, _FREE], name)
+        values = dict(zip((f"{name}_{t}" for t in terms), fit, strict=True))
         fitted = ClosedFormCalibration(**asdict(fitted) | values)
     raws = [_must(_raw(angles, length, post, fitted)) for _, angles, _ in kept]
     ranges = np.array(
@@ -169,7 +175,9 @@ def calibrate(
     )
     truths = np.array([(truth.azimuth_rad, truth.elevation_rad) for _, _, truth in kept])
     lines = [
-        _regress(np.column_stack([bearings[:, k], np.ones(len(kept))]), truths[:, k], name)
+        _regress(
+            np.column_stack([bearings[:, k], np.ones(len(kept))]), truths[:, k], [_FREE] * 2, name
+        )
         for k, name in enumerate(("azimuth", "elevation"))
     ]
     (c6, c7), (c8, c9) = lines
@@ -208,12 +216,16 @@ def _must(raw: _Raw | None) -> _Raw:
     return raw
 
 
-def _regress(design: Array, values: Array, name: str) -> list[float]:
+def _regress(design: Array, values: Array, free: list[float], name: str) -> list[float]:
+    """Slope, further terms and offset; ``free``: σ of each about a slope of 1 and no more."""
     if np.linalg.matrix_rank(design, tol=1e-6 * float(np.abs(design).max())) < design.shape[1]:
         raise RendezviewError(
             f"the {name} does not vary enough in this run to calibrate it: record another one"
         )
-    return [float(value) for value in np.linalg.lstsq(design, values, rcond=None)[0]]
+    plain = np.eye(len(free))[0]
+    rows = np.vstack([design / _READING_RAD, np.diag(1.0 / np.array(free))])
+    more = np.append((values - design @ plain) / _READING_RAD, np.zeros(len(free)))
+    return [float(value) for value in plain + np.linalg.lstsq(rows, more, rcond=None)[0]]
 
 
 def _seen_from(view: Array, truth: SixNumbers) -> dict[str, float]:
