@@ -116,6 +116,9 @@ def test_a_tracker_looks_at_one_frame_at_a_time():
             self.inside = self.most = 0
             self.priors: list[Pose | None] = []
 
+        def overflows(self, pose: Pose) -> bool:
+            return False
+
         def recognize(
             self, image, prior, *_: Any, time_s: float, **_more: Any
         ) -> AppearanceObservation:

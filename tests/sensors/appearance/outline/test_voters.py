@@ -22,6 +22,7 @@ from rendezview.sensors.appearance.outline.voters import (
     Voters,
     roll_readings,
 )
+from rendezview.sensors.appearance.outline.votes import Matcher
 
 SILENT = -35  # the share of a node's views among its samples, in ODDS_UNIT
 
@@ -32,8 +33,8 @@ def ballot_of(model: ViewModel) -> Ballot:
     return ballot
 
 
-def silenced(model: ViewModel) -> ViewModel:
-    odds = np.where(model.voters.component == LEAF, SILENT, 0).astype(np.int8)
+def silenced(model: ViewModel, odds: int = SILENT) -> ViewModel:
+    odds = np.where(model.voters.component == LEAF, odds, 0).astype(np.int8)
     return replace(model, voters=replace(model.voters, odds=odds))
 
 
@@ -71,6 +72,29 @@ def test_scores_are_those_of_every_tree_in_turn(refining_model):
         wanted = [score_twin(refining_model, coarse, a) for a in near]
         np.testing.assert_allclose(found, wanted, atol=0.3)  # a reading may lie at a threshold
         assert np.median(np.abs(found - wanted)) < 1e-6
+
+
+def test_the_odds_of_a_node_are_those_of_its_own_trees(refining_model):
+    """A node is active by its voters: the view of a node turns it on, that of another one off."""
+    ballot, matcher = ballot_of(refining_model), Matcher(refining_model)
+    count, views = len(refining_model.geodesic.nodes), refining_model.views
+    nodes, rolls = np.arange(count), np.zeros(count)
+    for view in (0, count // 2):
+        readings = views.readings[view].astype(np.float32)
+        odds = ballot.node_odds(readings, nodes, rolls)
+        # The score at a node's own attitude is the mean over it and its neighbours.
+        sphere = refining_model.geodesic
+        near = sphere.within(-views.centred_from_target[view][2], sphere.mean_edge_rad)
+        turns = twist(views.centred_from_target[view], views.centred_from_target[near])
+        signature = Signature(readings, 1.0, np.eye(3))
+        score = ballot.scores(signature, views.centred_from_target[view][None])[0]
+        assert np.mean(ballot.node_odds(readings, near, turns)) == pytest.approx(score, abs=1e-9)
+        trust = matcher.decided(nodes, readings, rolls)
+        assert trust[view] > 0.5
+        assert np.array_equal(trust > 0.0, odds > -2.0)
+        assert np.mean(trust > 0.0) < 0.5
+    quiet = Matcher(silenced(refining_model))
+    assert not quiet.decided(nodes, readings, rolls).any()
 
 
 def test_readings_roll_as_interpolation_does():
@@ -138,7 +162,12 @@ def test_a_model_without_voters_works_as_before(refining_model, tmp_path, camera
 
 def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_mesh, camera, draw):
     given = {}
-    for name, model in (("learned", refining_model), ("silenced", silenced(refining_model))):
+    models = {
+        "learned": refining_model,
+        "silenced": silenced(refining_model),
+        "unsure": silenced(refining_model, SILENT // 2),
+    }
+    for name, model in models.items():
         recognizer = Recognizer(model, camera, refine=False)
         answers = []
         for k in range(12):
@@ -149,7 +178,7 @@ def test_alone_a_pose_that_the_voters_doubt_is_not_given(refining_model, bumpy_m
             answers.append(recognizer.recognize(draw(bumpy_mesh, pose, camera, rng), pose))
         given[name] = sum(answer.pose is not None for answer in answers)
     assert given["learned"] >= 4
-    assert given["silenced"] == 0
+    assert given["silenced"] == given["unsure"] == 0
     assert any("log odds" in (answer.reason or "") for answer in answers)
 
 

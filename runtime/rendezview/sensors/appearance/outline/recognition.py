@@ -136,8 +136,8 @@ class OutlineRecognition:
             centred = None if prior is None else signature.centred_from_camera @ prior.rotation
             match = self.matcher.match(signature, centred, prior_error_rad)
         clock.lap("trees")
-        if match is None and alone and prior is None:
-            voted = self._by_votes(signature)
+        if match is None and alone:
+            voted = self._by_votes(signature, prior, prior_error_rad)
             if voted is not None:
                 return replace(partial_result, signature=signature, **voted)
         if match is None:
@@ -156,8 +156,8 @@ class OutlineRecognition:
         pose, covariance = place(self.model, match, signature)
         if refused is None and alone:
             refused = self._doubt(signature, pose)
-        if refused is not None and alone and prior is None:
-            voted = self._by_votes(signature)
+        if refused is not None and alone:
+            voted = self._by_votes(signature, prior, prior_error_rad)
             if voted is not None:
                 return replace(partial_result, **voted)
         if refused is not None:
@@ -175,9 +175,14 @@ class OutlineRecognition:
             interpolated=interpolated,
         )
 
-    def _by_votes(self, signature: Signature) -> dict[str, Any] | None:
+    def _by_votes(
+        self, signature: Signature, prior: Pose | None, prior_error_rad: float | None
+    ) -> dict[str, Any] | None:
         """What an observation has of the pose by votes; None without one."""
-        found = None if self._voted is None else self._voted.find(signature)
+        error_rad = prior_error_rad or self.matcher.options.prior_error_rad
+        found = None
+        if self._voted is not None:
+            found = self._voted.find(signature, prior, error_rad)
         if found is None:
             return None
         match = self.matcher.at(signature, found.pose)

@@ -15,8 +15,12 @@ from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.voters import Ballot
 
 _STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
+_STARTS_NEAR = 1000  # before those far from a prior are left out. Source: by construction
+_BESIDE_RAD = np.deg2rad(5.0)  # rad; of a view beyond the prior's error. Source: views' spacing
 VOTES_WORTH = 0.3  # of the log of the rank by similarity. Source: tree-ablation, seed 4101
 _LEAST_VOTES = -0.5  # log odds about the pose. Source: experiment tree-ablation, seed 4101
+# The same near a prior, which leaves fewer other views to tell from.
+_LEAST_VOTES_NEAR = 0.5  # Source: experiment recognition-accuracy, seed 77
 _LEAST_LEAD = 1.5  # log odds above another view's. Source: experiment tree-ablation, seed 4101
 _OTHER_RAD = np.deg2rad(20.0)  # rad; farther off is another view. Source: by construction
 # Rad; turns among which the votes are averaged: three steps either way, twice.
@@ -45,9 +49,24 @@ class VotedPose:
         self._turns = np.stack([x, y, np.zeros(len(x))], axis=1)
         self._matrices = Rotation.from_rotvec(self._turns).as_matrix()
 
-    def find(self, signature: Signature) -> Voted | None:
-        """The pose; None where the votes doubt it, or say as much for another view."""
-        rotations, centres = self._retrieval.of(signature, _STARTS)
+    def find(
+        self, signature: Signature, prior: Pose | None = None, prior_error_rad: float = np.pi
+    ) -> Voted | None:
+        """The pose; None where the votes doubt it, or say as much for another view.
+
+        Args:
+            signature: of the frame.
+            prior: camera_from_target; ``None``: all attitudes are searched.
+            prior_error_rad: how far off the prior may be.
+        """
+        starts = _STARTS if prior is None else _STARTS_NEAR
+        rotations, centres = self._retrieval.of(signature, starts)
+        if prior is not None:
+            turned = np.einsum("kij,ij->k", rotations, prior.rotation)
+            near = turned > 1.0 + 2.0 * np.cos(min(prior_error_rad + _BESIDE_RAD, np.pi))
+            if not near.any():
+                return None
+            rotations, centres = rotations[near][:_STARTS], centres[near][:_STARTS]
         scores = self._ballot.scores(signature, rotations)
         # Whole and sunlit silhouettes come in turns.
         rank = np.log1p(np.arange(len(rotations)) // 2)
@@ -56,7 +75,8 @@ class VotedPose:
         votes = float(self._ballot.scores(signature, rotation[None])[0])
         cosines = 0.5 * (np.einsum("kij,ij->k", rotations, rotations[best]) - 1.0)
         others = scores[cosines < np.cos(_OTHER_RAD)]
-        if votes < _LEAST_VOTES or votes - float(others.max(initial=-np.inf)) < _LEAST_LEAD:
+        least = _LEAST_VOTES if prior is None else _LEAST_VOTES_NEAR
+        if votes < least or votes - float(others.max(initial=-np.inf)) < _LEAST_LEAD:
             return None
         centre, model = centres[best], self._model
         pose = Pose(rotation, centre - rotation @ model.centre_m)

@@ -10,6 +10,7 @@ and they are a witness beside the edges.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -59,6 +60,16 @@ class Voters:
             raise ValueError("a child of a voter must come after its parent's left one")
 
 
+class VoterTables(NamedTuple):
+    """The arrays of ``Voters``, for the compiled loops."""
+
+    roots: npt.NDArray[np.int32]
+    component: Bytes
+    threshold: Bytes
+    right: npt.NDArray[np.uint16]
+    odds: npt.NDArray[np.int8]
+
+
 class Ballot:
     """The voters of one model beside one signature: a score for any attitude."""
 
@@ -72,7 +83,7 @@ class Ballot:
             edge_rad: mean angle between neighbouring nodes.
         """
         # Arrays of a file cannot be written to, which would be another type to the compiler.
-        self._voters = Voters(*(getattr(voters, name).copy() for name in Voters.__slots__))
+        self._voters = VoterTables(*(getattr(voters, f).copy() for f in VoterTables._fields))
         self._nodes = np.ascontiguousarray(nodes)
         self._rotations = np.ascontiguousarray(rotations)
         self._cosine = float(np.cos(_INSIDE_EDGES * edge_rad))
@@ -84,24 +95,38 @@ class Ballot:
             signature: of the frame.
             rotations: (K, 3, 3) camera_from_target.
         """
-        v = self._voters
         attitudes = signature.centred_from_camera @ rotations
         out = np.empty(len(attitudes))
-        coarse = signature.readings @ rebinning(len(signature.readings), BINS)
-        coarse = np.minimum(coarse / np.float32(READING_UNIT), np.float32(255.0))
         _score(
-            np.ascontiguousarray(coarse, dtype=np.float32), np.ascontiguousarray(attitudes),
-            self._nodes, self._rotations, self._cosine,
-            v.roots, v.component, v.threshold, v.right, v.odds, out,
+            _coarse(signature.readings), np.ascontiguousarray(attitudes), self._nodes,
+            self._rotations, self._cosine, self._voters, out,
         )  # fmt: skip
         return out * ODDS_UNIT
+
+    def node_odds(self, readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array) -> Array:
+        """(K,) mean log odds of single nodes, each with the view's own roll against it.
+
+        Args:
+            readings: (N,) of a signature.
+            nodes: (K,) which.
+            rolls_rad: (K,) of ``twist``.
+        """
+        out = np.empty(len(nodes))
+        _ask_each(_coarse(readings), nodes, rolls_rad, self._voters, out)
+        return out * ODDS_UNIT
+
+
+def _coarse(readings: Readings) -> Readings:
+    """(N,) readings in the bins and units of the voters."""
+    coarse = readings @ rebinning(len(readings), BINS)
+    coarse = np.minimum(coarse / np.float32(READING_UNIT), np.float32(255.0))
+    return np.ascontiguousarray(coarse, dtype=np.float32)
 
 
 @njit(cache=True, nogil=True)
 def _score(
     readings: Readings, attitudes: Array, nodes: Array, rotations: Array, cosine: float,
-    roots: npt.NDArray[np.int32], component: Bytes, threshold: Bytes,
-    right: npt.NDArray[np.uint16], odds: npt.NDArray[np.int8], out: Array,
+    voters: VoterTables, out: Array,
 ) -> None:  # fmt: skip
     """Fill (K,) with the mean odds, in units, of the nodes about each attitude."""
     rolled = np.empty(len(readings), dtype=np.float32)
@@ -119,14 +144,35 @@ def _score(
                 c += a[0, i] * b[0, i] + a[1, i] * b[1, i]
                 s += a[1, i] * b[0, i] - a[0, i] * b[1, i]
             roll_readings(readings, np.arctan2(s, c), rolled)
-            for t in range(roots.shape[1]):
-                entry = roots[n, t]
-                while component[entry] != LEAF:
-                    goes_left = rolled[component[entry]] <= threshold[entry]
-                    entry += 1 if goes_left else right[entry]
-                total += odds[entry]
-                count += 1
+            total += _ask(rolled, n, voters)
+            count += 1
         out[k] = total / count if count > 0 else -127.0
+
+
+@njit(cache=True, nogil=True)
+def _ask_each(
+    readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array, voters: VoterTables,
+    out: Array,
+) -> None:  # fmt: skip
+    """Fill (K,) with the mean odds, in units, of each node at its roll."""
+    rolled = np.empty(len(readings), dtype=np.float32)
+    for k in range(len(nodes)):
+        roll_readings(readings, rolls_rad[k], rolled)
+        out[k] = _ask(rolled, nodes[k], voters)
+
+
+@njit(cache=True, nogil=True)
+def _ask(rolled: Readings, node: int, voters: VoterTables) -> float:
+    """Mean odds, in units, that the voters of a node give to readings at its roll."""
+    trees = voters.roots.shape[1]
+    total = 0.0
+    for t in range(trees):
+        entry = voters.roots[node, t]
+        while voters.component[entry] != LEAF:
+            goes_left = rolled[voters.component[entry]] <= voters.threshold[entry]
+            entry += 1 if goes_left else voters.right[entry]
+        total += voters.odds[entry]
+    return total / trees  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True)
