@@ -172,5 +172,6 @@ def test_a_run_without_a_pose_names_the_likely_option(moved_px):
     assert "--mode single" in hint(picture(180.0), picture(180.0, moved_px))
     assert hint(picture(180.0), picture(4.0)) is None
     assert "--invert" in hint(picture(-160.0, ground=200.0))
+    assert "--invert" in hint(picture(-160.0, ground=200.0), picture(-160.0, moved_px, 200.0))
     assert hint(picture(-160.0, ground=200.0), invert=True) is None
     assert hint(picture(180.0)) is None

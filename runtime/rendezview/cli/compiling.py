@@ -14,6 +14,7 @@ import gc
 import importlib
 import json
 import os
+import pickle
 import subprocess
 import sys
 import time
@@ -147,18 +148,15 @@ def _named(name: str) -> Any:
 
 
 def _is_cached(loop: Any) -> bool:
-    """Whether the cache on disk has an index of a loop that is no older than its source."""
-    folder = loop.stats.cache_path
-    if folder is None:  # no cache is kept
+    """Whether the cache on disk has a version of a loop from its source as it is now.
+
+    numba decides by the source's contents, not by its date.
+    """
+    if loop.stats.cache_path is None:  # no cache is kept
         return True
-    function = loop.py_func
-    stem = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}"
-    source = Path(function.__code__.co_filename)
-    first = function.__code__.co_firstlineno
-    indices = Path(folder).glob(f"{stem}-{first}.py*.nbi")
     try:
-        return any(i.stat().st_mtime >= source.stat().st_mtime for i in indices)
-    except OSError:
+        return bool(loop._cache._cache_file._load_index())
+    except (OSError, EOFError, ValueError, pickle.UnpicklingError):
         return False
 
 

@@ -39,9 +39,9 @@ _LEAST_READINGS = 12  # Source: by construction, four times the unknowns
 # How far constants may be from those of no calibration, one σ: slopes, offsets in rad; terms that
 # fade with range: the base, and its square. A run of one attitude then leaves them nearly as they
 # are. Source: by construction, the size of what weak perspective leaves out
-_FREE = 0.05
-# rad, of a reading: the weight of that. Source: the closed form's median error, with calibration
-_READING_RAD = 2e-3
+_FREE = 0.02
+# rad, of a reading: the weight of that. Source: by hand; at 2e-3 a straight approach adds errors
+_READING_RAD = 5e-3
 
 
 @checked_dataclass(frozen=True, slots=True, kw_only=True, config=ConfigDict(extra="forbid"))

@@ -154,11 +154,11 @@ def wrong_mode(pairs: Iterable[FramePair], threshold: ThresholdOptions | None = 
         except RendezviewError:
             continue
         lit = _third_peak(LitDark(frames.lit), threshold)
-        if frames.dark is None:
-            dark = _third_peak(LitDark(frames.lit).inverted(), threshold)
-            if pair.invert or not dark > _PLAIN * max(lit, 1.0):
-                return None
+        inverse = _third_peak(LitDark(frames.lit).inverted(), threshold)
+        if not pair.invert and inverse > _PLAIN * max(lit, 1.0):
             return f"{pair.name}: dots darker than their ground: did you mean --invert?"
+        if frames.dark is None:
+            return None
         if _third_peak(LitDark(frames.dark), threshold) > lit / _PLAIN > 0.0:
             return (
                 f"{pair.name}: dots, but the second picture of the pair is no dark one: did you "
