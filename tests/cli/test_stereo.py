@@ -60,7 +60,7 @@ def test_a_log_of_currents_gives_poses(
     readings = tmp_path / "readings.jsonl"
     readings.write_text("\n".join(map(json.dumps, lines)))
     out, log = tmp_path / "poses.csv", tmp_path / "log.jsonl"
-    done = run("stereo", "track", rig, SCOLE, readings, "-o", out, "--log", log, *options)
+    done = run("stereo", "track", rig, "scole", readings, "-o", out, "--log", log, *options)
     assert done.code == 0, done
     records = [json.loads(line) for line in log.read_text().splitlines()]
     with out.open() as file:
@@ -122,7 +122,7 @@ def test_folders_of_pictures_give_poses(run, laboratory, tmp_path: Path):
     ("arguments", "said"),
     [
         ("track NO SCOLE READINGS -o OUT", "no such file"),
-        ("track RIG NO READINGS -o OUT", "no such file"),
+        ("track RIG NO READINGS -o OUT", "no such target"),
         ("track RIG HUBBLE READINGS -o OUT", "needs at least 3"),
         ("track RIG SCOLE NO -o OUT", "no such file"),
         ("track RIG SCOLE RIG -o OUT", "different files"),

@@ -16,9 +16,9 @@ from rich.table import Table
 from rendezview.cli.compiling import compile_ahead, tell_of_compiling
 from rendezview.cli.progress import ProgressBar, say_summary
 from rendezview.errors import RendezviewError
+from rendezview.io.bundled import find_target
 from rendezview.io.files import check_place
 from rendezview.io.results import ResultRow
-from rendezview.io.target import Target
 from rendezview.sensors.run import Line, run
 from rendezview.sensors.sensor import Sensor
 from rendezview.sensors.stereo import (
@@ -96,7 +96,7 @@ def calibrate(
 @stereo.command()
 def track(
     rig: Annotated[Path, typer.Argument(help="Rig file (JSON), or OpenCV's stereo YAML.")],
-    target: Annotated[Path, typer.Argument(help="Target file with [[leds]], or its folder.")],
+    target: Annotated[str, typer.Argument(help="Target file with [[leds]], or its folder.")],
     readings: Annotated[
         Path, typer.Argument(help="JSON lines of currents or spots, or a folder of pictures.")
     ],
@@ -132,7 +132,7 @@ def track(
     if len(set(places)) < len(places):
         raise RendezviewError(f"{output}: rig, readings, results and log must be different files")
     loaded = load_rig(rig)
-    lights = Target.load(target)
+    lights = find_target(target)
     names = tuple(led.name for led in lights.leds)
     motion = None
     if filtered:

@@ -27,7 +27,7 @@ def run(
 ) -> None:  # fmt: skip
     """Write a simulated run of a video guidance sensor: lit and dark pictures with their truth.
 
-        rendezview reflectors run/lit run/dark --target models_cad/client -o readings.jsonl
+        rendezview reflectors run/lit run/dark --target client -o readings.jsonl
 
     Two BOP scenes of one camera, the paper's (512 × 384, 652 px a radian). The far target of
     models_cad/client is approached; tilt up to --tilt degrees, every roll within ±60°.

@@ -7,28 +7,28 @@ from typing import Annotated
 
 import numpy as np
 
+from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
 from rendezview.io.results import JsonLinesWriter
-from rendezview.io.target import Target
 from rendezview.sensors.stereo.laboratory_files import save_record
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 
 def run(
-    folder: Path, *, target: str = "models_cad/scole",
+    folder: Path, *, target: str = "scole",
     step: Annotated[float, "degrees a reading"] = 2.0, readings: int = 41,
     rate: Annotated[float, "readings a second"] = 10.0, snr: float = 200.0, seed: int = 1,
 ) -> None:  # fmt: skip
     """Write a simulated laboratory as files for `rendezview stereo calibrate` and `track`.
 
         rendezview stereo calibrate lab/record.json -o lab/rig.json
-        rendezview stereo track lab/rig.json models_cad/scole lab/readings.jsonl -o lab/poses.csv
+        rendezview stereo track lab/rig.json scole lab/readings.jsonl -o lab/poses.csv
 
     ``record.json`` is the calibration's measurements, ``readings.jsonl`` the currents of a rotary
     stage that turns by ``--step`` degrees a reading, with the true angle beside them in
     ``truth.jsonl``.
     """
-    leds = np.array([led.position_m for led in Target.load(target).leds])
+    leds = np.array([led.position_m for led in find_target(target).leds])
     options = LaboratoryOptions(signal_to_noise=snr)
     laboratory = Laboratory(leds, options, seed)
     rng = np.random.default_rng(seed)
