@@ -33,6 +33,8 @@ def test_a_public_mesh_trains_and_its_trees_beat_chance(name: str, tmp_path: Pat
         perturbed_views=400,
         held_out_views=100,
         resolution_px=128,
+        contour_radii=(1.0,),
+        contour_resolution_px=256,
         component_step=8,
     )
     path = tmp_path / "model.rvm"

@@ -233,7 +233,7 @@ class Camera:
         return xy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _pinhole_rays(points: Array, fx: float, fy: float, cx: float, cy: float, rays: Array) -> None:
     for i in range(points.shape[0]):
         rays[i, 0] = (points[i, 0] - cx) / fx

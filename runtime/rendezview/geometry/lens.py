@@ -35,7 +35,7 @@ def lens_vector(camera: Camera) -> Array:
     return vector
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _rarely_distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
     """The fisheye, and the polynomial with thin-prism terms and tilt: compiled once, not inlined.
 
@@ -65,7 +65,7 @@ def _rarely_distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
 def distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
     """OpenCV's distortion of normalised coordinates; ``lens`` of ``lens_vector``."""
     r2 = x * x + y * y

@@ -13,7 +13,7 @@ PHI = ndtr(_PLACES)
 DENSITY = np.exp(-0.5 * _PLACES**2) / np.sqrt(2.0 * np.pi)  # Source: the normal density
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def normal_cdf(z: float) -> float:
     """The normal distribution function, to 1e-6."""
     place = (z + REACH) * PER_UNIT

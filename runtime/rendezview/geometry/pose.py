@@ -128,7 +128,7 @@ class Pose:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _all_finite(rotation: Array, translation_m: Array) -> bool:
     for i in range(3):
         if not math.isfinite(translation_m[i]):
@@ -139,7 +139,7 @@ def _all_finite(rotation: Array, translation_m: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _is_rotation(r: Array, tolerance: float) -> bool:
     """Whether (3, 3) is orthonormal to a tolerance and right-handed."""
     for i in range(3):
@@ -153,7 +153,7 @@ def _is_rotation(r: Array, tolerance: float) -> bool:
     return bool(r[0, 0] * x + r[0, 1] * y + r[0, 2] * z >= 0.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _quaternion(r: Array, quat: Array) -> None:
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     a = 0  # the largest of the diagonal
@@ -198,7 +198,7 @@ def minimal_rotation(from_direction: npt.ArrayLike, to_direction: npt.ArrayLike)
     return rotation
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _make_unit(v: Array) -> bool:
     """Divide a vector (3,) by its length, without overflow; False if it has none."""
     largest = max(abs(v[0]), abs(v[1]), abs(v[2]))
@@ -210,7 +210,7 @@ def _make_unit(v: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _minimal_rotation(a: Array, b: Array, rotation: Array) -> bool:
     # Plain numbers, no array expressions: they take numba seconds to compile.
     if not (_make_unit(a) and _make_unit(b)):

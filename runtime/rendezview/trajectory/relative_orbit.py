@@ -24,7 +24,7 @@ from rendezview.geometry.pose import Array
 _LEAST_GAIN = 1e-3
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def response(
     mean_motion_rad_s: float, dt_s: float, position: Array, velocity: Array, pushed: Array
 ) -> None:

@@ -21,7 +21,7 @@ from rendezview.geometry.pose import Array
 _STEP_RAD = 0.1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _advance(
     moments: Array, rotation: Array, rate: Array, span: float, vector: Array, turned: Array
 ) -> None:
@@ -62,7 +62,7 @@ def _advance(
     rate[0], rate[1], rate[2] = p, q, r
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rotations(
     moments: Array, first: Array, first_rate: Array, times: Array, out: Array, rates: Array
 ) -> None:

@@ -55,7 +55,7 @@ def code_of(shape: Shape) -> int:
     return _CODES[shape]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def places(
     code: int, parameters: Array, times: Array, base: Array, constants: Array, out: Array
 ) -> None:

@@ -36,7 +36,7 @@ Data = tuple[Any, ...]  # times, base, constants, carrier, points, whitening, by
 RESIDUALS = 4  # of a point: three of its place or direction, one of its range
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def residuals(code: int, p: Array, data: Data, place: Array, out: Array) -> None:
     """Fill (N, 4): misfits of all points in standard deviations.
 
@@ -65,7 +65,7 @@ def residuals(code: int, p: Array, data: Data, place: Array, out: Array) -> None
             out[k, 3] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def cost(
     code: int, p: Array, data: Data, weights: Array, cut: float, place: Array, out: Array
 ) -> float:
@@ -78,7 +78,7 @@ def cost(
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def downhill_simplex(
     code: int,
     start: Array,
@@ -141,7 +141,7 @@ def downhill_simplex(
     return corners[best], costs[best], asked
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _mean(corners: Array) -> Array:
     """(P,) the mean of points (N, P)."""
     middle = np.zeros(corners.shape[1])
@@ -150,7 +150,7 @@ def _mean(corners: Array) -> Array:
     return middle
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _fill_costs(
     code: int, corners: Array, data: Data, weights: Array, cut: float, place: Array, out: Array,
     costs: Array, first: int,
@@ -160,7 +160,7 @@ def _fill_costs(
         costs[k] = cost(code, corners[k], data, weights, cut, place, out)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def jacobian(code: int, p: Array, scales: Array, data: Data, place: Array, out: Array) -> Array:
     """(N, 4, P) of the residuals, by central differences of 1e-4 of ``scales`` (P,)."""
     slopes = np.empty((len(out), RESIDUALS, len(p)))
@@ -179,7 +179,7 @@ def jacobian(code: int, p: Array, scales: Array, data: Data, place: Array, out: 
     return slopes
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def normal_equations(
     code: int, p: Array, scales: Array, data: Data, weights: Array, cut: float
 ) -> tuple[Array, Array]:
@@ -205,7 +205,7 @@ def normal_equations(
     return matrix, right
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def gauss_newton(
     code: int, start: Array, scales: Array, data: Data, weights: Array, cut: float, most: int
 ) -> tuple[Array, float]:

@@ -85,7 +85,7 @@ def hops_of(
     return np.asarray(found)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _scan_hops(
     times: Array, places: Array, weights: Array, closing: float, periods: Array, phases: int,
     rounds: int,
@@ -127,7 +127,7 @@ def _scan_hops(
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _linear(rows: Array, places: Array, weights: Array) -> Array:
     """(3, 3) weighted least squares of places (N, 3) in basis functions (N, 3)."""
     matrix, right = np.zeros((3, 3)), np.zeros((3, 3))

@@ -113,6 +113,7 @@ def test_a_tracker_looks_at_one_frame_at_a_time():
             self.prior_error_rad = 0.3
             self.model = SimpleNamespace(centre_m=np.zeros(3), target_radius_m=1.0)
             self.search = None
+            self.overflows = lambda pose: False
             self.inside = self.most = 0
             self.priors: list[Pose | None] = []
 

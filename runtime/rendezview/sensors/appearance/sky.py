@@ -83,7 +83,7 @@ def sky_level(image: Picture, averaged_px: int = 1) -> tuple[float, float]:
     return float(level), float(spread)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _border_statistics(image: Picture, side: int) -> tuple[float, float]:
     height, width = image.shape
     counts = np.zeros(256, dtype=np.int64)
@@ -112,7 +112,7 @@ def _border_statistics(image: Picture, side: int) -> tuple[float, float]:
     return level, max(level - below, 2.0 * (_quantile(counts, _HALF_SIGMA_ABOVE) - level))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _window_mean(image: Picture, top: int, left: int, side: int) -> int:
     """Rounded mean of a square window."""
     total = 0
@@ -122,7 +122,7 @@ def _window_mean(image: Picture, top: int, left: int, side: int) -> int:
     return (total + side * side // 2) // (side * side)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _quantile(counts: npt.NDArray[np.int64], share: float) -> float:
     """Grey level below which a share of the counts (256,) lies, interpolated within its level."""
     wanted = share * counts.sum()

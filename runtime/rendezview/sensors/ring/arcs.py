@@ -41,7 +41,7 @@ _LARGE_TURN_RAD = 3.0
 _FAR_PX = 12.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _polygon(points: Array, first: int, last: int, keep: Bools) -> None:
     """Mark the corners of the polygon of points first … last."""
     keep[first] = True
@@ -69,7 +69,7 @@ def _polygon(points: Array, first: int, last: int, keep: Bools) -> None:
             depth += 2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
     """Arcs of all chains, the longest first: (M, COLUMNS); FIRST … LAST - 1 are their points."""
     total = points.shape[0]
@@ -124,7 +124,7 @@ def find_arcs(points: Array, starts: Ints, closed: Bools) -> Array:
     return arcs[:count][order]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _arc(points: Array, first: int, end: int, row: Array) -> int:
     """Describe the points first … end - 1 in a row of the table; 0 where they do not bend."""
     n = end - first
@@ -171,7 +171,7 @@ def _arc(points: Array, first: int, end: int, row: Array) -> int:
     return 1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _faces(a: Array, b: Array, slack: float) -> bool:
     """Whether arc b lies on the inner side of arc a's tangent at its middle."""
     for k in range(3):
@@ -181,7 +181,7 @@ def _faces(a: Array, b: Array, slack: float) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _misfit(ellipse: Array, points: Array, arc: Array) -> float:
     """Root mean square distance of an arc's points from an ellipse, px."""
     first, end = int(arc[FIRST]), int(arc[LAST])
@@ -194,7 +194,7 @@ def _misfit(ellipse: Array, points: Array, arc: Array) -> float:
     return float(np.sqrt(total / count))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def group_arcs(
     points: Array, arcs: Array, scale: float, centre_x: float, centre_y: float,
     tolerance_px: float, most: int, limits: Array,
@@ -255,7 +255,7 @@ def group_arcs(
     return found[:filled][order], length[:filled][order]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _sums(points: Array, arcs: Array, frame: tuple[float, float, float]) -> Array:
     """(K, SCATTER) of the points of each arc."""
     scale, x, y = frame
@@ -266,7 +266,7 @@ def _sums(points: Array, arcs: Array, frame: tuple[float, float, float]) -> Arra
     return sums
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _best_arc(
     points: Array, arcs: Array, sums: Array, total: Array, frame: tuple[float, float, float],
     limits: Array, tolerance_px: float, seed: int, check_sides: bool, known: bool, ellipse: Array,
@@ -302,7 +302,7 @@ def _best_arc(
     return at
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _usable(conic: Array, frame: tuple[float, float, float], ellipse: Array, limits: Array) -> bool:
     scale, centre_x, centre_y = frame
     if not ellipse_of_conic(conic, ellipse):

@@ -78,7 +78,7 @@ def shape_of_circle(
     return shape
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def picture_of_circle(camera: Array, c: Array, n: Array, radius: float, shape: Array) -> bool:
     """`shape_of_circle` for compiled loops; False where there is no ellipse."""
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
@@ -105,7 +105,7 @@ def picture_of_circle(camera: Array, c: Array, n: Array, radius: float, shape: A
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def circles_of_picture(
     camera: Array, shape: Array, radius: float, centres: Array, axes: Array
 ) -> int:
@@ -232,7 +232,7 @@ def _covariance_at(camera: Camera, pose: CirclePose, axis: Array, shape_covarian
     return 0.5 * (covariance + covariance.T)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _differences(
     camera: Array, centre: Array, axis: Array, basis: Array, radius: float, jacobian: Array,
     bends: Array,

@@ -101,7 +101,7 @@ def fit_joint(
     return JointPose(pose, float(chi2), 4 * (len(used) - 1))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _predict(
     camera: Array, centre: Array, axis: Array, basis: Array, radius: float, parameters: Array,
     count: int, out: Array,
@@ -119,7 +119,7 @@ def _predict(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fit(
     camera: Array, shapes: Array, information: Array, radius: float, plane_share: float,
     centre: Array, axis: Array, basis: Array, ratios: Array, covariance: Array,
@@ -170,7 +170,7 @@ def _fit(
     return chi2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _misfit(
     shapes: Array, predicted: Array, information: Array, p: Array, plane_share: float
 ) -> float:
@@ -184,7 +184,7 @@ def _misfit(
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _equations(
     camera: Array, shapes: Array, here: Array, information: Array, radius: float,
     plane_share: float, centre: Array, axis: Array, basis: Array, p: Array, normal: Array,

@@ -56,7 +56,7 @@ def concentric_groups(camera: Camera, shapes: Array, arcs_rad: Array) -> tuple[I
     return group, worth * (0.5 + 0.5 * share), order
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _group(camera: Array, shapes: Array, size: Array) -> Ints:
     count = shapes.shape[0]
     group = np.full(count, -1)

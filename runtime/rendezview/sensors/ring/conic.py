@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 SCATTER = 15  # moments x^i y^j, i + j <= 4. Source: by construction
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
 def add_point(sums: Array, x: float, y: float) -> None:
     """Add a point to the moments: x⁴ x³y x²y² xy³ y⁴, x³ x²y xy² y³, x² xy y², x y, 1."""
     xx, xy, yy = x * x, x * y, y * y
@@ -37,7 +37,7 @@ def add_point(sums: Array, x: float, y: float) -> None:
     sums[14] += 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def conic_of(sums: Array, conic: Array) -> bool:
     """The direct fit's conic (6,) A x² + B xy + C y² + D x + E y + F; False where there is none."""
     s = sums
@@ -74,7 +74,7 @@ def conic_of(sums: Array, conic: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _quadratic_part(
     r00: float, r01: float, r02: float, r11: float, r12: float, r22: float
 ) -> tuple[bool, float, float, float]:
@@ -122,7 +122,7 @@ def _quadratic_part(
     return True, q0 / size, q1 / size, q2 / size
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _eigenvector(
     a00: float, a01: float, a02: float, a11: float, a12: float, a22: float, value: float
 ) -> tuple[float, float, float, float]:
@@ -145,7 +145,7 @@ def _eigenvector(
     return best, v0, v1, v2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _largest(a00: float, a01: float, a02: float, a11: float, a12: float, a22: float) -> float:
     """Largest eigenvalue of a symmetric 3 × 3 matrix."""
     mean = (a00 + a11 + a22) / 3.0
@@ -163,7 +163,7 @@ def _largest(a00: float, a01: float, a02: float, a11: float, a12: float, a22: fl
     return float(mean + 2.0 * p * np.cos(np.arccos(min(max(half, -1.0), 1.0)) / 3.0))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ellipse_of_conic(conic: Array, ellipse: Array) -> bool:
     """Centre, semi-axes a ≥ b, angle of the long one (5,); False where the conic is no ellipse."""
     a, b, c, d, e, f = conic[0], conic[1], conic[2], conic[3], conic[4], conic[5]
@@ -186,7 +186,7 @@ def ellipse_of_conic(conic: Array, ellipse: Array) -> bool:
     return bool(np.isfinite(ellipse[2]) and np.isfinite(x) and np.isfinite(y))
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def sampson(ellipse: Array, x: float, y: float) -> float:
     """Distance of a point from an ellipse to first order (Sampson), outside positive, px."""
     c, s = np.cos(ellipse[4]), np.sin(ellipse[4])

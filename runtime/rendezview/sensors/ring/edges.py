@@ -66,7 +66,7 @@ def find_edges(image: Grey, least_contrast_grey: float, sigmas: float) -> EdgeMa
     return EdgeMap(dx, dy, noise, low, high)  # type: ignore[arg-type]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _powers(dx: Gradient, dy: Gradient, line: Floats) -> None:
     """Squared gradients of a row."""
     for column in range(line.shape[0]):
@@ -74,7 +74,7 @@ def _powers(dx: Gradient, dy: Gradient, line: Floats) -> None:
         line[column] = a * a + b * b
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _crest(
     dx: Gradient, dy: Gradient, power: Floats, row: int, column: int, here: float, out: Array,
     k: int,
@@ -109,7 +109,7 @@ def _crest(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _crests(
     dx: Gradient, dy: Gradient, low: float, number: Ints, power: Floats
 ) -> tuple[Array, Ints]:
@@ -148,7 +148,7 @@ def _crests(
     return found[:total], place[:total]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def link(
     dx: Gradient, dy: Gradient, low: float, high: float, number: Ints, power: Floats
 ) -> tuple[Array, Ints, Bools]:
@@ -171,7 +171,7 @@ def link(
     return _chains(found, follower, leader, high)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _successors(found: Array, place: Ints, number: Ints) -> tuple[Ints, Ints]:
     """The crest that follows each one along its edge, and the one before; -1 for none."""
     total = found.shape[0]
@@ -214,7 +214,7 @@ def _successors(found: Array, place: Ints, number: Ints) -> tuple[Ints, Ints]:
     return follower, leader
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _chains(found: Array, follower: Ints, leader: Ints, high: float) -> tuple[Array, Ints, Bools]:
     """Points, starts and whether closed of all chains that are long and strong enough."""
     total = found.shape[0]

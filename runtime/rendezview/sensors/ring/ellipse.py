@@ -163,7 +163,7 @@ def _of_conic(conic: Array, origin: Array, scale: float) -> Ellipse | None:
     )
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def shape_of_axes(row: Array) -> Array:
     """Shape vector (5,) of x, y, a, b, angle (5,)."""
     c, s = np.cos(row[4]), np.sin(row[4])
@@ -175,7 +175,7 @@ def shape_of_axes(row: Array) -> Array:
     return shape
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def axes_of_shape(shape: Array) -> Array:
     """x, y, a, b, angle (5,) of a shape vector (5,)."""
     half, diff = 0.5 * (shape[2] + shape[4]), 0.5 * (shape[2] - shape[4])
@@ -186,7 +186,7 @@ def axes_of_shape(shape: Array) -> Array:
     return row
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fit_geometric(points: Array, shape: Array, covariance: Array) -> bool:
     """Gauss–Newton on the distances of points (N, 2); False where it fails. In place."""
     n = points.shape[0]
@@ -229,7 +229,7 @@ def fit_geometric(points: Array, shape: Array, covariance: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _foot(
     a: float, b: float, c: float, determinant: float, dx: float, dy: float
 ) -> tuple[float, float, float, float, float]:

@@ -45,7 +45,7 @@ _GAP_PX = (0.4, 6.0)  # least and most, between the two. Source: by hand; see ri
 _SIGMAS = 3.0  # of the gap. Source: normal distribution, 0.3 %
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fit_lip(
     image: Grey, lens: Array, shape: Array, step_px: float, noise: float, filters: Array,
     basis: Array, blur: float, others: Array, samples: Array, used: int, edges: Array,
@@ -106,7 +106,7 @@ def fit_lip(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _separate(
     pair: Array, whole: Array, arcs: tuple[float, float],
     found: tuple[tuple[int, float, float], tuple[int, float, float]], edges: Array,
@@ -131,7 +131,7 @@ def _separate(
         facts[k, 0], facts[k, 1], facts[k, 2] = arcs[own], found[own][1], found[own][2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def arcs_of_senses(samples: Array, n: int, scale: float) -> tuple[float, float]:
     """Angles of the circle confirmed by edges that get brighter, and darker, outwards; rad."""
     brighter, darker = 0.0, 0.0
@@ -144,7 +144,7 @@ def arcs_of_senses(samples: Array, n: int, scale: float) -> tuple[float, float]:
     return brighter, darker
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _update(samples: Array, n: int, scale: float, shape: Array, normal: Array) -> float:
     """One robust Gauss–Newton step of a pair (6,); ``normal`` (6, 6) gets the normal equations.
 
@@ -185,7 +185,7 @@ def _update(samples: Array, n: int, scale: float, shape: Array, normal: Array) -
     return largest
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _edge(pair: Array, sense: float, shape: Array) -> None:
     """Shape (5,) of the edge of a sense (±1)."""
     shape[0], shape[1] = pair[0], pair[1]

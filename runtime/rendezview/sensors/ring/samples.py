@@ -26,7 +26,7 @@ COLUMNS = 11  # Source: by construction
 _ALIGNED = 0.9  # cosine between gradient and normal. Source: by hand; see ring-accuracy
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
 def bend(x: float, y: float, lens: Array) -> tuple[float, float]:
     """Pixel of an undistorted pixel; ``lens``: of ``lens_vector``, then whether it bends."""
     if lens[LENS_LENGTH] == 0.0:
@@ -35,7 +35,7 @@ def bend(x: float, y: float, lens: Array) -> tuple[float, float]:
     return lens[0] * u + lens[2], lens[1] * v + lens[3]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def frame_at(shape: Array, u0: float, u1: float) -> tuple[float, float, float, float]:
     """Point and outward unit normal of the ellipse at u."""
     a, b, c = shape[2], shape[3], shape[4]
@@ -44,7 +44,7 @@ def frame_at(shape: Array, u0: float, u1: float) -> tuple[float, float, float, f
     return shape[0] + a * u0 + b * u1, shape[1] + b * u0 + c * u1, n0 / size, n1 / size
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def distance(shape: Array, x: float, y: float) -> float:
     """Distance of a point from an ellipse, outside positive; exact for circles."""
     a, b, c = shape[2], shape[3], shape[4]
@@ -56,7 +56,7 @@ def distance(shape: Array, x: float, y: float) -> float:
     return float((size - 1.0) * size / (np.sqrt(g0 * g0 + g1 * g1) + 1e-300))
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def begin_sample(
     row: Array, shape: Array, lens: Array, angle: float, u0: float, u1: float, room_px: float,
     width: int, height: int,
@@ -78,7 +78,7 @@ def begin_sample(
     return x, y, nx, ny, rx, ry
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sample_gradients(
     dx: Gradient, dy: Gradient, low: float, lens: Array, shape: Array, count: int, band: float,
     samples: Array,
@@ -131,7 +131,7 @@ def sample_gradients(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_equation(row: Array, weight: float, value: float, normal: Array, right: Array) -> None:
     """Add ``row · x = value`` to the lower half of normal equations (N, N) and right side (N,)."""
     for j in range(row.shape[0]):
@@ -140,7 +140,7 @@ def add_equation(row: Array, weight: float, value: float, normal: Array, right: 
             normal[j, k] += weight * row[j] * row[k]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve_equations(normal: Array, right: Array, damping: float, step: Array) -> bool:
     """Fill in the upper half and solve, damped by a share of the trace; False: no equations."""
     count = right.shape[0]
@@ -157,7 +157,7 @@ def solve_equations(normal: Array, right: Array, damping: float, step: Array) ->
     return solve(damped, right, damped, step)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def update_shape(samples: Array, count: int, scale_px: float, shape: Array, normal: Array) -> float:
     """One robust Gauss–Newton step to the offsets; ``normal`` (5, 5) gets the normal equations.
 

@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 _SINGULAR = 1e-12  # of the trace, added to the diagonal. Source: by construction, rounding
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def scale_of(samples: Array, n: int) -> float:
     """Where offsets stop counting, px: five σ of them, from their median size."""
     size = np.empty(n)
@@ -28,7 +28,7 @@ def scale_of(samples: Array, n: int) -> float:
     return min(max(5.0 * 1.483 * quantile(size[:count], 0.5), 0.15), 2.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def covered(samples: Array, n: int, scale: float) -> float:
     """Angle of the circle that samples within ``scale`` px confirm, rad."""
     total = 0.0
@@ -38,7 +38,7 @@ def covered(samples: Array, n: int, scale: float) -> float:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def trim(samples: Array, n: int, scale: float) -> tuple[int, float, float]:
     """Leave out samples beyond ``scale`` px. Returns number, mean contrast and r.m.s. (px)."""
     used, contrast, square = 0, 0.0, 0.0
@@ -55,7 +55,7 @@ def trim(samples: Array, n: int, scale: float) -> tuple[int, float, float]:
     return used, contrast / used, np.sqrt(square / used)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def spread_of(samples: Array, n: int) -> float:
     """Factor on the covariance by the weights of trimmed samples, from their scatter."""
     chi, used = 0.0, 0
@@ -67,7 +67,7 @@ def spread_of(samples: Array, n: int) -> float:
     return max(white, _waviness_factor(samples, n))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def covariance_of(normal: Array, spread: float, covariance: Array) -> bool:
     """Fill ``covariance`` (N, N) from normal equations, times ``spread``; False: not determined."""
     count = normal.shape[0]
@@ -82,7 +82,7 @@ def covariance_of(normal: Array, spread: float, covariance: Array) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def systematic_of(samples: Array, n: int) -> float:
     """σ of the part of the offsets that neighbours have in common, px.
 
@@ -104,7 +104,7 @@ def systematic_of(samples: Array, n: int) -> float:
     return float(np.sqrt(max(square / used - jumps / pairs, 0.0)))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _waviness_factor(samples: Array, count: int) -> float:
     """How much more the means of 36 stretches scatter than independent samples' would, ≥ 1.
 
@@ -126,7 +126,7 @@ def _waviness_factor(samples: Array, count: int) -> float:
     return max(total / max(used - 5, 2), 1.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _correlation_factor(samples: Array, count: int) -> float:
     """Sum of the correlations between a sample's error and its neighbours' (1 for none), ≥ 1."""
     power, pairs = 0.0, 0

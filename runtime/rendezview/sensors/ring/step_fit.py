@@ -28,7 +28,7 @@ Ints = npt.NDArray[np.int64]
 _MOST_SAMPLES = 640  # along one ellipse. Source: by construction, a bound of memory
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fit_steps(
     image: Grey, lens: Array, shapes: Array, spacing: float, noise: float, filters: Array,
     basis: Array, blur: float, least_arc: float, floor: float,
@@ -90,7 +90,7 @@ def fit_steps(
     return fitted[:count], covariances[:count], facts[:count], pairs[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _neighbours(shapes: Array, k: int, others: Array) -> int:
     """Fill ``others`` with the ellipses that come near ellipse k and are not the same; how many."""
     count = 0
@@ -102,7 +102,7 @@ def _neighbours(shapes: Array, k: int, others: Array) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _meet(a: Array, b: Array, near: float) -> bool:
     """Whether ellipse a comes within ``near`` px of some of 24 points of ellipse b."""
     for k in range(24):
@@ -113,7 +113,7 @@ def _meet(a: Array, b: Array, near: float) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _step_px(shape: Array, spacing: float) -> float:
     """Between samples: as wanted, or as many samples as there is room for."""
     row = axes_of_shape(shape)
@@ -122,7 +122,7 @@ def _step_px(shape: Array, spacing: float) -> float:
     return float(max(spacing, around / (0.8 * _MOST_SAMPLES)))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _settle(
     image: Grey, lens: Array, shape: Array, step_px: float, noise: float, filters: Array,
     basis: Array, blur: float, others: Array, samples: Array, least_arc: float,
@@ -146,7 +146,7 @@ def _settle(
     return n, scale_of(samples, n)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fit_single(
     samples: Array, n: int, scale: float, least_arc: float, shape: Array, covariance: Array,
     facts: Array,
@@ -163,7 +163,7 @@ def _fit_single(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _known(fitted: Array, count: int, shape: Array) -> bool:
     """Whether an ellipse is there already."""
     known = False

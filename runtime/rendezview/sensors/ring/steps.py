@@ -43,7 +43,7 @@ _FARTHEST_PX = 1.6
 _FLOOR_PX2 = 4e-4
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def sample_steps(
     image: Grey, lens: Array, shape: Array, spacing_px: float, sense: float, noise: float,
     filters: Array, basis: Array, blur_px: float, others: Array, samples: Array,
@@ -102,7 +102,7 @@ def sample_steps(
     return count
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _neighbours(others: Array, x: float, y: float, nx: float, ny: float) -> tuple[float, float]:
     """How far along a normal the nearest other edge lies inwards (negative) and outwards, px."""
     inner, outer = -FAR, FAR
@@ -118,7 +118,7 @@ def _neighbours(others: Array, x: float, y: float, nx: float, ny: float) -> tupl
     return inner, outer
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _read_profile(
     image: Grey, lens: Array, x: float, y: float, nx: float, ny: float, rx: float, ry: float,
     profile: Array,
@@ -137,7 +137,7 @@ def _read_profile(
         profile[k] = upper + fb * (lower - upper)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _place_step(
     profile: Array, inner: float, outer: float, sense: float, noise: float, filters: Array,
     basis: Array, blur_px: float, spread: float, solved: Array,

@@ -29,7 +29,7 @@ Gradient = npt.NDArray[np.int16]  # Sobel's sum: 8 × grey levels a pixel
 _SUPPORT_SAMPLES = 120  # about an ellipse. Source: by construction, 3° apart
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def verify(
     dx: Gradient, dy: Gradient, low: float, lens: Array, rough: Array, least_arc: float,
     least_share: float, limits: Array, most: int,
@@ -89,7 +89,7 @@ def verify(
     return _exclusive(dx, dy, low, lens, kept[descending(value[:count])], least_arc)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _exclusive(
     dx: Gradient, dy: Gradient, low: float, lens: Array, shapes: Array, least_arc: float
 ) -> Array:
@@ -116,7 +116,7 @@ def _exclusive(
     return kept[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def one_sense(samples: Array, n: int) -> None:
     """Leave out edges against the sense of their neighbourhood: a ring's edge keeps it for long."""
     half = n // 20
@@ -138,7 +138,7 @@ def one_sense(samples: Array, n: int) -> None:
             samples[i, WEIGHT] = 0.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _runs(samples: Array, n: int) -> tuple[int, int]:
     """How many samples found an edge, and the longest run of them (gaps of two allowed)."""
     found, longest, run, gap = 0, 0, 0, 9
@@ -157,7 +157,7 @@ def _runs(samples: Array, n: int) -> tuple[int, int]:
     return found, min(longest, n)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def twins(a: Array, b: Array, near: float) -> bool:
     """Whether two shapes are one ellipse, to ``near`` px."""
     same = True

@@ -69,7 +69,7 @@ DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def nearest_views(
     directions: Array, shells_m: Array, rotation: Array, centre: Array,
     views: npt.NDArray[np.int64],
@@ -98,7 +98,7 @@ def nearest_views(
     return shell
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _weight(edge: Array, cut: float) -> float:
     """Weight of one edge in the normal equations (Tukey); 0 where it does not count."""
     if edge[STATE] != FOUND:
@@ -106,7 +106,7 @@ def _weight(edge: Array, cut: float) -> float:
     return edge[WEIGHT] * tukey_weight(edge[RESIDUAL], cut)  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def normal_equations(edges: Array, cut: float, matrix: Array, right: Array) -> tuple[int, float]:
     """Sums of w J Jᵀ and w J r over the edges with |r| < cut; how many, and the sum of w."""
     matrix[:] = 0.0
@@ -156,7 +156,7 @@ def covariance_of(
     return 0.5 * (covariance + covariance.T), residual
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> float:
     """Add ΣwJJᵀ to ``matrix`` (6, 6) and Σw²JJᵀ to ``spread`` (6, 6); the mean of r², by w."""
     squares, weights = 0.0, 1e-12
@@ -197,7 +197,7 @@ def strain_covariance(
     return response @ strain @ response.T
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_strain_moves(
     edges: Array, cut: float, rotation: Array, centre: Array, matrix: Array, moved: Array
 ) -> None:
@@ -226,14 +226,14 @@ def _to_origin(arm: Array) -> Array:
     return shift
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def nearest_distance(views: ViewTables) -> float:
     """Least depth of the view centre, m: just outside the target, or inside its nearest view."""
     outside = NEAREST_RADII * views.radius_m
     return min(outside, _NEAREST_SHELL * views.shells_m[0])  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def align(
     image: Picture, lens: Lens, frame: Array, stages: Array, views: ViewTables, rotation: Array,
     centre: Array, edges: Array,
@@ -295,7 +295,7 @@ def align(
     return explained
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def gauss_newton_step(
     matrix: Array, right: Array, held: float, relaxation: float, radius_m: float, nearest_m: float,
     rotation: Array, centre: Array,
@@ -328,7 +328,7 @@ def gauss_newton_step(
     return turn * radius_m + shift  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def inlier_ratios(
     image: Picture, lens: Lens, frame: Array, views: ViewTables, rotation: Array, centre: Array,
     spread_px: float, stride: int, edges: Array,
@@ -363,7 +363,7 @@ def inlier_ratios(
     return outline / outlines, inner / inners, visible / outlines
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def align_each(
     image: Picture, lens: Lens, frame: Array, first: Array, then: Array, views: ViewTables,
     rotations: Array, centres: Array, survivors: int, ratios: Array,

@@ -150,7 +150,7 @@ class Articulation:
         return edges[counted[:count]], slopes[:count], support
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _joint_slopes(
     edges: Array, cut_px: float, part: npt.NDArray[np.uint8], point: npt.NDArray[np.int16],
     chosen: npt.NDArray[np.int64], rotation: Array, centre_m: Array, axes: Array, origins_m: Array,
@@ -211,7 +211,7 @@ def _joint_slopes(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _turn_points(
     views: npt.NDArray[np.int64], part: npt.NDArray[np.uint8], point: npt.NDArray[np.int16],
     tangent: npt.NDArray[np.int8], turns: Array, shifts: Array, out_point: npt.NDArray[np.int16],

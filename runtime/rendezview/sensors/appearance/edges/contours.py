@@ -37,7 +37,7 @@ def packed_start(inside: Array) -> Array:
     return roots.clip(-127.0, 127.0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def start_radii(kept: int) -> float:
     """A place along the normal inwards, of the target's radius, from how it is kept."""
     root = float(kept)

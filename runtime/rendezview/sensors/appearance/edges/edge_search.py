@@ -92,7 +92,7 @@ class EdgeLimits(NamedTuple):
     profile_noise: float  # of a grey level of a profile, one σ
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _edge_limits(frame: Array, smooth_px: int, lines: int) -> EdgeLimits:
     """Limits in a frame, (6,) as in ``Sky.vector``; the others as of ``measure_edges``."""
     noise = frame[0]
@@ -108,7 +108,7 @@ def _edge_limits(frame: Array, smooth_px: int, lines: int) -> EdgeLimits:
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def measure_edges(
     image: Picture, lens: Lens, frame: Array, views: ViewTables, shell: int, view: int,
     rotation: Array, centre: Array, shade: Array, sun: Array, reach_px: int, spread_px: float,
@@ -171,7 +171,7 @@ def measure_edges(
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _point_count(kind: Kinds) -> int:
     """Points of a view; rows without one stand last."""
     for j in range(kind.shape[0]):
@@ -180,7 +180,7 @@ def _point_count(kind: Kinds) -> int:
     return kind.shape[0]  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _search_edge(
     image: Picture, edge: ProjectedEdge, outline: bool, inner: float, outer: float,
     limits: EdgeLimits, reach_px: int, spread_px: float, smooth_px: int, room_px: float, lines: int,
@@ -213,7 +213,7 @@ def _search_edge(
     return FOUND if steepness > 0.0 else NOT_FOUND, at, steepness, back, count
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _place_edge(
     profile: Array, count: int, back: int, at: float, steepness: float, steps: int, outline: bool,
     free_px: float, fit: bool, limits: EdgeLimits, smooth_px: int, blur_px: float, shape_px: float,
@@ -242,7 +242,7 @@ def _place_edge(
     return at, unfitted_weight(steepness, free_px, outline, fit)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def read_profile(
     image: Picture, u: float, v: float, nx: float, ny: float, back: int, ahead: int, lines: int,
     profile: Array,
@@ -279,7 +279,7 @@ def read_profile(
     return True
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def strongest_edge(
     profile: Array, count: int, back: int, smooth_px: int, spread_px: float, needed: float,
     held: bool, sky: float, noise: float,
@@ -320,7 +320,7 @@ def strongest_edge(
     return at, steepness
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def unfitted_weight(steepness: float, free: float, outline: bool, fit: bool) -> float:
     """Weight of an edge at the steepest slope; ``free``: px to the next edge.
 
@@ -335,7 +335,7 @@ def unfitted_weight(steepness: float, free: float, outline: bool, fit: bool) -> 
     return weight
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def point_of_slope(edge: Array, rotation: Array, centre_m: Array, q: Array, g: Array) -> None:
     """Fill q (3,), the point of an edge from the view centre, and g (3,), its slope, target axes.
 
@@ -353,7 +353,7 @@ def point_of_slope(edge: Array, rotation: Array, centre_m: Array, q: Array, g: A
         g[i] = rotation[0, i] * d[0] + rotation[1, i] * d[1] + rotation[2, i] * d[2]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def points_of_slopes(slopes: Array, rotation: Array, centre_m: Array) -> Array:
     """(N, 3) the points of N slopes, see ``point_of_slope``."""
     points, g = np.empty((len(slopes), 3)), np.empty(3)

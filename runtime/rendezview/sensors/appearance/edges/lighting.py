@@ -47,7 +47,7 @@ _CANDIDATES = 6  # directions around the best one, for each step. Source: by con
 _KEEP = 0.7  # Source: by construction, any axis not along it
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fit_light(
     image: Picture, edges: Array, count: int, kind: Kinds, strip: Kinds, start: Starts,
     palette: npt.NDArray[np.float32], rotation: Array, centre: Array, scale: float, frame: Array,
@@ -98,7 +98,7 @@ def fit_light(
     return 1.0 - cost / len(levels)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sample_surfaces(
     image: Picture, edges: Array, count: int, kind: Kinds, strip: Kinds, start: Starts,
     scale: float, black: float, levels: Array, which: npt.NDArray[np.int64],
@@ -133,7 +133,7 @@ def sample_surfaces(
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def facing_normals(palette: npt.NDArray[np.float32], rotation: Array, away: Array) -> Array:
     """(K, 3) normals of the kinds of surface in the camera frame, on the side of the camera.
 
@@ -154,7 +154,7 @@ def facing_normals(palette: npt.NDArray[np.float32], rotation: Array, away: Arra
     return normals
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def search_sun(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
     palette: npt.NDArray[np.float32], away: Array, tolerance: float, known: bool,
@@ -209,7 +209,7 @@ def search_sun(
     return best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _across_into(sun: Array, axes: Array) -> None:
     """Two unit vectors (2, 3) across another: it × the x axis or the y axis, and it × that."""
     x, y, z = sun[0], sun[1], sun[2]
@@ -220,7 +220,7 @@ def _across_into(sun: Array, axes: Array) -> None:
     axes[1, 0], axes[1, 1], axes[1, 2] = y * r - z * q, z * p - x * r, x * q - y * p
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _misfit(
     levels: Array, which: npt.NDArray[np.int64], normals: Array,
     palette: npt.NDArray[np.float32], sun: Array, tolerance: float, strengths: Array,
@@ -237,7 +237,7 @@ def _misfit(
     return light_strengths(levels, sunlit, albedo, tolerance, strengths)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def light_strengths(
     levels: Array, sunlit: Array, albedo: Array, tolerance: float, strengths: Array
 ) -> float:

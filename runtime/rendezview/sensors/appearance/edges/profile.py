@@ -46,7 +46,7 @@ class ProfileScratch(NamedTuple):
     away: Array  # (3,) unit, from the camera of the model's view
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def view_at_pose(
     eye: Array, radius_m: float, rotation: Array, centre: Array, sun: Array, shade: Array
 ) -> ViewAtPose:
@@ -56,7 +56,7 @@ def view_at_pose(
     return ViewAtPose(eye, radius_m, rotation, centre, sunward, shade)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def profile_scratch() -> ProfileScratch:
     """New arrays."""
     return ProfileScratch(
@@ -73,7 +73,7 @@ FAR_PX = 99.0  # px; where the first surface of an inner edge begins. Source: by
 SLACK_PX = 3.0
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def edge_axes(
     eye: Array, x: float, y: float, z: float, tangent: npt.NDArray[np.int8], out: Array
 ) -> None:
@@ -92,7 +92,7 @@ def edge_axes(
     out[3], out[4], out[5] = o0 * inverse, o1 * inverse, o2 * inverse
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def project_start(
     x: float, y: float, z: float, inside: float, deeper: float, eye: Array, axes: Array,
     rotation: Array, centre: Array,
@@ -119,7 +119,7 @@ def project_start(
     return u * inverse, v * inverse
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def in_shadow(wide: float, rise: float, sunward: Array, axes: Array, away: Array) -> bool:
     """Whether a wall at the inner end of a surface casts its shadow over all of the surface.
 
@@ -133,7 +133,7 @@ def in_shadow(wide: float, rise: float, sunward: Array, axes: Array, away: Array
     return rise > 0.0 and over > 0.0 and rise * over > wide * max(up, 0.0)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def profile_steps(
     outline: bool, strip: Kinds, shade: Array, places: Array, shaded: bool, depths: Array,
     levels: Array,
@@ -165,7 +165,7 @@ def profile_steps(
     return steps
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _places_into(
     px: float, py: float, pz: float, edge: ProjectedEdge, outline: bool, start: Starts,
     body_px: float, view: ViewAtPose, axes: Array, places: Array,
@@ -193,7 +193,7 @@ def _places_into(
         places[k] = min(max(projected, inside - far), inside + far)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def expected_profile(
     px: float, py: float, pz: float, tangent: npt.NDArray[np.int8], edge: ProjectedEdge,
     outline: bool, strip: Kinds, start: Starts, body_px: float, view: ViewAtPose,

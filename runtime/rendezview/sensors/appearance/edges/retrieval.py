@@ -257,7 +257,7 @@ def _rolled_offset(offset_m: Array, roll_rad: float) -> Array:
     return np.array([c * offset_m[0] - s * offset_m[1], s * offset_m[0] + c * offset_m[1]])
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _squared_distances(
     rows: npt.NDArray[np.float32], one: npt.NDArray[np.float32]
 ) -> npt.NDArray[np.float32]:
@@ -272,7 +272,7 @@ def _squared_distances(
     return squares
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _spread(
     views: npt.NDArray[np.intp], shifts: npt.NDArray[np.intp], directions: Array, cosine: float,
     bins: int, most: int,

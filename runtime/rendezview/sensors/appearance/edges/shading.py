@@ -122,7 +122,7 @@ class SurfaceTables(NamedTuple):
         )
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def shading(
     image: Picture, lens: Lens, frame: Array, surface: SurfaceTables, rotation: Array, centre: Array
 ) -> float:
@@ -185,12 +185,12 @@ def shading(
     return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 
-@njit(cache=True, nogil=True, fastmath=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
 def _dot(a: Array, b: Array) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _brightness(surface: SurfaceTables, node: int, point: int, normal: Array, sun: Array) -> float:
     """Albedo times the cosine to the Sun of a point, 0 in shadow."""
     cosine = _dot(normal, sun)
@@ -199,7 +199,7 @@ def _brightness(surface: SurfaceTables, node: int, point: int, normal: Array, su
     return surface.albedo[point] * cosine  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _mean_level(image: Picture, u: float, v: float) -> float:
     """Grey level at a pixel, a mean of 3 × 3."""
     column, row = int(u + 0.5), int(v + 0.5)
@@ -210,7 +210,7 @@ def _mean_level(image: Picture, u: float, v: float) -> float:
     return total / 9.0
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def visible_points(
     image: Picture, lens: Lens, surface: SurfaceTables, rotation: Array, centre: Array,
     which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array, levels: Array,
@@ -273,7 +273,7 @@ def visible_points(
     return found
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _correlation(
     surface: SurfaceTables, which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array,
     levels: Array, found: int, node: int, sun: Array, strengths: Array, side: float, even: float,

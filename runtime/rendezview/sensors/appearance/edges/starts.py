@@ -53,7 +53,7 @@ def half_turns(model: ViewModel) -> Array:
     return np.array([2.0 * np.outer(axis, axis) - np.eye(3) for axis in axes.T])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def second_moments(points: npt.NDArray[np.int16], kinds: npt.NDArray[np.uint8]) -> Array:
     """(3, 3) Σ p pᵀ of the points (N, 3) int16 that are any; whole numbers, so it is exact."""
     moments = np.zeros((3, 3))

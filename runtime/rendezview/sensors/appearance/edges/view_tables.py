@@ -38,7 +38,7 @@ class ViewTables(NamedTuple):
     shape_error: float
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def through_lens(x: float, y: float, lens: Lens) -> Six:
     """Distorted coordinates of (x, y), and their derivatives m00, m01, m10, m11."""
     u, v = x, y
@@ -70,7 +70,7 @@ class ProjectedEdge(NamedTuple):
     qz: float
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def project_edge(
     px: float, py: float, pz: float, tangent: npt.NDArray[np.int8], lens: Lens, rotation: Array,
     centre: Array,
@@ -101,7 +101,7 @@ def project_edge(
     return ProjectedEdge(True, u, v, nx, ny, gx, gy, x, y, inverse, qx, qy, qz)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def pose_slope_into(edge: ProjectedEdge, out: Array) -> None:
     """Fill ``out`` (6,), the derivative of a place along the normal with the pose.
 

@@ -153,7 +153,7 @@ def _slimmer(signature: Signature, width_rad: float) -> Signature:
     return replace(signature, area_sr=area_sr)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def descend(readings: Readings, surface: Array, misfit: Array, found: Array) -> float:
     """Move (x, y, roll) to where a signature lies on a quadratic; robust Gauss–Newton.
 
@@ -204,7 +204,7 @@ def descend(readings: Readings, surface: Array, misfit: Array, found: Array) -> 
     return float(np.sqrt(total / bins))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _residuals_into(
     readings: Readings, surface: Array, found: Array, off: Array, slopes: Array
 ) -> float:

@@ -67,7 +67,7 @@ class Outlines:
     signature: Signature
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def vector_area(rays: Array) -> Array:
     """``½ ∮ r × dr`` of a closed polygon of rays (M, 3) of any length; (3,) steradians.
 
@@ -90,7 +90,7 @@ def vector_area(rays: Array) -> Array:
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def radial_maxima(rays: Array, centred_from_camera: Array, spokes: Array, maxima: Array) -> None:
     """Raise each bin to the distance of one outline's outermost edge, if that is larger.
 
@@ -125,7 +125,7 @@ def radial_maxima(rays: Array, centred_from_camera: Array, spokes: Array, maxima
         x0, y0, turn0 = x1, y1, turn1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _raise_bins(
     x0: float,
     y0: float,
@@ -162,7 +162,7 @@ def _raise_bins(
             maxima[k] = distance
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _nearly_atan2(y: float, x: float) -> float:
     """atan2 to 1e-5 rad; it only decides which bins a segment is tested against.
 
@@ -191,7 +191,7 @@ def spokes_of(bins: int) -> Array:
     return spokes
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def quantised(maxima: Array, scale: float, smooth_bins: int) -> Readings:
     """Running mean over an odd number of bins, scaled and rounded to whole readings."""
     bins = maxima.shape[0]
@@ -207,7 +207,7 @@ def quantised(maxima: Array, scale: float, smooth_bins: int) -> Readings:
     return readings
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def rolled(readings: Readings, roll_rad: float) -> Readings:
     """The signature as a camera rolled back by ``roll_rad`` about its boresight has it.
 

@@ -208,7 +208,7 @@ def mean_above(image: Picture, level_grey: float, averaged_px: int) -> Picture:
     return mask
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mean_above(image: Picture, limit: int, side: int, mask: Picture) -> None:
     height, width = image.shape
     half = side // 2

@@ -106,7 +106,7 @@ class ViewSimilarity:
         return np.asarray(groups.mean(axis=-1), dtype=np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def roll_and_distance(
     view: Readings, node: Readings, guess_rad: float, reach_rad: float
 ) -> tuple[float, float]:
@@ -140,7 +140,7 @@ def roll_and_distance(
     return -shift * step, distance[best]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def best_shifts(
     view: Readings,
     readings: Readings,
@@ -173,7 +173,7 @@ def best_shifts(
                 rolls_rad[k] = -shift * step
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def most_similar(
     view: Readings, readings: Readings, candidates: Indices, guesses_rad: Array, reach_rad: float
 ) -> tuple[int, float, float]:
@@ -186,7 +186,7 @@ def most_similar(
     return best, best_roll, least
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def spread_out(order: Indices, directions: Array, cosine: float, most: int) -> Indices:
     """The first of some directions (K, 3), in order, no two nearer than acos(cosine)."""
     chosen = np.empty(most, dtype=np.intp)

@@ -37,7 +37,7 @@ def without_specks(mask: Picture) -> Picture:
     return np.asarray(kept[labels], dtype=np.uint8)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def blob_starts(mask: Picture) -> int:
     """About how many set pixels have no set neighbour to the left or in the row above.
 

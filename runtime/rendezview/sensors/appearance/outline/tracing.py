@@ -15,7 +15,7 @@ _DY = np.array([0, 1, 1, 1, 0, -1, -1, -1])  # px. Source: by construction
 _DIRECTION_OF_STEP = np.array([[5, 6, 7], [4, -1, 0], [3, 2, 1]])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def crack_outline(
     border: npt.NDArray[np.int32],
     grey: npt.NDArray[np.uint8],
@@ -67,7 +67,7 @@ def crack_outline(
     return points[:count]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _edge_shift(
     grey: npt.NDArray[np.uint8],
     x: int,

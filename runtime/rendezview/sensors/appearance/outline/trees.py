@@ -138,7 +138,7 @@ def _number(value: float) -> str:
     return f"{float(value):.6g}"
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _leaves(
     roots: npt.NDArray[np.int32],
     component: npt.NDArray[np.int16],

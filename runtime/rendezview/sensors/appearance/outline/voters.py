@@ -123,7 +123,7 @@ def _coarse(readings: Readings) -> Readings:
     return np.ascontiguousarray(coarse, dtype=np.float32)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _score(
     readings: Readings, attitudes: Array, nodes: Array, rotations: Array, cosine: float,
     voters: VoterTables, out: Array,
@@ -149,7 +149,7 @@ def _score(
         out[k] = total / count if count > 0 else -127.0
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ask_each(
     readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array, voters: VoterTables,
     out: Array,
@@ -161,7 +161,7 @@ def _ask_each(
         out[k] = _ask(rolled, nodes[k], voters)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ask(rolled: Readings, node: int, voters: VoterTables) -> float:
     """Mean odds, in units, that the voters of a node give to readings at its roll."""
     trees = voters.roots.shape[1]
@@ -175,7 +175,7 @@ def _ask(rolled: Readings, node: int, voters: VoterTables) -> float:
     return total / trees  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def roll_readings(readings: Readings, roll_rad: float, out: Readings) -> None:
     """Fill (N,) with readings rolled back by an angle, between bins by interpolation."""
     bins = len(readings)

@@ -205,7 +205,7 @@ def _apart(a: Match, b: Match) -> float:
     return rotation_angle(a.centred_from_target @ b.centred_from_target.T)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def mean_shift(directions: Array, trust: Array, width: float, weights: Array, mean: Array) -> None:
     """Mode of weighted directions (K, 3) under the kernel ``exp((cos − 1)/width)``.
 

@@ -77,7 +77,7 @@ _LEAST_SIGMA_PX = 0.3  # sketch px; one σ of an edge in the best of cases
 _NOTHING_KNOWN = 1e-4
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def read_map(plane: Float32s, x: float, y: float) -> float:
     """The map at a place, bilinear; −1 outside."""
     height, width = plane.shape
@@ -90,7 +90,7 @@ def read_map(plane: Float32s, x: float, y: float) -> float:
     return upper * (1.0 - fy) + lower * fy  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def predict_edge(
     point: npt.NDArray[np.int16], tangent: npt.NDArray[np.int8], lens: Lens, place: Array,
     unit_m: float, rotation: Array, centre: Array, row: Array,
@@ -109,7 +109,7 @@ def predict_edge(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def likeliest_edge(
     plane: Float32s, cover: Float32s, row: Array, reach_px: int, spread_px: float, outline: bool
 ) -> tuple[float, float]:
@@ -139,7 +139,7 @@ def likeliest_edge(
     return at, best
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def measure_sketch(
     maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, reach_px: int,
     spread_px: float, stride: int, inner_weight: float, edges: Array,
@@ -188,7 +188,7 @@ def measure_sketch(
     return count
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def align_to_sketch(
     maps: Maps, lens: Lens, views: ViewTables, stages: Array, rotation: Array, centre: Array,
     edges: Array,
@@ -223,7 +223,7 @@ def align_to_sketch(
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sketch_agreement(
     maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, edges: Array
 ) -> tuple[float, float, float, float]:
