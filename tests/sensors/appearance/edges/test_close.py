@@ -95,6 +95,21 @@ def test_a_prior_that_is_far_off_and_an_empty_frame_give_no_pose(mesh, model):
     assert close.recognize(boxes.astype(np.uint8), truth).pose is None
 
 
+def test_a_prior_that_is_a_tenth_nearer_or_farther_is_enough(mesh, model):
+    truth = before(2.5)
+    recognizer, frame = Recognizer(model, CAMERA), frame_of(mesh, truth)
+
+    def seen_from(share: float) -> Pose | None:
+        away = share * truth.apply(RING.centre_m)
+        return recognizer.recognize(frame, Pose(truth.rotation, truth.translation_m + away)).pose
+
+    for share in (-0.1, 0.1):
+        pose = seen_from(share)
+        assert pose is not None, share
+        assert pose.angle_to(truth) < np.deg2rad(0.15)
+    assert seen_from(0.5) is None
+
+
 def test_the_spheres_serve_where_their_views_are(model):
     close = CloseSearch(model, CAMERA)
     large, small = (sphere.radius_m for sphere in model.near)

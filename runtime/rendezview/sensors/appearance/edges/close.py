@@ -24,11 +24,15 @@ _LEAST_POINTS = 40  # in the picture. Source: experiment close-in, seed 7
 # Rad, and of the range: a pose further from the prior is another one. A ring of 72 facets fits
 # again when it is turned by 5°. Source: experiment close-in, seed 1
 _FURTHEST_RAD = np.deg2rad(2.5)
-_FURTHEST_RANGE = 0.05  # Source: by hand; a frame's way at half the speed of an approach
+_FURTHEST_RANGE = 0.05  # Source: by hand, a frame of an approach
 # Rad, one σ of the attitude: beside a ring alone, the prior knows more of the roll. Source: as
 # above
 _MOST_SIGMA_RAD = np.deg2rad(0.5)
 _STARTS_RAD = np.deg2rad(2.0)  # around the prior, where it leads nowhere. Source: as ``near``
+# Of the range: a pose may be so much nearer or farther where none is next to the prior. Source: by
+# hand; an approach without known rates, or unseen for seconds
+_MOST_RANGE = 0.15
+_RANGE_STEP = 0.04  # of the range, between starts. Source: 20 px at the edge of a picture
 _KEPT = 2  # of the starts that are refined. Source: by hand
 
 
@@ -49,20 +53,27 @@ class CloseSearch:
     def at(self, image: Picture, sky: Sky, prior: Pose, enough_inliers: float) -> Found | None:
         """The pose next to a prior that is right to two degrees; None unless it is confident.
 
-        Poses around the prior are tried too, unless the one next to it has ``enough_inliers``.
+        Poses around the prior are tried too, unless the one next to it has ``enough_inliers``;
+        where there is none, nearer and farther ones as well.
         """
         refiner = self.refiner(prior)
         if refiner is None:
             return None
         refined = refiner.refine(image, sky, prior)
-        near = [] if refined is None or not self._trusted(refined, prior) else [refined]
+        trusted = refined is not None and _trusted(refined, prior, _FURTHEST_RANGE)
+        near = [refined] if refined is not None and trusted else []
         single = bool(near) and near[0].inlier_ratio >= enough_inliers
         if not single:
             starts = (prior, *rotated_about_axes(prior, refiner.centre_m, _STARTS_RAD))
-            rotations = np.array([start.rotation for start in starts])
-            centres = np.array([start.apply(refiner.centre_m) for start in starts])
+            range_error = _FURTHEST_RANGE if near else _MOST_RANGE
+            steps = int((range_error - _FURTHEST_RANGE) / _RANGE_STEP + 0.5)
+            scales = 1.0 + _RANGE_STEP * np.arange(-steps, steps + 1)
+            rotations = np.array([start.rotation for start in starts for _ in scales])
+            centres = np.array(
+                [scale * start.apply(refiner.centre_m) for start in starts for scale in scales]
+            )
             found = refiner.best(image, sky, rotations, centres, _KEPT)
-            near += [r for r in found if self._trusted(r, prior)]
+            near += [r for r in found if _trusted(r, prior, range_error)]
         if not near:
             return None
         best = max(near, key=lambda r: r.inlier_ratio)
@@ -70,14 +81,14 @@ class CloseSearch:
             best, 0.0, 1.0, sky.dark, prior=True, single=single, error_model=refiner.error_model
         )
 
-    def _trusted(self, refined: Refined, prior: Pose) -> bool:
-        """Whether the edges confirm a pose, and it is the one that the prior means."""
-        covariance = refined.covariance
-        apart_m = np.linalg.norm(refined.pose.translation_m - prior.translation_m)
-        return bool(
-            refined.inlier_ratio >= _LEAST_SHARE
-            and refined.points >= _LEAST_POINTS
-            and np.linalg.eigvalsh(covariance[:3, :3])[-1] < _MOST_SIGMA_RAD**2
-            and refined.pose.angle_to(prior) < _FURTHEST_RAD
-            and apart_m < _FURTHEST_RANGE * np.linalg.norm(prior.translation_m)
-        )
+
+def _trusted(refined: Refined, prior: Pose, range_error: float) -> bool:
+    """Whether the edges confirm a pose, and it is the one that the prior means."""
+    apart_m = np.linalg.norm(refined.pose.translation_m - prior.translation_m)
+    return bool(
+        refined.inlier_ratio >= _LEAST_SHARE
+        and refined.points >= _LEAST_POINTS
+        and np.linalg.eigvalsh(refined.covariance[:3, :3])[-1] < _MOST_SIGMA_RAD**2
+        and refined.pose.angle_to(prior) < _FURTHEST_RAD
+        and apart_m < range_error * np.linalg.norm(prior.translation_m)
+    )
