@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from tests.service.page_feed import text_has, until, word_is
 
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import open_sequence
+from rendezview.sensors.appearance import ViewModel
 
 pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
 
@@ -25,9 +27,11 @@ _ORANGE = """([x, y]) => {
 
 
 def test_the_ring_is_drawn_over_the_picture_beside_path_and_fused_state(
-    flown, start_service, open_page, shoot
+    flown, tmp_path, start_service, open_page, shoot
 ) -> None:
-    served = start_service(str(flown / "client.rvm"), given=False)  # the model knows the ring
+    # The model knows the ring, but has no views of it from near.
+    replace(ViewModel.load(flown / "client.rvm"), near=()).save(tmp_path / "client.rvm")
+    served = start_service(str(tmp_path / "client.rvm"), given=False)
     frames = open_sequence(flown / "scene").frames
     echoes = read_json_lines(flown / "laser.jsonl")
     with served.client() as client:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -44,7 +45,8 @@ def _ask(guard: Guard, path: str, method: str = "GET", **headers: str) -> httpx.
             named = {k.replace("_", "-"): v for k, v in headers.items()}
             return await c.request(method, path, headers=named)
 
-    return asyncio.run(ask())
+    with ThreadPoolExecutor(1) as thread:  # the browser's loop may run in this one
+        return thread.submit(asyncio.run, ask()).result()
 
 
 async def _says_right(scope, receive, send) -> None:

@@ -99,7 +99,7 @@ def test_a_rerun_program_that_does_not_start_leaves_nothing(tmp_path, monkeypatc
             started.append(self)
 
     monkeypatch.setattr(subprocess, "Popen", Noted)
-    monkeypatch.setattr(viewers, "_SERVER_START_S", 1.0)
+    monkeypatch.setattr(viewers, "_SERVER_START_S", 5.0)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with pytest.raises(RendezviewError, match="does not listen on"):
         viewers.Viewers(Settings(rerun_port=_free_port())).start()
