@@ -28,6 +28,9 @@ _CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment 
 _CHANCE = 1.15  # of the variance of cells. Source: by construction, 3 σ of 1500 cells
 _DIFFERENCE_CELLS = 3  # of a difference: spots reach into most wider cells. Source: by construction
 _EVERY = 4  # rows. Source: by construction, a bound of time
+# Of a spot's size: the Gaussian that stands for the ring around it, in a single picture and in a
+# difference, whose spots are the smaller ones. Source: experiment reflector-nees, seed 7
+_RING, _DIFFERENCE_RING = 1.6, 2.6
 _MOST, _MOST_SIGMA = 0.8, 1.2816  # share of the slopes, σ. Source: normal distribution
 _BLOCK = 8  # px. Source: ITU-T T.81
 _ROWS = 3  # of blocks: one row in so many is looked at. Source: by construction, 0.1 ms
@@ -59,9 +62,16 @@ class HiddenNoise:
         """Measured in whole pictures."""
         compression = _STEP_VARIANCE * quantisation_step(frames.lit) ** 2
         if frames.dark is None:
-            return cls(_rough(frames.lit, noise_grey(frames)), compression)
+            difference = cv2.subtract(frames.lit, background_of(frames.lit), dtype=cv2.CV_32F)
+            return cls(_slopes(difference, noise_grey(frames), len(_CELLS_PX), _RING), compression)
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
-        return cls(_slow(frames.lit, frames.dark, noise_grey(frames)), compression)
+        difference = cv2.subtract(frames.lit, frames.dark, dtype=cv2.CV_32F)
+        noise = noise_grey(frames)
+        slow = _slow(difference, noise)
+        if slow.any():  # behind small spots, most of a smooth pattern goes with their ring's plane
+            slopes = _slopes(difference, noise, _DIFFERENCE_CELLS, _DIFFERENCE_RING)
+            slow = np.minimum(slow, slopes)
+        return cls(slow, compression)
 
     def widen(self, table: Array) -> None:
         """Add it to the errors of the spots of a table.
@@ -76,10 +86,9 @@ class HiddenNoise:
         table[:, SIGMA] = np.sqrt(table[:, SIGMA] ** 2 + hidden * moved**2)
 
 
-def _slow(lit: Grey, dark: Grey, noise: float) -> Array:
+def _slow(difference: cv2.typing.MatLike, noise: float) -> Array:
     """(4,) variance of cells of the difference beyond that of white noise, as noise of a pixel."""
-    height, width = lit.shape
-    difference = cv2.subtract(lit, dark, dtype=cv2.CV_16S).astype(np.float32)
+    height, width = difference.shape
     found = np.zeros(len(_CELLS_PX))
     for k, cell in enumerate(_CELLS_PX[:_DIFFERENCE_CELLS]):
         if min(height, width) < 8 * cell:
@@ -96,22 +105,24 @@ def _slow(lit: Grey, dark: Grey, noise: float) -> Array:
     return found
 
 
-def _rough(lit: Grey, noise: float) -> Array:
-    """(4,) as `_slow`, of a single picture: from what a centroid's window makes of its background.
+def _slopes(difference: cv2.typing.MatLike, noise: float, cells: int, ring: float) -> Array:
+    """(4,) noise of a pixel beyond the white, as a centroid's window sees it behind a spot.
 
-    A first moment under a Gaussian window is the slope of the smoothed picture. White noise of σ
-    has slopes of σ / (√(8π) s²) after a Gaussian of s px.
+    A first moment under a Gaussian window is the slope of the smoothed picture, less that of the
+    plane around the spot, here of a wider Gaussian. White noise of σ has slopes of σ / (√(8π) s²)
+    after a Gaussian of s px.
     """
-    difference = cv2.subtract(lit, background_of(lit), dtype=cv2.CV_32F)
     found = np.zeros(len(_CELLS_PX))
-    for k, cell in enumerate(_CELLS_PX):
+    left = 1.0 + ring**-4 - 2.0 * (2.0 / (1.0 + ring**2)) ** 2  # of the variance of white noise
+    for k, cell in enumerate(_CELLS_PX[:cells]):
         size = cell / _CELLS_A_SIZE
-        soft = np.asarray(cv2.GaussianBlur(difference, (0, 0), size))[::_EVERY]
+        soft = cv2.GaussianBlur(difference, (0, 0), size)
+        soft = (soft - cv2.GaussianBlur(difference, (0, 0), ring * size))[::_EVERY]
         slopes = np.abs(np.diff(soft, axis=1)).ravel()
         rank = int(_MOST * (len(slopes) - 1))  # spots and edges are few
         sigma = float(np.partition(slopes, rank)[rank]) / _MOST_SIGMA
-        variance = (sigma * math.sqrt(8.0 * math.pi) * size * size) ** 2
-        found[k] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
+        variance = (sigma * math.sqrt(8.0 * math.pi) * size * size) ** 2 / left
+        found[k:] = variance - noise**2 if variance > _CHANCE * noise**2 else 0.0
     return found
 
 
