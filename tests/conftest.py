@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import trimesh
 from tests.quick_training import REFINING
+from tests.training.mesh_samples import boxes, grey_mesh
 
 from rendezview.cli.compiling import compile_ahead
 from rendezview.geometry.camera import Camera
@@ -73,16 +73,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def bumpy_mesh() -> Mesh:
-    boxes = []
-    for size, place in BUMPS_M:
-        box = trimesh.creation.box(size)
-        box.apply_translation(place)
-        boxes.append(box)
-    whole = trimesh.util.concatenate(boxes)
-    assert isinstance(whole, trimesh.Trimesh)
-    faces = np.array(whole.faces, dtype=np.int32)
-    grey = np.full((len(faces), 3), 0.6, dtype=np.float32)
-    return Mesh(np.array(whole.vertices), faces, grey, ())
+    return grey_mesh(boxes(BUMPS_M))
 
 
 @pytest.fixture(scope="session")

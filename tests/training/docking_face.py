@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
+from tests.training.mesh_samples import boxes, grey_mesh
 
 from rendezview.io.target import DockingRing
 from rendezview.training.mesh import Mesh
@@ -22,13 +23,6 @@ _BOXES_M = (
 
 def docking_mesh() -> Mesh:
     """The vehicle, all of one grey."""
-    bodies = [trimesh.creation.annulus(0.52, 0.6, 0.2, sections=72)]
-    bodies[0].apply_translation((0.0, 0.0, 1.1))
-    for size, place in _BOXES_M:
-        box = trimesh.creation.box(size)
-        box.apply_translation(place)
-        bodies.append(box)
-    whole = trimesh.util.concatenate(bodies)
-    assert isinstance(whole, trimesh.Trimesh)
-    faces = np.array(whole.faces, dtype=np.int32)
-    return Mesh(np.array(whole.vertices), faces, np.full((len(faces), 3), 0.6, np.float32), ())
+    ring = trimesh.creation.annulus(0.52, 0.6, 0.2, sections=72)
+    ring.apply_translation((0.0, 0.0, 1.1))
+    return grey_mesh([ring, *boxes(_BOXES_M)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 from rendezview.io.target import Target
 from rendezview.training.mesh import Mesh, load_mesh
 
+Triple = tuple[float, float, float]
 EXTENT_M = np.array([2.0, 1.0, 0.5])
 FORMATS = ["stl", "obj", "ply", "glb", "gltf", "3mf", "dae"]
 TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
@@ -43,12 +45,26 @@ def export(folder: Path, suffix: str, scene: object, **options: object) -> Path:
     return write(folder / f"mesh.{suffix}", made)
 
 
-def winged_mesh(wing_turn_rad: float = 0.0) -> trimesh.Trimesh:
-    """Body and wing, the wing turned about its hinge, which is parallel to x."""
+def boxes(sizes_and_places_m: Iterable[tuple[Triple, Triple]]) -> list[trimesh.Trimesh]:
+    """Boxes of some sizes at some places."""
     made = []
-    for size_m, place_m in (*_BODY, _WING):
+    for size_m, place_m in sizes_and_places_m:
         made.append(trimesh.creation.box(size_m))
         made[-1].apply_translation(place_m)
+    return made
+
+
+def grey_mesh(bodies: list[trimesh.Trimesh]) -> Mesh:
+    """All bodies as one mesh of one grey."""
+    whole = trimesh.util.concatenate(bodies)
+    assert isinstance(whole, trimesh.Trimesh)
+    faces = np.array(whole.faces, dtype=np.int32)
+    return Mesh(np.array(whole.vertices), faces, np.full((len(faces), 3), 0.6, np.float32), ())
+
+
+def winged_mesh(wing_turn_rad: float = 0.0) -> trimesh.Trimesh:
+    """Body and wing, the wing turned about its hinge, which is parallel to x."""
+    made = boxes((*_BODY, _WING))
     made[-1].apply_transform(
         trimesh.transformations.rotation_matrix(wing_turn_rad, [1.0, 0.0, 0.0], _HINGE_M)
     )

@@ -28,7 +28,7 @@ _FURTHEST_RANGE = 0.05  # Source: by hand, a frame of an approach
 # Rad, one σ of the attitude: beside a ring alone, the prior knows more of the roll. Source: as
 # above
 _MOST_SIGMA_RAD = np.deg2rad(0.5)
-_STARTS_RAD = np.deg2rad(2.0)  # around the prior, where it leads nowhere. Source: as ``near``
+_STARTS_RAD = np.deg2rad(2.0)  # around the prior, where it leads nowhere. Source: by hand
 # Of the range: a pose may be so much nearer or farther where none is next to the prior. Source: by
 # hand; an approach without known rates, or unseen for seconds
 _MOST_RANGE = 0.15
@@ -40,15 +40,12 @@ class CloseSearch:
     """Finds poses of a near part of one target in the frames of one camera."""
 
     def __init__(self, model: ViewModel, camera: Camera) -> None:
-        self.model = model
-        self._spheres = [
-            (sphere, Refiner(model, camera, RefineOptions(), sphere)) for sphere in model.near
-        ]
+        smallest_first = sorted(model.near, key=lambda sphere: sphere.radius_m)
+        self._spheres = [(s, Refiner(model, camera, RefineOptions(), s)) for s in smallest_first]
 
     def refiner(self, prior: Pose) -> Refiner | None:
         """Of the smallest sphere whose views serve for a pose; None: none does."""
-        served = [(s.radius_m, k) for k, (s, _) in enumerate(self._spheres) if s.serves(prior)]
-        return self._spheres[min(served)[1]][1] if served else None
+        return next((r for sphere, r in self._spheres if sphere.serves(prior)), None)
 
     def at(self, image: Picture, sky: Sky, prior: Pose, enough_inliers: float) -> Found | None:
         """The pose next to a prior that is right to two degrees; None unless it is confident.
@@ -60,11 +57,12 @@ class CloseSearch:
         if refiner is None:
             return None
         refined = refiner.refine(image, sky, prior)
-        trusted = refined is not None and _trusted(refined, prior, _FURTHEST_RANGE)
-        near = [refined] if refined is not None and trusted else []
+        near = []
+        if refined is not None and _trusted(refined, prior, _FURTHEST_RANGE):
+            near = [refined]
         single = bool(near) and near[0].inlier_ratio >= enough_inliers
         if not single:
-            starts = (prior, *rotated_about_axes(prior, refiner.centre_m, _STARTS_RAD))
+            starts = rotated_about_axes(prior, refiner.centre_m, _STARTS_RAD)
             range_error = _FURTHEST_RANGE if near else _MOST_RANGE
             steps = int((range_error - _FURTHEST_RANGE) / _RANGE_STEP + 0.5)
             scales = 1.0 + _RANGE_STEP * np.arange(-steps, steps + 1)

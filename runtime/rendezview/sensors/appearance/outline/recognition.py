@@ -62,7 +62,7 @@ class OutlineRecognition:
         self.matcher = Matcher(model, match)
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
         self._foreground = Foreground()
-        self._ballot = model.ballot()
+        self._ballot = self.matcher.ballot
         self._voted = None if self._ballot is None else VotedPose(model, self._ballot)
         self._pixel_rad = 1.0 / float(np.sqrt(camera.fx * camera.fy))
 

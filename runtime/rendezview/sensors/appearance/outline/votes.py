@@ -75,7 +75,7 @@ class Matcher:
         # Shrunk, because a pure leaf of one sample is not certain.
         trust = (on + 0.5) / (on + off + 2.0)
         self._trust = np.where(forest.category == 1, trust, 0.0)
-        self._ballot = model.ballot()
+        self.ballot = model.ballot()
 
     def match(
         self,
@@ -149,9 +149,9 @@ class Matcher:
 
         The voters of the nodes decide; in a model without them the tree of each node.
         """
-        if self._ballot is None:
+        if self.ballot is None:
             return self.trust_of(self.model.forest.leaves(readings, nodes, rolls_rad))
-        odds = self._ballot.node_odds(readings, nodes, rolls_rad)
+        odds = self.ballot.node_odds(readings, nodes, rolls_rad)
         trust = 1.0 / (1.0 + np.exp(-_STEEPNESS * (odds - _EVEN_ODDS)))
         return np.where(odds > _LEAST_ODDS, trust, 0.0)
 
