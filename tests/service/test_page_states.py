@@ -43,7 +43,7 @@ class Sender(threading.Thread):
         self.state: dict[str, Any] = {}
         self.count, self.time_s = 0, 0.0
         self._url, self._camera, self._request = url, camera, request
-        self._going, self._done, self._opened, self._once = (threading.Event() for _ in range(4))
+        self._going, self._done, self._opened = (threading.Event() for _ in range(3))
         self._between = threading.Lock()
 
     def run(self) -> None:
@@ -51,11 +51,11 @@ class Sender(threading.Thread):
             session = client.open(self._camera, **self._request)
             self._opened.set()
             while not self._done.is_set():
-                if not (self._going.wait(0.05) or self._once.is_set()):
+                if not self._going.wait(0.05):
                     continue
                 with self._between:
-                    if not (self._going.is_set() or self._once.is_set()):
-                        continue  # held between the two lines above
+                    if not self._going.is_set():  # held between the two lines above
+                        continue
                     image = self.images[self.count % len(self.images)]
                     try:
                         shown = image if self.image is None else self.image
@@ -64,7 +64,6 @@ class Sender(threading.Thread):
                         return  # the service is gone
                     self.count += 1
                     self.time_s += self.step_s
-                    self._once.clear()
                 time.sleep(0.15)
             with contextlib.suppress(RendezviewError):
                 session.close()
@@ -80,18 +79,10 @@ class Sender(threading.Thread):
         return self.state
 
     def hold(self) -> dict[str, Any]:
-        """One more frame, by itself, and no more for now; its state.
-
-        A page sees frames at its own rate, so it may miss the last of some that come fast.
-        """
+        """No more frames for now; the last state."""
         self._going.clear()
         with self._between:
-            wanted = self.count + 1
-        time.sleep(0.3)
-        self._once.set()
-        while self.count < wanted and self.is_alive():
-            time.sleep(0.01)
-        return self.state
+            return self.state
 
     def stop(self) -> None:
         """The session ends."""

@@ -110,6 +110,39 @@ def test_a_watcher_sees_no_more_than_it_asked_for(session, tour):
     assert all(m["contour"] is None and not m["image_follows"] for m in told)
 
 
+def test_watchers_see_the_last_frame_of_a_burst_and_none_twice(session, tour):
+    """Each at its own rate, and what it asked for."""
+    urls = [
+        session.client.stream_url(session.name, f"watch?width=200&{more}")
+        for more in ("rate_hz=10", "rate_hz=2&contour=0&image=0")
+    ]
+    with connect(urls[0], max_size=None) as fast, connect(urls[1]) as slow:
+        _until(lambda: session.info()["watchers"] == 2)
+        for k in range(4):
+            session.track(tour[0][2], float(k))
+        seen = [_watched(socket, 1.5) for socket in (fast, slow)]
+    for frames in seen:
+        numbers = [told["state"]["frame"] for told, _ in frames]
+        assert numbers == sorted(set(numbers))
+        assert numbers[-1] == 3
+    last, picture = seen[0][-1]
+    assert last["contour"]["points_px"]
+    assert int.from_bytes(picture[:8], "little") == 3
+    last, picture = seen[1][-1]
+    assert last["contour"] is None
+    assert picture is None
+
+
+def _watched(socket, quiet_s):
+    """Messages of a watcher and their pictures until none comes for a time, s."""
+    seen = []
+    with contextlib.suppress(TimeoutError):
+        while True:
+            told = json.loads(socket.recv(quiet_s))
+            seen.append((told, socket.recv(10.0) if told["image_follows"] else None))
+    return seen
+
+
 @pytest.mark.parametrize("what", ["stream", "watch"])
 def test_a_stream_of_no_session_is_closed_with_the_reason(service, client, what):
     url = client.stream_url("nobody", what)

@@ -24,7 +24,7 @@ class Answer:
 
 @dataclass(slots=True, eq=False)
 class SessionInput:
-    """A frame to track, or lines of another sensor to fuse."""
+    """A frame to track, lines of another sensor to fuse, or the last frame to show again."""
 
     pieces: Sequence[Bytes]  # its bytes, as they arrived
     time_s: float
@@ -34,6 +34,7 @@ class SessionInput:
     sensor: str | None = None  # the sensor of these lines; None: a frame
     sender: str = ""  # of a frame
     waited_s: float = 0.0  # between the session's previous input and this one
+    shows_last: bool = False  # it has no bytes: the last frame goes to watchers who missed it
 
     @property
     def length(self) -> int:
@@ -47,9 +48,10 @@ class InputQueue:
 
     _inputs: deque[SessionInput] = field(default_factory=deque)
     _newest: SessionInput | None = None  # frame of a stream or a source
+    shows_last: SessionInput | None = None  # is taken when nothing else waits
 
     def __bool__(self) -> bool:
-        return bool(self._inputs) or self._newest is not None
+        return bool(self._inputs) or self._newest is not None or self.shows_last is not None
 
     def __iter__(self) -> Iterator[SessionInput]:
         yield from self._inputs
@@ -73,7 +75,10 @@ class InputQueue:
         ):
             self._newest = None
             return newest
-        return self._inputs.popleft() if self._inputs else None
+        if self._inputs:
+            return self._inputs.popleft()
+        shows_last, self.shows_last = self.shows_last, None
+        return shows_last
 
     def count(self, *, frames: bool) -> int:
         """Number of appended frames, or of messages with sensor lines."""
@@ -82,4 +87,4 @@ class InputQueue:
     def clear(self) -> None:
         """Remove all inputs."""
         self._inputs.clear()
-        self._newest = None
+        self._newest = self.shows_last = None

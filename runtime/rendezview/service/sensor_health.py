@@ -1,4 +1,4 @@
-"""Health of a session's sensors other than its camera, as the service sees them."""
+"""Health of a session's sensors, as the service sees them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from rendezview.service.wire import Header
 _RATE_OVER_S = 3.0  # s, over which a rate is averaged. Source: chosen
 # s; a sensor without lines for longer is not healthy (some send rarely). Source: chosen.
 _SILENT_S = 10.0
+STALE_S = 3.0  # s; a camera without frames for longer is not healthy. Source: chosen
 _SHOWN_S = 3.0  # s, for which its ellipses and spots are drawn. Source: chosen
 
 
@@ -35,6 +36,19 @@ class Arrivals:
         if len(recent) < 2 or recent[-1] == recent[0]:
             return None
         return (len(recent) - 1) / (recent[-1] - recent[0])
+
+    def silence(self, now_s: float, fault: str | None) -> str | None:
+        """Why a camera is not healthy; None if it is.
+
+        Args:
+            fault: of its last frame.
+        """
+        if not self.times_s:
+            return fault or "no frame yet"
+        if now_s - self.times_s[-1] <= STALE_S:
+            return fault
+        silent = f"no frame for {now_s - self.times_s[-1]:.0f} s"
+        return f"{silent}: {fault}" if fault else silent
 
 
 class OtherSensors:
@@ -88,9 +102,30 @@ class OtherSensors:
         names = SensorTrust.model_fields
         return SensorTrust(**{name: known[name] for name in names})
 
-    def health(self, now_s: float) -> list[SensorHealth]:
-        """All sensors but the camera, in order of their first lines."""
-        found = []
+    def health(
+        self, now_s: float, frames: Arrivals, reason: str | None, tracked: int, drops: int
+    ) -> list[SensorHealth]:
+        """The camera, then the others in order of their first lines.
+
+        Args:
+            frames: arrivals of the camera's frames.
+            reason: why the camera is not healthy; None if it is.
+            tracked: number of tracked frames.
+            drops: number of frames that newer ones replaced.
+        """
+        found = [
+            SensorHealth(
+                name=CAMERA,
+                kind="camera",
+                healthy=reason is None,
+                reason=reason,
+                frames=tracked,
+                drops=drops,
+                rate_hz=frames.rate_hz(now_s),
+                last_unix_s=frames.last_unix_s,
+                trust=self.trust_of(CAMERA),
+            )
+        ]
         for name, arrivals in self._arrivals.items():
             if name == CAMERA:
                 continue

@@ -17,13 +17,12 @@ from rendezview.service.frames import Bytes
 from rendezview.service.history import Past
 from rendezview.service.inputs import Answer, Full, InputQueue, SessionInput
 from rendezview.service.lease import SOURCE, Lease
-from rendezview.service.message_parts import CAMERA
 from rendezview.service.messages import Recording, SensorHealth, SessionInfo, SessionRequest
 from rendezview.service.metrics import Metrics
 from rendezview.service.model_store import StoredModel
 from rendezview.service.progress import Progress
 from rendezview.service.rate_limit import TokenBucket
-from rendezview.service.sensor_health import Arrivals, OtherSensors
+from rendezview.service.sensor_health import STALE_S, Arrivals, OtherSensors
 from rendezview.service.session_events import SessionEvents
 from rendezview.service.session_log import SessionLog
 from rendezview.service.settings import Settings
@@ -34,7 +33,6 @@ from rendezview.service.worker_handle import WorkerHandle
 log = logging.getLogger("rendezview.service")
 
 ENDED_S = 600.0  # s, for which a process that a session ended is remembered. Source: chosen
-_STALE_S = 3.0  # s; a camera without frames for longer is not healthy. Source: chosen
 
 
 class Session:
@@ -69,7 +67,7 @@ class Session:
         self.log = SessionLog(name)
         self.past = Past(settings.history_s, settings.history_rate_hz, settings.history_image_hz)
         self.progress = Progress()
-        self.watchers = Watchers()
+        self.watchers = Watchers(self._show_last)
         self.finished = False
         self.reason: str | None = None
         self.used_s = time.monotonic()
@@ -191,6 +189,9 @@ class Session:
                 "most_lines": self.settings.measurement_lines,
             }
         now_s = time.monotonic()
+        if waiting.shows_last:
+            return about | {"kind": "show", "extras": self.watchers.missed_extras(now_s)}
+        self._queue.shows_last = None
         history_px = self.settings.history_image_px if self.past.wants_image(now_s) else 0
         return about | {
             "kind": "frame",
@@ -208,6 +209,11 @@ class Session:
     def _arrived(self, waiting: SessionInput) -> None:
         self.used_s = waiting.received_s
         self._arrivals.add(waiting.received_s, waiting.received_unix_s)
+
+    def _show_last(self) -> None:
+        """Ask the worker for the last frame once more: watchers missed it."""
+        self._queue.shows_last = SessionInput((), 0.0, 0.0, 0.0, lambda _: None, shows_last=True)
+        self._wake()
 
     def _wake(self) -> None:
         if self.worker is not None:
@@ -231,6 +237,7 @@ class Session:
         self.keep()
         waiting.answer(Answer(200, state))
         self.past.add(now_s, header["frame"], state)
+        self.watchers.tracked()
 
     def measured(self, waiting: SessionInput, header: Header, answer: bytes) -> None:
         """The answer to sensor lines."""
@@ -256,7 +263,10 @@ class Session:
 
     def refused(self, waiting: SessionInput, error: str, internal: bool = False) -> None:
         """The worker could not use a frame or sensor lines."""
+        if waiting.shows_last:  # the worker has logged why
+            return
         if waiting.sensor is None:
+            self.watchers.wait()
             self._last_fault = error
             self._metrics.refused.inc()
             self._refused_since_s = self._refused_since_s or time.monotonic()
@@ -285,6 +295,7 @@ class Session:
             self.request_now = self.request.model_copy(update={"prior": self.progress.prior})
         self._others.forget("its filter ended with the worker process; a new one starts")
         self.frame_base = self.progress.frames
+        self._queue.shows_last = None
         self.watchers.restart()
 
     def checkpoint(self) -> Checkpoint:
@@ -339,8 +350,8 @@ class Session:
     def blind_reason(self) -> str | None:
         """Why all frames of the last seconds were refused; None if they were not."""
         since_s, now_s = self._refused_since_s, time.monotonic()
-        sent = self._arrivals.times_s and now_s - self._arrivals.times_s[-1] < _STALE_S
-        if since_s is None or now_s - since_s < _STALE_S or not sent:
+        sent = self._arrivals.times_s and now_s - self._arrivals.times_s[-1] < STALE_S
+        if since_s is None or now_s - since_s < STALE_S or not sent:
             return None
         return f"session {self.id}: every frame is refused for {now_s - since_s:.0f} s: " + (
             self._last_fault or "unknown"
@@ -349,26 +360,10 @@ class Session:
     def sensors(self) -> list[SensorHealth]:
         """Health of the camera and of the other sensors."""
         now_s = time.monotonic()
-        reason = self._last_fault
-        if self.finished:
-            reason = self.reason or "the source has ended"
-        elif not self._arrivals.times_s:
-            reason = self._last_fault or "no frame yet"
-        elif now_s - self._arrivals.times_s[-1] > _STALE_S:
-            reason = f"no frame for {now_s - self._arrivals.times_s[-1]:.0f} s"
-            reason += f": {self._last_fault}" if self._last_fault else ""
-        camera = SensorHealth(
-            name=CAMERA,
-            kind="camera",
-            healthy=reason is None,
-            reason=reason,
-            frames=self.progress.frames,
-            drops=self._drops,
-            rate_hz=self._arrivals.rate_hz(now_s),
-            last_unix_s=self._arrivals.last_unix_s,
-            trust=self._others.trust_of(CAMERA),
-        )
-        return [camera, *self._others.health(now_s)]
+        ended = (self.reason or "the source has ended") if self.finished else None
+        reason = self._arrivals.silence(now_s, self._last_fault) if ended is None else ended
+        counts = self.progress.frames, self._drops
+        return self._others.health(now_s, self._arrivals, reason, *counts)
 
     def info(self) -> SessionInfo:
         """The session as a message."""

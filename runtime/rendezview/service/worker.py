@@ -59,6 +59,7 @@ class _WorkerSession:
     tracker: SessionTracker
     log: LogWriter | None
     sight: Sight
+    last: tuple[GreyImage, StateDict, AppearanceObservation] | None = None  # frame and answer
 
 
 class WorkerProcess:
@@ -88,6 +89,8 @@ class WorkerProcess:
         try:
             if request["kind"] == "frame":
                 self._frame(request)
+            elif request["kind"] == "show":
+                self._extras(request["extras"], self._sessions[request["session"]])
             elif request["kind"] == "measure":
                 self._measure(request)
             elif request["kind"] == "open":
@@ -185,8 +188,9 @@ class WorkerProcess:
             answer["recording"] = _recording(session.log)
             answer["log_path"] = str(session.log.path)
         self._send(answer, text)
+        session.last = image, state, observation
         if more:
-            self._extras(more, tracker, image, state, observation)
+            self._extras(more, session)
 
     def _measure(self, request: Header) -> None:
         """Lines of another sensor: all are checked, then each is taken; then they are logged."""
@@ -237,15 +241,10 @@ class WorkerProcess:
             answer["log_path"] = str(session.log.path)
         self._send(answer, to_json(answer_body, inf_nan_mode="null"))
 
-    def _extras(
-        self,
-        more: Header,
-        tracker: SessionTracker,
-        image: GreyImage,
-        state: StateDict,
-        observation: AppearanceObservation,
-    ) -> None:
-        """What watchers asked for. The sender of the frame already has its answer."""
+    def _extras(self, more: Header, session: _WorkerSession) -> None:
+        """What watchers asked for of the last frame. Its sender already has its answer."""
+        assert session.last is not None
+        tracker, (image, state, observation) = session.tracker, session.last
         contour: Contour | None = None
         pose, predicted = shown_pose(state)
         if more["contour"] and pose is not None:

@@ -234,7 +234,7 @@ class WorkerHandle(asyncio.Protocol, Generic[ClientT]):
         elif kind == "progress":
             self.on_progress(header["loops"])
         elif kind in ("opened", "closed") or (
-            kind == "fault" and header["of"] not in ("frame", "measure")
+            kind == "fault" and header["of"] not in ("frame", "measure", "show")
         ):
             self._answered(header)
         elif self._current is not None:
