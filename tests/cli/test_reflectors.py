@@ -69,6 +69,21 @@ def test_a_run_becomes_readings_pictures_and_a_calibration(run, reflector_run, t
     assert cv2.imread(str(tmp_path / "o" / "000005.png")).shape == (768, 1024, 3)
 
 
+def test_a_group_that_is_not_there_gives_no_pose_of_the_one_that_is(run, reflector_run, tmp_path):
+    """The groups have one shape: only the size of the dots tells them apart."""
+    lit, dark = reflector_run / "lit", reflector_run / "dark"
+    log = tmp_path / "r.jsonl"
+    ran = run("reflectors", lit, dark, "--target", CLIENT, "--group", "near", "-o", log)
+    assert ran.code == 0, ran
+    records = [json.loads(line) for line in log.read_text().splitlines()]
+    assert {record["status"] for record in records} == {"ambiguous"}
+    assert "the group 'far', which is left out" in records[0]["reason"]
+    ran = run("reflectors", lit, dark, "--target", CLIENT, "--group", "far", "-o", log)
+    assert "15 poses in 16 readings" in ran.err
+    records = [json.loads(line) for line in log.read_text().splitlines()]
+    assert all(record["note"] is None for record in records if record["pose"])
+
+
 def test_lit_and_dark_in_turn_are_pairs(run, reflector_run, tmp_path):
     ran = run("reflectors", reflector_run / "turns", "--target", CLIENT)
     assert ran.code == 0

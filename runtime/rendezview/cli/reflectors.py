@@ -35,7 +35,7 @@ from rendezview.sensors.reflectors.difference import (
 from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.overlay import draw_reading
 from rendezview.sensors.reflectors.paper_forms import PaperForms
-from rendezview.sensors.reflectors.pattern import ReflectorPattern, patterns_of
+from rendezview.sensors.reflectors.pattern import ReflectorPattern, left_out_of, patterns_of
 from rendezview.sensors.reflectors.run import (
     FramePair,
     Mode,
@@ -151,14 +151,19 @@ def reflectors(
             else "reflectors: name a target file (or --target) and the pictures"
         )
     check_place(output, "the readings")
-    patterns = patterns_of(find_target(target), tuple(group) if group else None)
+    known = find_target(target)
+    patterns = patterns_of(known, tuple(group) if group else None)
     forms = PaperForms(
         ClosedFormCalibration.load(calibration) if calibration else None, triangulation
     )
     options = ThresholdOptions(
         lower_grey=threshold, upper_grey=upper, opening=opening, centroid=centroid
     )
-    acquisition = AcquisitionOptions(blur_px=blur, paper_hourglass=hourglass is Glass.PAPER)
+    acquisition = AcquisitionOptions(
+        left_out=left_out_of(known, patterns),
+        blur_px=blur,
+        paper_hourglass=hourglass is Glass.PAPER,
+    )
     pushes = Accelerations.load(accelerations) if accelerations else None
     if overlay:
         make_folder(overlay)

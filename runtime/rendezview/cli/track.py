@@ -161,6 +161,7 @@ def track(
 def _check_places(output: Path, log: Path | None, *others: Path | None) -> None:
     """Refuse at once what would fail, or do harm, only when all frames are computed."""
     check_place(output, "the results")
+    check_place(log, "the log")
     places = [path.resolve() for path in (output, log, *others) if path is not None]
     if len(set(places)) < len(places):
         raise RendezviewError(

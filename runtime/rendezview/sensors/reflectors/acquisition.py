@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from dataclasses import dataclass, replace
@@ -67,6 +68,11 @@ class Acquirer:
         self.constellation = merged(patterns)
         self._triangles = self._ready()
         self._chooser = Chooser(camera, patterns, self.constellation, self.options)
+        without = replace(self.options, left_out=())
+        self._left_out = []
+        for pattern in self.options.left_out:
+            with contextlib.suppress(RendezviewError):  # no pose by the printed hourglass
+                self._left_out.append(Acquirer(camera, [pattern], without))
         self._triplets = np.empty((_MOST_TRIPLETS, 3), np.int64)  # scratch
         self._lock = threading.Lock()  # of the scratch
 
@@ -78,6 +84,26 @@ class Acquirer:
             prior: the last pose: the range must agree with it (re-acquisition), and of several
                 poses that look the same the one with its roll is taken.
         """
+        found = self._acquire(spots, prior)
+        if prior is not None or found.status not in (Status.OK, Status.NOT_FOUND):
+            return found
+        for other in self._left_out:
+            theirs = other.acquire(spots)
+            if theirs.refined is None or not (found.refined is None or found.shares(theirs)):
+                continue
+            if found.score > theirs.score + self.options.rival_margin:
+                return Acquisition(
+                    Status.AMBIGUOUS,
+                    f"the spots are those of the group {theirs.group!r}, which is left out: "
+                    "name it with --group, or leave --group out",
+                )
+            if found.score + self.options.rival_margin > theirs.score:
+                away_m = np.linalg.norm(theirs.refined.camera_from_target.translation_m)
+                fits = f"the group {theirs.group!r}, which is left out, fits these spots as well"
+                found = replace(found, note=f"{fits}, {away_m:.3g} m away")
+        return found
+
+    def _acquire(self, spots: SpotTable, prior: Pose | None) -> Acquisition:
         if spots.overfull:
             return Acquisition(
                 Status.CROWDED,

@@ -20,6 +20,9 @@ from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable
 class AcquisitionOptions:
     """Which triplets pass for the target. Tolerances are those of one spot, one σ."""
 
+    # Groups of the target that are said not to be there. Where the spots fit one of them better,
+    # there is no pose.
+    left_out: tuple[ReflectorPattern, ...] = ()
     # Yaw and pitch against the line of sight. Source: Book et al. 1992, fig. 2, has ±40° on the
     # boresight.
     tilt_rad: float = math.radians(45.0)
@@ -107,6 +110,14 @@ class Acquisition:
     roll_ambiguous: bool = (
         False  # a symmetry of the visible reflectors leaves the picture unchanged
     )
+
+    note: str | None = None  # what does not keep it from being a pose
+
+    def shares(self, other: Acquisition) -> bool:
+        """Whether both have the same spots."""
+        if self.spot_indices is None or other.spot_indices is None:
+            return False
+        return set(self.spot_indices.tolist()) == set(other.spot_indices.tolist())
 
     def is_near(self, pose: Pose, centre_m: Array) -> bool:
         """Whether it has a pose near another: a tenth of the range, half a radian."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 from dataclasses import dataclass
@@ -173,6 +174,16 @@ def patterns_of(target: Target, groups: tuple[str, ...] | None = None) -> list[R
         for g in (groups or known)
     ]
     return sorted(patterns, key=lambda pattern: -pattern.base_m)
+
+
+def left_out_of(target: Target, used: list[ReflectorPattern]) -> tuple[ReflectorPattern, ...]:
+    """The other groups of a target that give a pose."""
+    others = []
+    for name in dict.fromkeys(reflector.group for reflector in target.reflectors):
+        if name not in {pattern.name for pattern in used}:
+            with contextlib.suppress(RendezviewError):
+                others += patterns_of(target, (name,))
+    return tuple(others)
 
 
 @dataclass(frozen=True, slots=True)

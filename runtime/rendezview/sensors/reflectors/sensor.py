@@ -65,6 +65,7 @@ class ReflectorSensor:
         self._rates = RateEstimator(self.tracking.rates)
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
+        self._note: str | None = None  # of the acquisition
         self._last_s = -np.inf
         self._lock = threading.Lock()
         n = len(self.constellation)
@@ -90,7 +91,7 @@ class ReflectorSensor:
     def forget(self) -> None:
         """Begin anew: the next reading knows nothing of those before."""
         with self._lock:
-            self._track, self._unconfirmed, self._last_s = None, None, -np.inf
+            self._track, self._unconfirmed, self._note, self._last_s = None, None, None, -np.inf
             self._rates.clear()
             self._dots.clear()
             if self.patterns is not self._given[0]:
@@ -155,6 +156,7 @@ class ReflectorSensor:
                 found.status, found.reason, time_s=time_s, spots=spots,
                 reflectors=(None,) * len(spots), stage_ms=stage_ms,
             )  # fmt: skip
+        self._note = found.note if prior is None else self._note
         names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(found):
@@ -393,5 +395,6 @@ class ReflectorSensor:
         return ReflectorObservation(
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
             rates=rates, spots=spots, reflectors=names, group=whole.name,
-            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms, note=self._dots.note,
+            roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms,
+            note=self._dots.note or self._note,
         )  # fmt: skip
