@@ -146,6 +146,47 @@ def test_a_ring_and_spots_are_drawn(tmp_path: Path) -> None:
     assert len(found.values("/ring", "Arrows3D:origins")[0]) == 2
 
 
+def test_what_a_service_reads_is_drawn_and_disappears(tmp_path: Path) -> None:
+    bent = Camera(64, 48, 60.0, 60.0, 31.5, 23.5, distortion=(-0.3, 0.0, 0.0, 0.0, 0.0))
+    truth = poses(1)[0]
+    turn = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()
+    ellipse = {"centre_px": [50.0, 23.5], "semi_axes_px": [8.0, 4.0], "angle_rad": 0.0}
+    circle = {"centre_m": [0.0, 0.1, 5.0], "axis": [0.0, 0.0, -1.0], "chosen": True}
+    state = {
+        "status": "ok",
+        "pose": truth.as_dict(),
+        "fused": {"pose": truth.as_dict()},
+        "ring": {"status": "ok", "ellipse": ellipse, "poses": [circle], "candidates": []},
+        "reflectors": {"spots": [{"x_px": 3.0, "y_px": 4.0, "reflector": "left"}]},
+        "trajectory": {
+            "centre_m": [0.0, 0.0, 1.0],
+            "path_from_target": turn.tolist(),
+            "segment": {"path_m": [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]], "predicted_m": [[3.0, 0, 0]]},
+        },
+    }
+    later = {"status": "lost", "reason": "dark", "pose": None, "fused": None, "ring": None}
+    run = [Moment(0, 0.0, state, bent), Moment(1, 1.0, later, bent)]
+    write_rerun(tmp_path / "run.rrd", run)
+    found = Recording(tmp_path / "run.rrd")
+    axes = found.values("/fused", "Arrows3D:vectors")[0]
+    np.testing.assert_allclose(np.transpose(axes), truth.rotation, atol=1e-6)
+    strips = found.values("/target/path", "LineStrips3D:strips")
+    # Places are about the centre, in the axes of the path.
+    expected = turn.T @ [1.0, 0.0, 0.0] + np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(strips[0][0][0], expected, atol=1e-6)
+    drawn = np.array(found.values("/camera/image/ring", "LineStrips2D:strips")[0][0])
+    assert drawn[:, 0].max() < 57.0  # 58 without the lens, which pulls inwards
+    assert found.values("/camera/image/reflectors", "Points2D:positions")[0] == [[3.0, 4.0]]
+    for entity in ("/fused", "/ring", "/target/path", "/camera/image/ring"):
+        assert 1 in found.values(entity, "Clear:is_recursive"), entity
+
+
+def test_a_fused_pose_that_is_none_is_refused(tmp_path: Path) -> None:
+    record = {"status": "ok", "pose": None, "fused": {"pose": {"quat_wxyz": [1.0]}}}
+    with pytest.raises(RendezviewError, match="fused: pose:"):
+        write_rerun(tmp_path / "run.rrd", [Moment(0, 0.0, record)])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -18,6 +18,8 @@ from rendezview.errors import RendezviewError
 from rendezview.service import viewers
 from rendezview.service.settings import Settings
 
+_FUSED = {"fusion": True}  # the filter runs from the first frame on
+
 
 def _free_port() -> int:
     with socket.socket() as free:
@@ -40,14 +42,14 @@ def test_foxglove_receives_poses_pictures_and_states(served, camera, tour) -> No
     served, port, _ = served
     with (
         served.client() as client,
-        client.open(camera, name="live", prior=tour[0][1]) as session,
+        client.open(camera, name="live", prior=tour[0][1], sensors=_FUSED) as session,
         connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"]) as viewer,
     ):
         topics: dict[int, str] = {}
         seen: dict[str, bytes] = {}
         until_s = time.monotonic() + 120.0
         wanted = {"/live/state", "/live/target/pose", "/live/tf", "/live/camera/image",
-                  "/live/camera/contour"}  # fmt: skip
+                  "/live/camera/contour", "/live/target/fused"}  # fmt: skip
         k = 0
         while set(seen) < wanted:
             assert time.monotonic() < until_s, (topics, list(seen))
@@ -76,9 +78,14 @@ def test_foxglove_receives_poses_pictures_and_states(served, camera, tour) -> No
 
 def test_rerun_receives_a_stream(served, camera, tour) -> None:
     served, _, port = served
-    with served.client() as client, client.open(camera, name="live", prior=tour[0][1]) as session:
+    with (
+        served.client() as client,
+        client.open(camera, name="live", prior=tour[0][1], sensors=_FUSED) as session,
+    ):
         for time_s, _, image in tour[:4]:
-            assert session.track(image, time_s)["pose"] is not None
+            state = session.track(image, time_s)
+            assert state["pose"] is not None
+        assert state["fused"]["pose"] is not None  # is drawn too
         with socket.create_connection(("127.0.0.1", port), 5.0) as peer:  # it speaks HTTP/2
             peer.sendall(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes([0, 0, 0, 4, 0, 0, 0, 0, 0]))
             assert peer.recv(9)[3] == 4  # a SETTINGS frame

@@ -8,6 +8,7 @@ The root of the scene is the camera frame (x right, y down, z forward), as every
 | ``/target`` | transform camera_from_target, absent where there is no pose; ``points``, ``axes`` |
 | ``/truth`` | the same of the truth, where the scene has it |
 | ``/ring`` | both axes of a docking ring |
+| ``/fused``, ``/target/path``, … | what a service's own sensors and filter say |
 | ``/status`` | status and reason, where they change |
 | ``/plots/…`` | every number of the log, errors against the truth, σ of the pose |
 """
@@ -31,6 +32,7 @@ from rendezview.interchange.runs import Moment, pose_of
 from rendezview.io.files import check_place, write_error
 from rendezview.sensors.appearance import ViewModel
 from rendezview.service.model_geometry import geometry
+from rendezview.service.rerun_readings import ReadingsRecorder, ellipse_points
 from rendezview.service.tracking import contour_at
 
 _ORANGE, _BLUE, _GREEN = (255, 140, 0), (90, 160, 255), (80, 220, 120)
@@ -85,6 +87,8 @@ class _Recorder:
         self._camera: Camera | None = None
         self._status: str | None = None
         self._drawn: set[str] = set()  # entities drawn over the picture
+        size_m = 1.0 if model is None else 0.5 * model.target_radius_m
+        self._readings = ReadingsRecorder(rr, stream.log, "", size_m)
 
     def write(self, run: Iterable[Moment]) -> int:
         rr, log = self._rr, self._stream.log
@@ -132,6 +136,7 @@ class _Recorder:
             log("plots/error/rotation_deg", rr.Scalars(math.degrees(pose.angle_to(moment.truth))))
             log("plots/error/translation_m", rr.Scalars(float(off_m)))
         self._ring(record)
+        self._readings.show(record, moment.camera)
         line = f"{record.get('status')}: {record['reason']}" if record.get("reason") else "ok"
         if line != self._status:
             self._status = line
@@ -158,7 +163,7 @@ class _Recorder:
         spots = [(s["x_px"], s["y_px"]) for s in moment.record.get("spots") or () if "x_px" in s]
         if spots:
             drawn["spots"] = rr.Points2D(spots, colors=_GREEN, radii=4.0)
-        ellipses = [_ellipse(e) for e in moment.record.get("ellipses") or ()]
+        ellipses = [ellipse_points(e) for e in moment.record.get("ellipses") or ()]
         if ellipses:
             drawn["ellipses"] = rr.LineStrips2D(ellipses, colors=_GREEN)
         for name in self._drawn - drawn.keys():
@@ -222,15 +227,6 @@ def _sigmas(record: dict[str, Any]) -> Iterator[tuple[str, float]]:
     diagonal = np.diag(np.asarray(covariance, dtype=np.float64))
     yield "rotation_deg", math.degrees(math.sqrt(max(diagonal[:3].sum(), 0.0)))
     yield "translation_m", math.sqrt(max(diagonal[3:6].sum(), 0.0))
-
-
-def _ellipse(ellipse: dict[str, Any]) -> Any:
-    """Points (65, 2) px along an ellipse."""
-    turns = np.linspace(0.0, 2.0 * np.pi, 65)
-    a, b = ellipse["semi_axes_px"]
-    c, s = math.cos(ellipse["angle_rad"]), math.sin(ellipse["angle_rad"])
-    own = np.stack([a * np.cos(turns), b * np.sin(turns)], axis=1)
-    return own @ np.array([[c, s], [-s, c]]) + np.asarray(ellipse["centre_px"])
 
 
 def _blueprint() -> Any:

@@ -21,14 +21,17 @@ from typing import Any, Protocol
 
 from rendezview.errors import RendezviewError
 from rendezview.service.messages import SessionInfo
+from rendezview.service.rerun_readings import ReadingsRecorder
 from rendezview.service.sessions import Session
 from rendezview.service.settings import Settings
+from rendezview.service.tracking import camera_of
 from rendezview.service.watching import Watcher
 
 log = logging.getLogger("rendezview.service")
 
 _SERVER_START_S = 30.0  # s; a program that is read from the disk. Source: a chosen limit
 _RATE_HZ, _WIDTH_PX = 15.0, 640  # of what is sent. Source: chosen
+_AXES_M = 1.0  # of the fused pose. Source: chosen
 _CONTOUR_RGBA = (0.35, 0.88, 1.0, 1.0)  # as on the page. Source: chosen
 _NUMBERS = ("confidence", "score", "range_m", "track_ms", "latency_ms")
 
@@ -152,6 +155,12 @@ class FoxgloveViewer:
                 rotation=_foxglove_turn(parts, state["pose"]),
             )
             self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
+        fused = (state.get("fused") or {}).get("pose")
+        if fused is not None:
+            told = parts.PoseInFrame(
+                timestamp=stamp, frame_id=frame, pose=_foxglove_pose(parts, fused)
+            )
+            self._channel(f"{at}/target/fused", kinds.PoseInFrameChannel).log(told)
         if picture:
             image = parts.CompressedImage(
                 timestamp=stamp, frame_id=frame, data=picture, format="jpeg"
@@ -246,7 +255,7 @@ class RerunViewer:
         _await_listener(server, at.strip("[]"), port)
         self._stream.connect_grpc(self.address)
         self._open.callback(self._stream.disconnect)
-        self._begun: set[str] = set()
+        self._begun: dict[str, ReadingsRecorder] = {}
 
     def show(self, info: SessionInfo, message: Json, picture: bytes) -> None:
         """A `WatchState` and its JPEG, or nothing."""
@@ -255,7 +264,7 @@ class RerunViewer:
         self._stream.set_time("frame", sequence=state["frame"])
         self._stream.set_time("time", timestamp=state["received_unix_s"])
         if at not in self._begun:
-            self._begun.add(at)
+            self._begun[at] = ReadingsRecorder(rr, record, f"{at}/", _AXES_M)
             record(at, rr.ViewCoordinates.RDF, static=True)
             camera = info.camera
             scale = min(1.0, _WIDTH_PX / camera.width)
@@ -272,10 +281,11 @@ class RerunViewer:
             turn = rr.Quaternion(xyzw=[x, y, z, w])
             transform = rr.Transform3D(translation=pose["translation_m"], quaternion=turn)
         record(f"{at}/target", transform)
+        scale = min(1.0, _WIDTH_PX / info.camera.width)
+        self._begun[at].show(state, camera_of(info.camera), scale)
         if picture:
             image = rr.EncodedImage(contents=picture, media_type="image/jpeg")
             record(f"{at}/camera/image", image)
-            scale = min(1.0, _WIDTH_PX / info.camera.width)
             contour = message["contour"] or {"points_px": []}
             points = [(scale * u, scale * v) for u, v in contour["points_px"]]
             record(f"{at}/camera/image/contour", rr.Points2D(points, radii=1.0))
