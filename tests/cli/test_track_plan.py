@@ -13,6 +13,7 @@ from rendezview.evaluation.show_command import show
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.results import JsonLinesWriter
 from rendezview.sensors.appearance import AppearanceObservation
+from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import PathFollower, Shape, load_plan
@@ -34,7 +35,10 @@ def observation(time_s: float) -> AppearanceObservation:
     pose = looking_at(place, np.zeros(3), [0.0, 0.0, 1.0])
     nodes = place + np.array([[1.0, 0.5, 2.0], [-1.0, -0.5, -2.0]])
     return AppearanceObservation(
-        Status.OK, pose=pose, covariance=COVARIANCE, weights=np.ones(2), points_m=nodes
+        Status.OK,
+        pose=pose,
+        covariance=COVARIANCE,
+        outline=OutlineReading(weights=np.ones(2), points_m=nodes),
     )
 
 

@@ -36,6 +36,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
+from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.simulation import (
     SceneOptions,
@@ -126,7 +127,7 @@ def test_an_overlay_shows_the_frame_with_its_outline(run: Run) -> None:
     image = frame.read()
     corner = picture[402:480:4, 2:80:4, 0].astype(int) - image[100:, :20]
     assert np.abs(corner).max() <= 2
-    plain = replace(observation, silhouette=None)
+    plain = replace(observation, outline=OutlineReading())
     without = drawn(frame_overlay(image, plain, frame.camera, run.model))
     assert has_colour(picture, ON_NODE_RGB)
     assert not has_colour(without, ON_NODE_RGB)

@@ -28,6 +28,7 @@ from rendezview.sensors.appearance.integrity_model import (
     IntegrityModel,
     frame_features,
 )
+from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Levels, Protection
 
@@ -258,7 +259,11 @@ def test_evidence_is_that_of_the_observation_and_its_prediction():
     other = Refined(rival, np.eye(6), 0.5, 0.4, 1.0, 0.6, 0.7)
     found = Found(best, 0.05, 0.2, True, True, other, single=True)
     seen = AppearanceObservation(
-        Status.OK, pose=pose, covariance=np.eye(6), found=found, weights=np.array([1.0, 0.5])
+        Status.OK,
+        pose=pose,
+        covariance=np.eye(6),
+        found=found,
+        outline=OutlineReading(weights=np.array([1.0, 0.5])),
     )
     made = Evidence.of(seen, 2.0, predicted, centre_m)
     assert made is not None

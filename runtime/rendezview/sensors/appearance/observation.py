@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
@@ -14,6 +13,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.target import DockingRing
 from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.joint_angles import JointAngles
+from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
 from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import Silhouette
 from rendezview.sensors.measurement import Measurement
@@ -30,18 +30,41 @@ class AppearanceObservation(Observation):
     """A pose by appearance, with the active nodes; or the reason for none."""
 
     _: KW_ONLY
-    active_nodes: npt.NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
-    weights: Array = field(default_factory=lambda: np.zeros(0))  # (K,) trust in each active node
-    # (K, 3) m, target frame: where each active node puts the camera; none without a pose
-    points_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    # Where views between the nodes put the camera (J, 3), and weights (J,). It takes a
-    # millisecond, so it is computed when the cloud is asked for.
-    interpolated: Callable[[], tuple[Array, Array]] | None = None
-    silhouette: Silhouette | None = None
-    signature: Signature | None = None
+    # Where edges gave the pose, the outline is read when one of its results is first asked for.
+    outline: OutlineReading | LateReading = field(default_factory=OutlineReading)
     found: Found | None = None  # the best refined pose and its rival, given or not
     joints: JointAngles | None = None  # of a target with joints, with its pose
     protection: Protection | None = None  # of the pose, where the tracker watches its integrity
+
+    @property
+    def reading(self) -> OutlineReading:
+        """What was read in the outline; in a thread of the asking, if it has not been yet."""
+        return self.outline() if isinstance(self.outline, LateReading) else self.outline
+
+    @property
+    def silhouette(self) -> Silhouette | None:
+        """Outlines of the target; None where none was found, or edges alone were looked at."""
+        return self.reading.silhouette
+
+    @property
+    def signature(self) -> Signature | None:
+        """Radial signature of the silhouette, if there is one."""
+        return self.reading.signature
+
+    @property
+    def active_nodes(self) -> npt.NDArray[np.intp]:
+        """(K,) nodes that recognise the view, ascending."""
+        return self.reading.active_nodes
+
+    @property
+    def weights(self) -> Array:
+        """(K,) trust in each active node."""
+        return self.reading.weights
+
+    @property
+    def points_m(self) -> Array:
+        """(K, 3) m, target frame: where each active node puts the camera; none without a pose."""
+        return self.reading.points_m
 
     @property
     def cloud(self) -> tuple[Array, Array]:
@@ -50,9 +73,10 @@ class AppearanceObservation(Observation):
         They are interpolated between the nodes where the model allows it, else those of the
         active nodes. There are none without a pose.
         """
-        if self.interpolated is not None and len(self.points_m):
-            return self.interpolated()
-        return self.points_m, self.weights[: len(self.points_m)]
+        reading = self.reading
+        if reading.interpolated is not None and len(reading.points_m):
+            return reading.interpolated()
+        return reading.points_m, reading.weights[: len(reading.points_m)]
 
     @property
     def candidates(self) -> tuple[Pose, ...]:
@@ -78,6 +102,7 @@ class AppearanceObservation(Observation):
 
     def record(self) -> dict[str, Any]:
         """The observation as its line of JSON."""
+        reading = self.reading  # its stages are counted too
         line = Observation.record(self)
         stage_ms = line.pop("stage_ms")  # the last key of the line
         return line | {
@@ -86,9 +111,9 @@ class AppearanceObservation(Observation):
             "candidates": list(self.candidates),
             "refinement": self._refinement(),
             **({} if self.protection is None else {"protection": self.protection.record()}),
-            "on_nodes": self.active_nodes,
-            "weights": self.weights,
-            "points_m": self.points_m,
+            "on_nodes": reading.active_nodes,
+            "weights": reading.weights,
+            "points_m": reading.points_m,
             **({} if self.joints is None else {"joints": self.joints.record()}),
             "stage_ms": stage_ms,
         }

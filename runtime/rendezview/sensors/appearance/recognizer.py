@@ -88,8 +88,8 @@ class Recognizer:
             silhouette: what counts as the target.
             match: how the trees are evaluated.
             refine: move poses onto the edges of the frame, if the model has contour points.
-            trees: find the active nodes even where refinement from the prior is confident;
-                without them such frames take half the time.
+            trees: find the active nodes, when they are asked for, even where refinement from the
+                prior is confident.
             sketch: where the grey edges give no confident pose, search on a sketch that a network
                 draws of the frame, if the model has sketches of its views.
             least_confidence: a refined pose of less confidence is not given.
@@ -252,7 +252,7 @@ class Recognizer:
         clock, search = StageClock(), self.search
         if search is None:
             traced = self.outline.trace(frame, prior, clock, bright_sky=False)
-            return self.outline.recognize(traced, prior, prior_error_rad, None, clock, alone=True)
+            return self.outline.recognize(traced, prior, prior_error_rad, clock, alone=True)
         sky = Sky.of(frame, sun_camera)
         error_rad = prior_error_rad or self.prior_error_rad
         found = None
@@ -264,23 +264,28 @@ class Recognizer:
         if prior is not None:
             found = search.at(frame, sky, prior, error_rad, enough_inliers)
             clock.lap("refine")
-            if found is not None and not self.trees:
-                return self._given(AppearanceObservation(Status.OK, stage_ms=clock.stage_ms), found)
+            if found is not None and self._confident(found):
+                seen = AppearanceObservation(Status.OK, stage_ms=clock.stage_ms)
+                if self.trees:
+                    pose, bright = found.best.pose, not sky.dark
+                    seen = self.outline.seen_from(frame, pose, clock, bright_sky=bright)
+                return self._given(seen, found)
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
         if prior is None and traced.outlines:
             hopeless = 0.0 if self.sketch is None else _HOPELESS
             found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, give_up=hopeless)
             clock.lap("refine")
-        confident = found.best.pose if found is not None and self._confident(found) else None
-        seen = self.outline.recognize(traced, prior, prior_error_rad, confident, clock)
+            if found is not None and self._confident(found):
+                return self._given(self.outline.seen(traced, found.best.pose, clock), found)
+        seen = self.outline.recognize(traced, prior, prior_error_rad, clock)
         if found is None and prior is not None and self.overflows(prior):
             return _refused(seen, None)
         if found is None and prior is not None:
             also = [] if seen.pose is None else [seen.pose]
             found = search.near(frame, sky, prior, error_rad, traced.outlines, also)
             clock.lap("refine")
-        if found is not None and self._confident(found):
-            return self._given(seen, found)
+            if found is not None and self._confident(found):
+                return self._given(seen, found)
         if self.sketch is not None:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
@@ -289,16 +294,15 @@ class Recognizer:
                 proposed = search.proposed(frame, sky, _answers(sketched, found), traced.outlines)
                 clock.lap("refine")
                 if proposed is not None and self._confident(proposed):
-                    pose = proposed.best.pose
-                    seen = self.outline.recognize(traced, None, None, pose, clock)
+                    seen = self.outline.seen(traced, proposed.best.pose, clock)
                     return self._given(seen, proposed)
             if sketched is not None and self._confident(sketched):
                 pose = sketched.best.pose
                 # Grey edges are the finer ones, where they are seen.
                 closer = search.at(frame, sky, pose, _NEAR_RAD)
                 clock.lap("refine")
-                seen = self.outline.recognize(traced, prior, prior_error_rad, pose, clock)
-                return self._given(seen, sketched if closer is None else closer)
+                found = sketched if closer is None else closer
+                return self._given(self.outline.seen(traced, pose, clock), found)
             if (
                 prior is None
                 and traced.outlines
@@ -307,8 +311,7 @@ class Recognizer:
                 found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera)
                 clock.lap("refine")
                 if found is not None and self._confident(found):
-                    seen = self.outline.recognize(traced, None, None, found.best.pose, clock)
-                    return self._given(seen, found)
+                    return self._given(self.outline.seen(traced, found.best.pose, clock), found)
             if sketched is not None and (found is None or sketched.confidence > found.confidence):
                 found = sketched
         return _refused(seen, found)
@@ -391,6 +394,6 @@ def _refused(seen: AppearanceObservation, found: Found | None) -> AppearanceObse
         covariance=None,
         confidence=None if found is None else found.confidence,
         joints=None,
-        points_m=np.zeros((0, 3)),
+        outline=replace(seen.reading, points_m=np.zeros((0, 3))),
         found=found,
     )

@@ -8,6 +8,7 @@ whose first channels are the pixels of squares of 4 × 4.
 from __future__ import annotations
 
 import math
+import threading
 from pathlib import Path
 
 import cv2
@@ -31,11 +32,10 @@ class Foreground:
 
     def __init__(self) -> None:
         self._network: cv2.dnn.Net | None = None
+        self._lock = threading.Lock()
 
     def log_odds(self, image: Picture) -> Float32s:
         """(H, W) of each pixel of an 8-bit frame: log of target to sky."""
-        if self._network is None:
-            self._network = cv2.dnn.readNetFromONNX(str(NETWORK))
         height, width = image.shape
         scale = math.sqrt(AREA_PX / (height * width))
         rows, columns = max(1, round(height * scale)), max(1, round(width * scale))
@@ -43,8 +43,13 @@ class Foreground:
         below, right = -rows % _MULTIPLE_PX, -columns % _MULTIPLE_PX
         top, left = below // 2, right // 2
         small = np.pad(small, ((top, below - top), (left, right - left)), mode="edge")
-        self._network.setInput(to_squares(small.astype(np.float32) / np.float32(255.0))[None])
-        odds = from_squares(self._network.forward()[0])[top : top + rows, left : left + columns]
+        squares = to_squares(small.astype(np.float32) / np.float32(255.0))[None]
+        with self._lock:
+            if self._network is None:
+                self._network = cv2.dnn.readNetFromONNX(str(NETWORK))
+            self._network.setInput(squares)
+            channels = self._network.forward()[0].copy()
+        odds = from_squares(channels)[top : top + rows, left : left + columns]
         return np.asarray(
             cv2.resize(np.ascontiguousarray(odds), (width, height), interpolation=cv2.INTER_LINEAR),
             dtype=np.float32,

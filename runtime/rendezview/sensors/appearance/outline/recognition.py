@@ -6,9 +6,9 @@ first two steps, `OutlineRecognition.recognize` the others.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -18,11 +18,14 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation, StageClock
 from rendezview.sensors.appearance.outline.bright_sky import find_bodies
+from rendezview.sensors.appearance.outline.cut_out import CutOut
 from rendezview.sensors.appearance.outline.foreground import Foreground
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.placement import node_points, place
+from rendezview.sensors.appearance.outline.reading import LateReading, OutlineReading
 from rendezview.sensors.appearance.outline.signature import Outlines, Signature
 from rendezview.sensors.appearance.outline.silhouette import (
+    Cleaning,
     Missing,
     Silhouette,
     SilhouetteOptions,
@@ -86,6 +89,44 @@ class OutlineRecognition:
             found = find_silhouette(frame, self.silhouette_options, expected_px)
             bodies = found if isinstance(found, Missing) else [found]
         clock.lap("silhouette")
+        return self._traced(bodies, clock)
+
+    def seen(self, traced: Traced, pose: Pose, clock: StageClock) -> AppearanceObservation:
+        """An outline in which the trees look at a pose when asked; see `read`."""
+        return _late(lambda own: self.read(traced, pose, own), clock)
+
+    def seen_from(
+        self, frame: Picture, pose: Pose, clock: StageClock, *, bright_sky: bool
+    ) -> AppearanceObservation:
+        """The same, also traced when asked: about the pose, unless the sky is bright."""
+        if bright_sky:
+            return _late(
+                lambda own: self.read(self.trace(frame, pose, own, bright_sky=True), pose, own),
+                clock,
+            )
+        cut = self.cut_out(frame, pose)
+        clock.lap("silhouette")
+        return _late(lambda own: self.read(self.trace_in(cut, pose, own), pose, own), clock)
+
+    def cut_out(self, frame: Picture, pose: Pose) -> CutOut:
+        """The part of a frame in which a target at a pose is traced."""
+        options = self.silhouette_options
+        if options.background is not None or options.cleaning is not Cleaning.NONE:
+            return CutOut.whole(frame)  # they are in pixels of the frame
+        centre_m = pose.apply(self.model.centre_m)
+        return CutOut.about(frame, self.camera, centre_m, self.model.target_radius_m)
+
+    def trace_in(self, cut: CutOut, pose: Pose, clock: StageClock) -> Traced:
+        """The silhouette of the target in `cut_out` of a frame and a pose."""
+        options = self.silhouette_options
+        if cut.times > 1:
+            options = replace(options, averaged_px=1)
+        expected_px = cut.inside(self.camera.project(pose.apply(self.model.centre_m)))
+        found = find_silhouette(cut.picture, options, expected_px)
+        clock.lap("silhouette")
+        return self._traced(found if isinstance(found, Missing) else [cut.in_frame(found)], clock)
+
+    def _traced(self, bodies: list[Silhouette] | Missing, clock: StageClock) -> Traced:
         if isinstance(bodies, Missing):
             return Traced(None, [], bodies)
         outlines = []
@@ -98,12 +139,28 @@ class OutlineRecognition:
         clock.lap("signature")
         return Traced(bodies[0], outlines)
 
+    def read(self, traced: Traced, pose: Pose, clock: StageClock) -> OutlineReading:
+        """Active nodes about a pose that needs no search, camera_from_target.
+
+        They have points unless the outline is unlike the view that they agree on.
+        """
+        if not traced.outlines:
+            return OutlineReading(traced.silhouette)
+        signature = traced.outlines[0].signature
+        match = self.matcher.at(signature, pose)
+        reading = OutlineReading(traced.silhouette, signature)
+        if match is not None:
+            reading = replace(reading, active_nodes=match.active_nodes, weights=match.weights)
+            if self.matcher.refusal(match) is None:
+                reading = replace(reading, points_m=node_points(self.model, match, signature))
+        clock.lap("trees")
+        return reading
+
     def recognize(
         self,
         traced: Traced,
         prior: Pose | None,
         prior_error_rad: float | None,
-        confident: Pose | None,
         clock: StageClock,
         *,
         alone: bool = False,
@@ -114,84 +171,72 @@ class OutlineRecognition:
             traced: what `trace` has found.
             prior: camera_from_target; ``None``: all attitudes are searched.
             prior_error_rad: how far off the prior's attitude may be; ``None``: the default.
-            confident: a refined pose that needs no search; the trees are only evaluated there.
             clock: counts the stages ``trees`` and ``pose``.
             alone: no refinement follows, so a pose that the model's voters doubt is not given.
         """
+        stage_ms = clock.stage_ms
         if traced.missing is not None:
             missing = traced.missing
-            return AppearanceObservation(missing.status, missing.reason, stage_ms=clock.stage_ms)
-        partial_result = AppearanceObservation(
-            Status.OK, silhouette=traced.silhouette, stage_ms=clock.stage_ms
-        )
+            return AppearanceObservation(missing.status, missing.reason, stage_ms=stage_ms)
+
+        def seen(
+            status: Status, reason: str | None, outline: OutlineReading
+        ) -> AppearanceObservation:
+            return AppearanceObservation(status, reason, outline=outline, stage_ms=stage_ms)
+
+        reading = OutlineReading(traced.silhouette)
         if not traced.outlines:
-            return replace(
-                partial_result, status=Status.SMALL, reason="the silhouette encloses no area"
-            )
+            return seen(Status.SMALL, "the silhouette encloses no area", reading)
         signature = traced.outlines[0].signature
-        if confident is not None:
-            match = self.matcher.at(signature, confident)
-        else:
-            # A target off the boresight shows the side that its own line of sight meets.
-            centred = None if prior is None else signature.centred_from_camera @ prior.rotation
-            match = self.matcher.match(signature, centred, prior_error_rad)
+        reading = replace(reading, signature=signature)
+        # A target off the boresight shows the side that its own line of sight meets.
+        centred = None if prior is None else signature.centred_from_camera @ prior.rotation
+        match = self.matcher.match(signature, centred, prior_error_rad)
         clock.lap("trees")
-        if match is None and alone:
-            voted = self._by_votes(signature, prior, prior_error_rad)
-            if voted is not None:
-                return replace(partial_result, signature=signature, **voted)
+        refused = None
         if match is None:
             near = "" if prior is None else " near the prior attitude"
             reason = f"no node of the sphere recognises this view{near}"
-            return replace(
-                partial_result, status=Status.UNRECOGNIZED, reason=reason, signature=signature
-            )
-        partial_result = replace(
-            partial_result,
-            signature=signature,
-            active_nodes=match.active_nodes,
-            weights=match.weights,
-        )
-        refused = self.matcher.refusal(match)
-        pose, covariance = place(self.model, match, signature)
-        if refused is None and alone:
-            refused = self._doubt(signature, pose)
+            refused = Missing(Status.UNRECOGNIZED, reason)
+        else:
+            reading = replace(reading, active_nodes=match.active_nodes, weights=match.weights)
+            refused = self.matcher.refusal(match)
+            pose, covariance = place(self.model, match, signature)
+            if refused is None and alone:
+                refused = self._doubt(signature, pose)
         if refused is not None and alone:
-            voted = self._by_votes(signature, prior, prior_error_rad)
+            voted = self._by_votes(reading, prior, prior_error_rad)
             if voted is not None:
-                return replace(partial_result, **voted)
-        if refused is not None:
-            return replace(partial_result, status=refused.status, reason=refused.reason)
-        points_m = node_points(self.model, match, signature)
-        interpolated = None
-        if self._interpolator is not None and confident is None:  # a refined pose is better
+                return replace(voted, stage_ms=stage_ms)
+        if refused is not None or match is None:
+            assert refused is not None
+            return seen(refused.status, refused.reason, reading)
+        reading = replace(reading, points_m=node_points(self.model, match, signature))
+        if self._interpolator is not None:
             interpolated = partial(self._interpolator.points, match, signature, self._pixel_rad)
+            reading = replace(reading, interpolated=interpolated)
         clock.lap("pose")
-        return replace(
-            partial_result,
-            pose=pose,
-            covariance=covariance,
-            points_m=points_m,
-            interpolated=interpolated,
-        )
+        return replace(seen(Status.OK, None, reading), pose=pose, covariance=covariance)
 
     def _by_votes(
-        self, signature: Signature, prior: Pose | None, prior_error_rad: float | None
-    ) -> dict[str, Any] | None:
-        """What an observation has of the pose by votes; None without one."""
+        self, reading: OutlineReading, prior: Pose | None, prior_error_rad: float | None
+    ) -> AppearanceObservation | None:
+        """The pose by votes on the signature of a reading, with its nodes; None without one."""
+        signature, found = reading.signature, None
         error_rad = prior_error_rad or self.matcher.options.prior_error_rad
-        found = None
-        if self._voted is not None:
+        if self._voted is not None and signature is not None:
             found = self._voted.find(signature, prior, error_rad)
-        if found is None:
+        if found is None or signature is None:
             return None
         match = self.matcher.at(signature, found.pose)
-        nodes: dict[str, Any] = {}
         if match is not None:
             points_m = node_points(self.model, match, signature)
-            nodes = {"active_nodes": match.active_nodes, "weights": match.weights}
-            nodes |= {"points_m": points_m}
-        return nodes | {"pose": found.pose, "covariance": found.covariance}
+            reading = replace(
+                reading, active_nodes=match.active_nodes, weights=match.weights, points_m=points_m
+            )
+        return AppearanceObservation(
+            Status.OK, pose=found.pose, covariance=found.covariance, outline=reading
+        )
 
     def _doubt(self, signature: Signature, pose: Pose) -> Missing | None:
         """Why the voters doubt a pose; None where they do not, or the model has none."""
@@ -205,3 +250,9 @@ class OutlineRecognition:
             f"the outline is not surely that of the view found (log odds {votes:.1f}, at least "
             f"{_LEAST_VOTES:g} is needed): shadow may hide a part of the target",
         )
+
+
+def _late(read: Callable[[StageClock], OutlineReading], clock: StageClock) -> AppearanceObservation:
+    """An observation whose outline is read when asked for, with the time that this takes."""
+    reading = LateReading(lambda: read(StageClock(clock.stage_ms)))
+    return AppearanceObservation(Status.OK, outline=reading, stage_ms=clock.stage_ms)
