@@ -8,11 +8,12 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.mjpeg_stream import mjpeg_stream
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.io.camera_files import load_camera
+from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.sequences import open_sequence
 from rendezview.io.sequences.bop_writer import BopSceneWriter
 from rendezview.io.sequences.frame import Frame
@@ -149,6 +150,24 @@ def test_the_shape_of_a_target_is_calibrated_from_a_scene(
     run(*shape, "--length", "w=1/1").says("--length must be")
     run(*shape, "--length", "x=1/0").says("--length must be")
     run(*shape, "--poses", tmp_path / "none.csv").says("none.csv")
+
+
+def test_a_camera_that_goes_on_is_told_of_the_likely_option(run, tmp_path):
+    rng = np.random.default_rng(3)
+    rows, columns = np.mgrid[:480, :640]
+    grey = 200.0 + rng.normal(0.0, 1.5, (480, 640))
+    for x, y in ((200, 240), (330, 250), (400, 300)):
+        grey -= 160.0 * np.exp(-0.5 * ((columns - x) ** 2 + (rows - y) ** 2) / 9.0)
+    run("calibrate", "card", "-o", tmp_path / "card")
+    save_camera(CAMERA, tmp_path / "c.yaml")
+    with mjpeg_stream([grey.astype(np.uint8)], 40) as address:
+        watched = ("reflectors", tmp_path / "card", address, "--camera", tmp_path / "c.yaml")
+        ran = run(*watched, "--readings", 12)
+        few = run(*watched, "--readings", 2)
+        right = run(*watched, "--readings", 12, "--invert")
+    assert ran.err.count("did you mean --invert?") == 1, ran
+    assert few.err.count("did you mean --invert?") == 1, few
+    assert "did you mean" not in right.err
 
 
 @pytest.mark.parametrize("moved_px", [0.0, 12.0])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import itertools
-import threading
 from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import cv2
 import numpy as np
 import pytest
+from tests.mjpeg_stream import mjpeg_stream
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
@@ -19,34 +18,12 @@ from rendezview.io.sequences.live import live_frames, why_unreachable, without_p
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 
 
-class _Pictures(BaseHTTPRequestHandler):
-    """Eight pictures a connection, each brighter than the last; then the connection breaks."""
-
-    count = 0
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
-        self.end_headers()
-        for _ in range(8):
-            type(self).count += 1
-            grey = np.full((48, 64), 10 * type(self).count, np.uint8)
-            content = cv2.imencode(".jpg", grey)[1].tobytes()
-            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(content)}\r\n\r\n"
-            self.wfile.write(head.encode() + content + b"\r\n")
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
 @pytest.fixture
 def address() -> Iterator[str]:
-    _Pictures.count = 0
-    server = ThreadingHTTPServer(("127.0.0.1", 0), _Pictures)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://user:word@127.0.0.1:{server.server_port}/stream.mjpg"
-    server.shutdown()
-    server.server_close()
+    """Eight pictures a connection, each brighter than the last; then the connection breaks."""
+    pictures = [np.full((48, 64), 10 * k, np.uint8) for k in range(1, 26)]
+    with mjpeg_stream(pictures, 8) as address:
+        yield address
 
 
 def test_a_stream_that_breaks_off_is_opened_again_and_its_times_rise(address):

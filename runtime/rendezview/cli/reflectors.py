@@ -50,6 +50,9 @@ from rendezview.sensors.reflectors.triangulation import Iteration
 from rendezview.sensors.run import Line, run
 
 _CALIBRATE = "calibrate"
+_READINGS_TO_HINT = (
+    8  # without a pose, from the start. Source: by construction, two are a first find
+)
 
 
 class Glass(StrEnum):
@@ -183,7 +186,7 @@ def reflectors(
                   {"camera": s.camera, "chaser_from_target": s.chaser_from_target})
             for s in of_set
         )  # fmt: skip
-        _run(itertools.islice(steps, total), patterns, forms, overlay, output, total)
+        _run(itertools.islice(steps, total), patterns, forms, overlay, output, total, options)
         return
     pairs, total = _pairs(places, camera, mode, lit_from_dark, invert, rate, readings)
     if registered:
@@ -199,9 +202,32 @@ def reflectors(
         accelerations=pushes, independent=independent,
     )  # fmt: skip
     steps = (_Step(*step, {}) for step in read)
-    poses = _run(steps, patterns, forms, overlay, output, total)
-    if not poses and isinstance(pairs, list) and (hint := wrong_mode(pairs, options)):
-        say(hint)
+    _run(steps, patterns, forms, overlay, output, total, options)
+
+
+class _Hint:
+    """What may be wrong with the mode of a run that begins without a pose; said once."""
+
+    def __init__(self, options: ThresholdOptions) -> None:
+        self._options = options
+        self._first: FramePair | None = None  # that could be read
+        self._readings, self._open = 0, True
+
+    def look(self, pair: FramePair, frames: LitDark | None, reading: ReflectorObservation) -> None:
+        """Take a reading; a camera that goes on gets its hint after a few."""
+        if reading.pose is not None:
+            self._open = False
+        elif frames is not None:
+            self._first = self._first or pair
+            self._readings += 1
+            if self._readings == _READINGS_TO_HINT:
+                self.tell()
+
+    def tell(self) -> None:
+        """Say it, if there is something to say."""
+        if self._open and self._first and (words := wrong_mode([self._first], self._options)):
+            say(words)
+        self._open = False
 
 
 class _Step(NamedTuple):
@@ -236,17 +262,19 @@ def _pairs(
 
 def _run(
     steps: Iterable[_Step], patterns: list[ReflectorPattern], forms: PaperForms,
-    overlay: Path | None, output: Path | None, total: int | None,
-) -> int:  # fmt: skip
-    """Write log and pictures of all readings; the number of poses."""
+    overlay: Path | None, output: Path | None, total: int | None, options: ThresholdOptions,
+) -> None:  # fmt: skip
+    """Write log and pictures of all readings; a run that starts without a pose gets a hint."""
     compile_ahead("reflectors")
     tell_of_compiling()
+    hint = _Hint(options)
 
     def lines() -> Iterator[Line]:
         for pair, pictures, reading, more in steps:
             if overlay and pictures is not None:
                 drawn = draw_reading(pictures, reading, pair.lit.camera, patterns)
                 write_png(overlay / f"{pair.lit.im_id:06d}.png", drawn)
+            hint.look(pair, pictures, reading)
             noted = record(pair, reading, patterns, forms, pictures) | more
             yield Line(noted, reading.status, spent_ms=sum(reading.stage_ms.values()))
 
@@ -254,7 +282,7 @@ def _run(
         summary = run(lines(), log=output, progress=bar.stage("readings", total or 0))
     poses = summary.outcomes[Status.OK]
     say_summary(summary, poses, summary.total, what="poses", step="reading")
-    return poses
+    hint.tell()
 
 
 def _calibrate(

@@ -30,6 +30,7 @@ from rendezview.sensors.reflectors.acquisition_options import AcquisitionOptions
 from rendezview.sensors.reflectors.choice import mirror
 from rendezview.sensors.reflectors.judgement import common_variance, least_facing
 from rendezview.sensors.reflectors.matching import match_all, match_spots, size_score
+from rendezview.sensors.reflectors.pattern import left_out_of
 from rendezview.sensors.reflectors.spots import COLUMNS, SIGMA, SIZE
 from rendezview.sensors.reflectors.triplets import expected_size
 from rendezview.sensors.reflectors.window_fit import WindowFit
@@ -297,3 +298,32 @@ def test_discs_as_faint_as_the_threshold_are_found(picture, three, paper_camera)
         assert reading.status is Status.OK
         assert not wrong(reading.pose, truth)
     assert in_pieces >= 3
+
+
+@pytest.mark.parametrize(
+    ("given", "there", "range_m", "status"),
+    [
+        ("near", "far", 8.0, Status.OK),  # dots too small to tell: a note says so
+        ("near", "far", 4.0, Status.AMBIGUOUS),
+        ("near", "far", 1.2, Status.AMBIGUOUS),
+        ("far", "near", 2.0, Status.AMBIGUOUS),
+        ("far", "near", 0.5, Status.AMBIGUOUS),
+        ("far", "near", 0.3, Status.AMBIGUOUS),  # nearer than the named group would be looked for
+        ("far", "far", 4.0, Status.OK),
+        ("near", "near", 0.6, Status.OK),
+    ],
+)
+def test_a_group_that_is_left_out_is_not_read_as_the_named_one(
+    paper_camera, pinhole, given, there, range_m, status
+):
+    target = Target.load(CLIENT)
+    seen, named = (patterns_of(target, (name,)) for name in (there, given))
+    options = AcquisitionOptions(left_out=left_out_of(target, named))
+    sensor = ReflectorSensor(paper_camera, named, acquisition=options)
+    rng = np.random.default_rng(3)
+    pose = pose_of(SixNumbers(range_m, 0.02, -0.03, 0.3, 0.1, -0.05), seen[0])
+    for k in range(6):
+        reading = sensor.update(0.1 * k, frames_of(pinhole, seen[0], pose, rng))
+    assert reading.status is status
+    if given != there:
+        assert f"the group {there!r}, which is left out" in (reading.reason or reading.note)

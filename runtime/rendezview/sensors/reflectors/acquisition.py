@@ -31,6 +31,9 @@ from rendezview.sensors.reflectors.spots import (
 )
 from rendezview.sensors.reflectors.triplets import PAPER_HOURGLASS, Hourglass, hourglass_of, search
 
+# ×; a group that is left out is looked for so much farther away and nearer. Source: by
+# construction, above the ratio of two groups for one approach
+_ANYWHERE = 10.0
 _MOST_TRIPLETS = 20_000  # Source: by construction, a bound of memory
 _MIDWAY = 1e-3  # base lengths off the base's middle, head-on. Source: by construction
 _NO_RANGE = np.array([0.0, np.inf])  # m. Source: by construction
@@ -68,7 +71,12 @@ class Acquirer:
         self.constellation = merged(patterns)
         self._triangles = self._ready()
         self._chooser = Chooser(camera, patterns, self.constellation, self.options)
-        without = replace(self.options, left_out=())
+        without = replace(
+            self.options,
+            left_out=(),
+            nearest_m=self.options.nearest_m / _ANYWHERE,
+            farthest_m=self.options.farthest_m * _ANYWHERE,
+        )
         self._left_out = []
         for pattern in self.options.left_out:
             with contextlib.suppress(RendezviewError):  # no pose by the printed hourglass

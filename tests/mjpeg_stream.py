@@ -1,0 +1,41 @@
+"""A network camera: pictures over HTTP, as MJPEG."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import count
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+
+@contextmanager
+def mjpeg_stream(pictures: list[npt.NDArray[np.uint8]], each: int) -> Iterator[str]:
+    """Serve the pictures in turn, ``each`` a connection, and then break off; gives the address."""
+    numbers = count()
+
+    class Pictures(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Type", "multipart/x-mixed-replace; boundary=frame")
+            self.end_headers()
+            for _ in range(each):
+                content = cv2.imencode(".jpg", pictures[next(numbers) % len(pictures)])[1].tobytes()
+                head = (
+                    f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(content)}\r\n\r\n"
+                )
+                self.wfile.write(head.encode() + content + b"\r\n")
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Pictures)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://user:word@127.0.0.1:{server.server_port}/stream.mjpg"
+    server.shutdown()
+    server.server_close()
