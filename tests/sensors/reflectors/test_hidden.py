@@ -327,3 +327,24 @@ def test_a_group_that_is_left_out_is_not_read_as_the_named_one(
     assert reading.status is status
     if given != there:
         assert f"the group {there!r}, which is left out" in (reading.reason or reading.note)
+
+
+def test_a_group_that_is_left_out_is_compared_again_as_the_target_comes_nearer(
+    paper_camera, pinhole
+):
+    target = Target.load(CLIENT)
+    far, near = patterns_of(target)
+    ends = {}
+    for named, seen, first_m, last_m in ((near, far, 10.0, 4.0), (far, far, 10.0, 4.0)):
+        options = AcquisitionOptions(left_out=left_out_of(target, [named]))
+        sensor = ReflectorSensor(paper_camera, [named], acquisition=options)
+        rng, readings = np.random.default_rng(3), []
+        for k, range_m in enumerate(np.geomspace(first_m, last_m, 24)):
+            pose = pose_of(SixNumbers(range_m, 0.02, -0.03, 0.3, 0.1, -0.05), seen)
+            readings.append(sensor.update(0.1 * k, frames_of(pinhole, seen, pose, rng)))
+        assert "which is left out, fits these spots as well" in readings[2].note
+        ends[named.name] = readings[-1]
+    assert ends["near"].pose is None
+    assert "the group 'far', which is left out" in ends["near"].reason
+    assert ends["far"].pose is not None
+    assert ends["far"].note is None

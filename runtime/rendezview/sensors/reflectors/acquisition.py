@@ -104,6 +104,7 @@ class Acquirer:
                     Status.AMBIGUOUS,
                     f"the spots are those of the group {theirs.group!r}, which is left out: "
                     "name it with --group, or leave --group out",
+                    left_out=True,
                 )
             if found.score + self.options.rival_margin > theirs.score:
                 away_m = np.linalg.norm(theirs.refined.camera_from_target.translation_m)

@@ -112,6 +112,7 @@ class Acquisition:
     )
 
     note: str | None = None  # what does not keep it from being a pose
+    left_out: bool = False  # the spots are those of a group that is said not to be there
 
     def shares(self, other: Acquisition) -> bool:
         """Whether both have the same spots."""

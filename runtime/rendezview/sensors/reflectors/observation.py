@@ -11,6 +11,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.target import DockingRing
 from rendezview.sensors.measurement import Measurement
 from rendezview.sensors.observation import Observation, Status
+from rendezview.sensors.reflectors.acquisition_options import Acquisition
 from rendezview.sensors.reflectors.pattern import SixNumbers
 from rendezview.sensors.reflectors.rates import Rates
 from rendezview.sensors.reflectors.spots import COLUMNS, SpotTable
@@ -65,6 +66,16 @@ class ReflectorObservation(Observation):
             "note": self.note,
             "stage_ms": self.stage_ms,
         }
+
+
+def refused(
+    found: Acquisition, time_s: float, spots: SpotTable, stage_ms: dict[str, float]
+) -> ReflectorObservation:
+    """The reading of a picture in which no pose was found, or one that is not given."""
+    return ReflectorObservation(
+        found.status, found.reason, time_s=time_s, spots=spots, reflectors=(None,) * len(spots),
+        stage_ms=stage_ms,
+    )  # fmt: skip
 
 
 def missed(

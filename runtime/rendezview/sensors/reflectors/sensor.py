@@ -16,7 +16,7 @@ from rendezview.sensors.reflectors.acquisition import Acquirer, merged
 from rendezview.sensors.reflectors.acquisition_options import Acquisition, AcquisitionOptions
 from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
 from rendezview.sensors.reflectors.hidden_noise import HiddenNoise
-from rendezview.sensors.reflectors.observation import ReflectorObservation, missed
+from rendezview.sensors.reflectors.observation import ReflectorObservation, missed, refused
 from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
 from rendezview.sensors.reflectors.rates import RateEstimator
 from rendezview.sensors.reflectors.refinement import Refined
@@ -30,6 +30,8 @@ from rendezview.sensors.reflectors.track import (
 )
 from rendezview.sensors.reflectors.window_fit import WindowFit
 from rendezview.sensors.reflectors.windows import VISIBLE, carry
+
+_NEARER = 0.8  # × the range: a group that is left out is compared again. Source: by construction
 
 
 class ReflectorSensor:
@@ -66,6 +68,7 @@ class ReflectorSensor:
         self._track: Track | None = None
         self._unconfirmed: tuple[float, Pose, Array] | None = None
         self._note: str | None = None  # of the acquisition
+        self._noted_m = np.inf  # range of that
         self._last_s = -np.inf
         self._lock = threading.Lock()
         n = len(self.constellation)
@@ -82,10 +85,7 @@ class ReflectorSensor:
     def start(self, time_s: float, pose: Pose, *, roll_known: bool = True) -> None:
         """Begin to track from a pose of another camera or sensor."""
         with self._lock:
-            self._track = Track(
-                time_s, pose, self._nowhere.copy(), self._nowhere.copy(), time_s, self._dim.copy(),
-                2.0, not roll_known, np.zeros((6, 6)), unseen=self._never.copy(),
-            )  # fmt: skip
+            self._track = Track.begun(time_s, pose, len(self._never), roll_known=roll_known)
             self._rates.clear()
 
     def forget(self) -> None:
@@ -124,8 +124,6 @@ class ReflectorSensor:
                 return self._follow(time_s, frames, push)
             return self._acquire(time_s, frames)
 
-    # --- acquisition
-
     def _acquire(self, time_s: float, frames: LitDark) -> ReflectorObservation:
         prior = None
         if self._track is not None:
@@ -152,11 +150,10 @@ class ReflectorSensor:
             if self._track is not None:
                 self._track.misses += 1
             self._unconfirmed = None
-            return ReflectorObservation(
-                found.status, found.reason, time_s=time_s, spots=spots,
-                reflectors=(None,) * len(spots), stage_ms=stage_ms,
-            )  # fmt: skip
-        self._note = found.note if prior is None else self._note
+            return refused(found, time_s, spots, stage_ms)
+        if prior is None:
+            self._note = found.note
+            self._noted_m = self._range_m(found.refined.camera_from_target)
         names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(found):
@@ -222,8 +219,6 @@ class ReflectorSensor:
         first = self._unconfirmed
         return first is not None and found.is_near(first[1], self._centre)
 
-    # --- tracking
-
     def _follow(self, time_s: float, frames: LitDark, push: Array | None) -> ReflectorObservation:
         track = self._track
         assert track is not None
@@ -279,23 +274,32 @@ class ReflectorSensor:
         """The reading, where a search of the whole picture finds a pose that explains more spots.
 
         It is searched while a reflector that should be visible is not, or while the roll is open
-        and another group could tell it. A second reading that agrees takes the track over.
+        and another group could tell it. A second reading that agrees takes the track over. A group
+        that is left out and fits as well is compared again as the target comes nearer.
         Where the windows show no pose, one near the last is taken at once: the camera jerked.
         """
         several = track.roll_ambiguous and len(self.patterns) > 1
-        if not (several or refined is None or self._fit.misses(seen)):
+        range_m = self._range_m(track.pose)
+        doubted = self._note is not None and range_m < _NEARER * self._noted_m
+        if not (several or doubted or refined is None or self._fit.misses(seen)):
             self._unconfirmed = None
             return None
         begin = time.perf_counter()
         spots = self._spots(frames)
-        found = self.acquirer.acquire(spots) if len(spots) > max(len(seen), 2) else None
+        more = doubted or len(spots) > max(len(seen), 2)
+        found = self.acquirer.acquire(spots) if more else None
         jerked = self.acquirer.acquire(spots, track.pose) if found and refined is None else None
         stage_ms["search"] = 1e3 * (time.perf_counter() - begin)
         if jerked is not None and jerked.is_near(track.pose, self._centre):
             ambiguous = track.roll_ambiguous and not self._resolves(jerked.reflectors)
             return self._adopt(time_s, jerked, spots, ambiguous, stage_ms)
+        if found is not None and found.left_out:
+            self._track = None
+            return refused(found, time_s, spots, stage_ms)
         if found is None or found.refined is None or found.reflectors is None:
             return None
+        if doubted:
+            self._note, self._noted_m = found.note, range_m
         pose = found.refined.camera_from_target
         confirms = False
         if refined is not None:
@@ -318,15 +322,9 @@ class ReflectorSensor:
         )  # fmt: skip
 
     def _miss(
-        self,
-        time_s: float,
-        track: Track,
-        seen: npt.NDArray[np.int64],
-        spots: SpotTable,
-        names: tuple[str, ...],
-        stage_ms: dict[str, float],
-        strange: bool,
-    ) -> ReflectorObservation:
+        self, time_s: float, track: Track, seen: npt.NDArray[np.int64], spots: SpotTable,
+        names: tuple[str, ...], stage_ms: dict[str, float], strange: bool,
+    ) -> ReflectorObservation:  # fmt: skip
         track.misses += 1
         self._rates.clear()
         if len(seen) and track.misses <= self.tracking.coast:
@@ -341,7 +339,8 @@ class ReflectorSensor:
         search = not self.is_tracking
         return missed(time_s, spots, names, lost, stage_ms, search=search, strange=strange)
 
-    # --- both
+    def _range_m(self, pose: Pose) -> float:
+        return float(np.linalg.norm(pose.apply(self._centre)))
 
     def _resolves(self, seen: npt.NDArray[np.int64] | None) -> bool:
         """Whether reflectors of two groups are visible: their offset fixes the roll."""
@@ -396,5 +395,5 @@ class ReflectorSensor:
             Status.OK, time_s=time_s, pose=pose, covariance=refined.covariance, six=six,
             rates=rates, spots=spots, reflectors=names, group=whole.name,
             roll_ambiguous=ambiguous, tracked=tracked, stage_ms=stage_ms,
-            note=self._dots.note or self._note,
+            note="; ".join(filter(None, (self._dots.note, self._note))) or None,
         )  # fmt: skip

@@ -70,6 +70,15 @@ class Track:
     branch: Branch = Branch.SURE
     unseen: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
+    @classmethod
+    def begun(cls, time_s: float, pose: Pose, reflectors: int, *, roll_known: bool) -> Track:
+        """The memory of a pose that another sensor has found: no spot was seen yet."""
+        nowhere, never = np.full((reflectors, 2), np.nan), np.zeros(reflectors, np.int64)
+        return cls(
+            time_s, pose, nowhere, nowhere.copy(), time_s, np.full(reflectors, np.nan), 2.0,
+            not roll_known, np.zeros((6, 6)), unseen=never,
+        )  # fmt: skip
+
 
 def checked_acceleration(acceleration: npt.ArrayLike) -> Array:
     """(6,) angular rad/s², linear m/s² of the target, camera frame.
