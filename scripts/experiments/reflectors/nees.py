@@ -53,6 +53,8 @@ def frames_of(
     look = plain.Look(even=kind == "even light")
     if kind.startswith("shade"):
         look = replace(look, peak=40.0)
+    if kind.startswith("saturated"):
+        look = replace(look, peak=500.0, even=True)
     background = None
     if kind.startswith("texture"):
         wall = plain.texture(PINHOLE, rng, 3.0, 60.0)
@@ -69,9 +71,22 @@ def frames_of(
     )  # fmt: skip
     if kind == "texture":
         return LitDark(frames.lit)
+    if "bloomed" in kind:
+        return LitDark(bloomed(frames.lit), frames.dark)
     if kind == "MJPEG":
         return LitDark(jpeg(frames.lit), jpeg(frames.dark))
     return register(frames) if "registered" in kind else frames
+
+
+def bloomed(picture: np.ndarray) -> np.ndarray:
+    """Charge of saturated pixels runs down their columns: a quarter of each run's length."""
+    out = picture.copy()
+    for column in np.flatnonzero((picture == 255).any(axis=0)):
+        full = np.concatenate([[0], (picture[:, column] == 255).astype(int), [0]])
+        starts, ends = np.flatnonzero(np.diff(full) == 1), np.flatnonzero(np.diff(full) == -1)
+        for start, end in zip(starts, ends, strict=True):
+            out[end : end + round(0.25 * (end - start)), column] = 255
+    return out
 
 
 def clutter(rng: np.random.Generator) -> np.ndarray:
@@ -83,7 +98,7 @@ def clutter(rng: np.random.Generator) -> np.ndarray:
 KINDS = (
     "retro-reflected", "even light", "shade of 40 grey", "MJPEG", "texture",
     "texture, 0.3 px of motion", "texture, 0.3 px of motion, registered", "five reflectors",
-    "clutter",
+    "clutter", "saturated", "saturated, bloomed",
 )  # fmt: skip
 
 
@@ -98,7 +113,8 @@ def run(
 
     Pictures of the paper's three reflectors, tilt to 30°, every roll, blur 0.7 px, noise 2 grey, of
     the tests' plain simulator or of the product's own. 'texture' is a single picture; MJPEG has
-    quality 75. --kind: the beginning of a condition.
+    quality 75. 'saturated' discs have twice the light of a full pixel; 'bloomed', a quarter of the
+    length of their columns runs over at one end. --kind: the beginning of a condition.
     """
     table = table_of(
         f"mean NEES of {readings} readings (poses found), seed {seed}, {simulator} simulator",

@@ -290,7 +290,12 @@ def window_centroid(
         x, y, error = row[WEIGHTED_X], row[WEIGHTED_Y], max(error, away)
     elif amplitude > 0.0:
         beside = overlap_error(
-            lit, dark, (x, y, size, amplitude), (slope_x, slope_y), max(rough, noise)
+            lit,
+            dark,
+            (x, y, size, amplitude),
+            (slope_x, slope_y),
+            max(rough, noise),
+            row[SATURATED] > 1.0,
         )
         if dark.shape[0] > 0 and row[ABOVE] > 0.0:
             # What overlaps a spot moves the mean of all its light more than that of a window.
@@ -301,6 +306,6 @@ def window_centroid(
         # So bright a light may be what the window is centred on, and the spot what moves it.
         error = math.hypot(error, beside if beside < _DOMINATED * size else size)
     row[X], row[Y], row[SIZE] = x, y, size
-    row[SIGMA] = saturated_error(error, int(row[SATURATED]))
+    row[SIGMA] = saturated_error(error, int(row[SATURATED]), size)
     if amplitude > 0.0:
         row[AMPLITUDE] = amplitude

@@ -118,7 +118,7 @@ def _centre(
     )
     level += slope_x * (x - x0 - 0.5 * (w - 1)) + slope_y * (y - y0 - 0.5 * (h - 1))
     plane, start = (level, slope_x, slope_y, doubt), (x, y, max(w, h) / 4.0)
-    x, y, _, peak, sigma = centre_spot(grey, nothing, plane, start, rough, columns, rows)
+    x, y, size, peak, sigma = centre_spot(grey, nothing, plane, start, rough, columns, rows)
     if abs(x - x0 - 0.5 * w) > w + 2 or abs(y - y0 - 0.5 * h) > h + 2 or not peak > 0.0:
         return 0.0, 0.0, 0.0, 0.0  # it left its blob
-    return x, y, saturated_error(sigma, saturated), peak
+    return x, y, saturated_error(sigma, saturated, size), peak
