@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 from tests.service.sensors import RING, Sensors, plain
 
 from rendezview.errors import RendezviewError
@@ -283,3 +284,29 @@ def test_a_model_brings_the_ring_of_its_target(refining_model, camera, tmp_path)
     many = tuple(replace(target.reflectors[0], name=str(k)) for k in range(9))
     stored.model = replace(read, reflectors=many)
     assert SessionDefaults(Settings()).filled(request, "one", stored).fusion.reflectors == []
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_lost_target_is_searched_where_the_other_sensors_expect_it(
+    refining_model, bumpy_mesh, camera, draw, told
+):
+    """Fifty dark frames while the target turns by 100°; another sensor goes on seeing it."""
+    tracker = SessionTracker("one", refining_model, filled(camera, fusion={}))
+    known, rng = Sensors(7), np.random.default_rng(4)
+    start = Rotation.from_rotvec([0.4, -0.7, 0.2])
+    for k in range(59):
+        turned = Rotation.from_rotvec([0.0, np.deg2rad(2.0 * k), 0.0]) * start
+        rotation = turned.as_matrix()
+        centre = np.array([0.0, 0.0, 1.6 * refining_model.sphere_radius_m])
+        pose = Pose(rotation, centre - rotation @ refining_model.centre_m)
+        dark = 8 <= k < 58
+        image = np.zeros((camera.height, camera.width), np.uint8)
+        image = image if dark else draw(bumpy_mesh, pose, camera, rng)
+        if told:
+            (line,) = tracker.filter.check("m", json.dumps(known.pose(k, pose)).encode(), float(k))
+            tracker.filter.take("m", line)
+        state, seen = tracker.track(image, float(k), 0.0)
+        assert (state["status"] == "ok") != dark
+    assert np.rad2deg(seen.pose.angle_to(pose)) < 1.0
+    assert seen.found.prior == told  # else all attitudes were searched
+    assert tracker.tracker.lost is False

@@ -27,6 +27,7 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
 from rendezview.io.ccsds import parse_epoch
 from rendezview.io.files import check_place, read_json
+from rendezview.io.pose_log import poses_by_frame
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.sensors.appearance import SilhouetteOptions, Threshold, ViewModel
 from rendezview.sensors.appearance.following import follow, record, result_row
@@ -54,7 +55,8 @@ def track(
         typer.Option(
             help="Attitude of the first frame, right to about 20°: 'w,x,y,z' (camera from target), "
             "a JSON file with quat_wxyz [and translation_m], or 'scene' for the scene's own truth. "
-            "Without it all attitudes are searched."
+            "Without it all attitudes are searched. Or a log of poses by other sensors, .jsonl: "
+            "where the target is searched while it is lost."
         ),
     ] = None,
     independent: Annotated[
@@ -114,7 +116,9 @@ def track(
     sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
     for note in sequence.notes:
         say(note)
-    first = _prior(prior, sequence, loaded)
+    others = None if prior is None or not prior.endswith(".jsonl") else Path(prior)
+    expected = None if others is None else poses_by_frame(others, lambda *known: known)
+    first = _prior(prior, sequence, loaded) if others is None else None
     options = None if threshold == Threshold.NOISE else _silhouette(threshold)
     light = _direction(sun)
     integrity = _integrity(integrity_risk, alarm_attitude_deg, alarm_position_m)
@@ -133,6 +137,7 @@ def track(
         refine=refine,
         sketch=sketch,
         integrity=integrity,
+        expected=expected,
         watch=drawn.watch if drawn else None,
     )
 
@@ -244,6 +249,6 @@ def _prior(text: str | None, sequence: Sequence, model: ViewModel) -> Pose | Non
         return Pose.from_quat_wxyz([float(part) for part in text.split(",")], ahead)
     except (ValueError, KeyError, TypeError, AttributeError):
         raise RendezviewError(
-            f"--prior {text!r}: give 'scene', a quaternion 'w,x,y,z', or a JSON file with "
-            "quat_wxyz and, if you like, translation_m"
+            f"--prior {text!r}: give 'scene', a quaternion 'w,x,y,z', a JSON file with "
+            "quat_wxyz and, if you like, translation_m, or a log of poses (.jsonl)"
         ) from None

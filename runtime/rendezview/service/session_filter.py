@@ -17,7 +17,7 @@ from rendezview.errors import RendezviewError
 from rendezview.fusion import Fusion, FusionOptions, Measurement, Verdict
 from rendezview.fusion.fusion import Estimate
 from rendezview.fusion.logs import kind_of
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.observation import Observation, Status
 from rendezview.service.fusion_messages import MOST_REMEMBERED, FusionRequest
 from rendezview.service.message_parts import CAMERA, MOST_TIME_S
@@ -26,6 +26,7 @@ from rendezview.service.sensor_lines import (
     SensorLine,
     check_size,
     context_of,
+    pose_of_fused,
     read_line,
     split_records,
 )
@@ -198,6 +199,10 @@ class SessionFilter:
     def state_at(self, time_s: float) -> Json:
         """The `Fused` state at a time. The filter must be running."""
         return self._state(time_s)
+
+    def expected(self, time_s: float) -> tuple[Pose, Array] | None:
+        """camera_from_target at a time and its covariance (6, 6); None where it is not known."""
+        return None if self._fusion is None else pose_of_fused(self._state(time_s))
 
     def add(self, sensor: str, kind: str, measurement: Measurement | None) -> Json | None:
         """Give a reading of the session's own sensor to the filter: the `Verdict`.

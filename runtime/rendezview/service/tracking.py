@@ -170,6 +170,8 @@ class SessionTracker:
                 "beyond 1e10: send frames in order of time"
             )
         start = time.perf_counter()
+        if self.tracker.lost and (known := self.filter.expected(time_s)) is not None:
+            self.tracker.expect(*known)
         sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = self.tracker
         observation = sensor.update(time_s, image, self.sun_camera)
         track_ms = 1e3 * (time.perf_counter() - start)

@@ -111,6 +111,36 @@ def test_a_hit_after_misses_narrows_the_search_again(script):
     assert script.reach_deg == [20.0, 20.0, 30.0, 20.0, 30.0]
 
 
+def test_a_lost_target_is_searched_where_it_is_expected(script):
+    """Once, only while it is lost, and only where the expected attitude is known well enough."""
+    sure, unsure = (np.diag([sigma**2] * 3 + [0.01] * 3) for sigma in (0.05, 0.5))
+    tracker = Tracker(script)
+    tracker.expect(B, sure)
+    script.answer = A
+    assert tracker.update(0.0, FRAME).pose is A
+    tracker.expect(B, sure)  # not lost
+    tracker.update(1.0, FRAME)
+    script.answer = None
+    tracker.update(2.0, FRAME)
+    assert tracker.lost
+    tracker.expect(B, unsure)
+    tracker.update(3.0, FRAME)
+    tracker.expect(B, sure)
+    tracker.update(4.0, FRAME)
+    tracker.update(5.0, FRAME)
+    assert [p if p is None else p.translation_m[2] for p in script.priors] == [
+        6.0, 5.0, 5.0, 5.0, 6.0, 5.0, 5.0,
+    ]  # fmt: skip
+    assert script.reach_deg[4] == pytest.approx(np.rad2deg(0.15) + 3.0)
+    script.answer = B
+    tracker.expect(B, sure)
+    assert tracker.update(6.0, FRAME).pose is B
+    assert tracker.rates is None  # of the poses before it was lost
+    for wrong in (np.eye(3), np.full((6, 6), np.nan)):
+        with pytest.raises(ValueError, match="covariance"):
+            tracker.expect(B, wrong)
+
+
 def test_a_first_prior_that_is_never_met_is_forgotten_too(script):
     tracker = Tracker(script, A, TrackerOptions(longest_outage_s=10.0))
     for time_s in (100.0, 105.0, 110.0, 110.1):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
@@ -35,6 +35,7 @@ def follow(
     refine: bool = True,
     sketch: bool = True,
     integrity: IntegrityOptions | None = None,
+    expected: Callable[[Frame], tuple[Pose, Array] | None] | None = None,
     watch: Callable[[Frame, GreyImage | None, AppearanceObservation], None] | None = None,
 ) -> Iterator[tuple[Frame, AppearanceObservation]]:
     """One observation for each frame, in order.
@@ -44,13 +45,15 @@ def follow(
         sequence: frames; without times they count as one second apart.
         prior: camera_from_target of the first frame, right to about 20°; ``None``: all
             attitudes are searched.
-        independent: each frame on its own, no prior and no memory.
+        independent: each frame on its own, no memory, and no prior but the expected pose.
         silhouette: how to find the target.
         options: of the tracker.
         sun_camera: (3,) towards the Sun, camera frame, if it is known.
         refine: move poses onto the edges, if the model has contour points.
         sketch: search on a sketch of the frame where the edges give no pose, see ``Recognizer``.
         integrity: each pose gets a protection level and alarms.
+        expected: the pose of a frame by other sensors, camera_from_target with its covariance
+            (6, 6): where a target that is lost is searched, see `Tracker.expect`.
         watch: called with every frame, its picture (None: unreadable) and its observation.
 
     A frame that cannot be read gives the status ``UNREADABLE``; the run goes on.
@@ -69,7 +72,9 @@ def follow(
             )
         recognizer = recognizers[frame.camera]
         if independent:
-            alone = recognizer.recognize(image, sun_camera=sun_camera, time_s=time_s)
+            known = None if expected is None else expected(frame)
+            near = None if known is None else known[0]
+            alone = recognizer.recognize(image, near, sun_camera=sun_camera, time_s=time_s)
             if integrity is None:
                 return alone
             look = partial(recognizer.second_look, image)
@@ -77,6 +82,8 @@ def follow(
             return monitor.protected(alone, time_s, None, model.centre_m, look)
         tracker = tracker or Tracker(recognizer, prior, options, integrity)
         tracker.recognizer = recognizer
+        if expected is not None and tracker.lost and (known := expected(frame)) is not None:
+            tracker.expect(*known)
         sensor: AidedSensor[GreyImage, npt.ArrayLike, AppearanceObservation] = tracker
         return sensor.update(time_s, image, sun_camera)
 

@@ -52,6 +52,10 @@ class TrackerOptions:
     # … while it keeps this share of the confirmed inlier ratio. Source: by hand; pose-trials
     # sequences
     confirmed_share: float = 0.9
+    # σ of an expected attitude that are searched … Source: normal distribution, 99.7 %
+    expected_sigmas: float = 3.0
+    # rad; … and more beside them. Source: by construction, the reach of refinement
+    expected_rad: float = np.deg2rad(3.0)
     # merit, summed over frames; by this much one of two rivals leads. Source: by hand; pose-trials
     # sequences
     decisive_lead: float = 0.1
@@ -101,6 +105,7 @@ class Tracker:
         self._misses = 0
         self._rivals: list[tuple[Pose, float]] = []
         self._confirmed = (0.0, 0)  # inlier ratio in the last search, frames since
+        self._expected: tuple[Pose, float] | None = None  # at the next frame, and how far off, rad
         self._joints: JointFilter | None = None  # of a target with joints, after its first pose
         self._monitor = None if integrity is None else IntegrityMonitor(integrity)
         self._lock = threading.Lock()
@@ -109,6 +114,33 @@ class Tracker:
     def prior(self) -> Pose | None:
         """camera_from_target of the last frame with a pose, or the one given at the start."""
         return None if self._motion is None else self._motion.pose
+
+    @property
+    def lost(self) -> bool:
+        """Whether the last frame gave no pose, or there was none yet."""
+        return self._motion is None or self._misses > 0
+
+    def expect(self, pose: Pose, covariance: npt.ArrayLike) -> None:
+        """Tell where other sensors expect the target in the next frame.
+
+        The search starts there where the target is lost; the pose found is the frame's alone.
+
+        Args:
+            pose: camera_from_target at the time of the next frame.
+            covariance: (6, 6) of it, rotation vector rad, translation m; camera frame, left. One
+                whose attitude is not known to a third of the widest search is not used.
+
+        Raises:
+            ValueError: not (6, 6), or not finite.
+        """
+        known = np.asarray(covariance, dtype=np.float64)
+        if known.shape != (6, 6) or not np.isfinite(known).all():
+            raise ValueError("covariance must be (6, 6) and finite")
+        options = self.options
+        sigma_rad = float(np.sqrt(max(np.linalg.eigvalsh(known[:3, :3])[-1], 0.0)))
+        error_rad = options.expected_sigmas * sigma_rad + options.expected_rad
+        with self._lock:
+            self._expected = (pose, error_rad) if error_rad <= options.widest_rad else None
 
     @property
     def rates(self) -> tuple[Array, Array] | None:
@@ -156,8 +188,11 @@ class Tracker:
                 )
             self._last_time_s = time_s
             self._age(time_s)
+            expected, self._expected = self._expected, None
             predicted = self.predicted(time_s) if self._monitor is not None else None
-            if self._motion is None and self._rivals:
+            if expected is not None and self.lost:
+                observation = self._look_at(expected, time_s, image, sun_camera)
+            elif self._motion is None and self._rivals:
                 observation = self._decide(time_s, image, sun_camera)
             else:
                 observation = self._look(time_s, image, sun_camera)
@@ -192,6 +227,24 @@ class Tracker:
             self._motion = replace(self._motion, time_s=time_s)
         elif time_s - since_s > self.options.longest_outage_s:
             self._motion = None
+
+    def _look_at(
+        self,
+        expected: tuple[Pose, float],
+        time_s: float,
+        image: npt.ArrayLike,
+        sun_camera: npt.ArrayLike | None,
+    ) -> AppearanceObservation:
+        """Near an expected pose, and as without it where the target is not there."""
+        observation = self.recognizer.recognize(
+            image, expected[0], expected[1], sun_camera, time_s=time_s
+        )
+        if observation.pose is not None:
+            self._motion = None  # the rates are those of the poses before it was lost
+            return observation
+        if self._motion is None and self._rivals:
+            return self._decide(time_s, image, sun_camera)
+        return self._look(time_s, image, sun_camera)
 
     def _look(
         self, time_s: float, image: npt.ArrayLike, sun_camera: npt.ArrayLike | None

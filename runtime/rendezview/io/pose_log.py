@@ -1,0 +1,70 @@
+"""Poses with their covariances by frame, from a log of ``track`` or ``fuse``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from rendezview.errors import RendezviewError
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.files import StrPath
+from rendezview.io.results import read_json_lines
+from rendezview.io.sequences.frame import Frame
+
+Known = TypeVar("Known")
+_SAME_TIME_S = 1e-6  # s; Source: the times of one frame in two files differ by rounding only
+
+
+def poses_by_frame(
+    path: StrPath, use: Callable[[Pose, Array], Known]
+) -> Callable[[Frame], Known | None]:
+    """What is made of the pose of a frame's line in a log.
+
+    Lines belong to frames by ``im_id``, or by ``time_s`` where they have none; of several lines of
+    a frame the last counts. A frame without a line, a pose or a covariance has none.
+
+    Args:
+        path: of the log.
+        use: of camera_from_target and its covariance (6, 6); it raises ValueError where a
+            covariance is of no use.
+
+    Raises:
+        RendezviewError: missing, or a line that is no pose's.
+    """
+    by_id: dict[int, Known] = {}
+    timed: list[tuple[float, Known]] = []
+    for number, line in enumerate(read_json_lines(path), start=1):
+        try:
+            if line["pose"] is None or line["covariance"] is None or line.get("roll_ambiguous"):
+                continue
+            known = use(*_pose(line))
+            if line.get("im_id") is not None:
+                by_id[int(line["im_id"])] = known
+            else:
+                timed.append((float(line["time_s"]), known))
+        except (KeyError, TypeError, ValueError) as error:
+            raise RendezviewError(
+                f"{path}: record {number}: no line of a log of poses ({error}): give that of "
+                "`rendezview track` or `fuse`"
+            ) from error
+    times = np.array([time_s for time_s, _ in timed])
+
+    def of_frame(frame: Frame) -> Known | None:
+        if frame.im_id in by_id:
+            return by_id[frame.im_id]
+        if frame.time_s is None or not len(times):
+            return None
+        same = np.flatnonzero(np.abs(times - frame.time_s) < _SAME_TIME_S)
+        return timed[same[-1]][1] if len(same) else None
+
+    return of_frame
+
+
+def _pose(line: dict[str, Any]) -> tuple[Pose, Array]:
+    pose = Pose.from_quat_wxyz(line["pose"]["quat_wxyz"], line["pose"]["translation_m"])
+    covariance = np.array(line["covariance"], dtype=np.float64)
+    if covariance.ndim != 2 or min(covariance.shape) < 6:
+        raise ValueError("the covariance must be 6 × 6, or begin with that of the pose")
+    return pose, covariance[:6, :6]
