@@ -44,18 +44,20 @@ def surface_palette(surfaces: Bytes) -> tuple[npt.NDArray[np.float32], Bytes]:
     features = np.hstack([albedo * normals, _ALBEDO_WEIGHT * albedo, _NORMAL_WEIGHT * normals])
     kind = (distinct > 0).astype(np.uint8)
     weight = count / max(int(count.sum()), 1)
-    spread = {1: _spread(features[kind == 1], weight[kind == 1])}
+    members = {1: np.flatnonzero(kind)}
+    spread = {1: _spread(features[members[1]], weight[members[1]])}
     while len(spread) < KINDS_OF_SURFACE - 1:
         widest = max(spread, key=lambda k: (spread[k][0], -k))
         energy, axis, middle = spread[widest]
         if energy < 1e-12:
             break
         new = len(spread) + 1
-        inside = np.flatnonzero(kind == widest)
-        kind[inside[(features[inside] - middle) @ axis > 0.0]] = new
+        inside = members[widest]
+        beyond = (features[inside] - middle) @ axis > 0.0
+        members[widest], members[new] = inside[~beyond], inside[beyond]
+        kind[members[new]] = new
         for k in (widest, new):
-            members = kind == k
-            spread[k] = _spread(features[members], weight[members])
+            spread[k] = _spread(features[members[k]], weight[members[k]])
     palette = np.zeros((KINDS_OF_SURFACE, 4), dtype=np.float32)
     for k, (_, _, middle) in spread.items():
         albedo = middle[3] / _ALBEDO_WEIGHT
