@@ -114,6 +114,37 @@ def test_nonsense_is_answered_with_a_reason_and_forgotten():
     assert follower.update(TIMES[41], poses[41], COVARIANCE).segment
 
 
+CLOUDS = {
+    "one place": [[30.0, 0.0, 0.0]] * 12,
+    "a line": [[30.0 - k, 0.0, 0.0] for k in range(12)],
+    "two places": [[30.0 - k % 2, 0.0, 0.0] for k in range(12)],
+    "far away": [[1e9, 0.0, 1e3 * k] for k in range(12)],
+    "hardly moving": [[30.0, 0.0, 1e-9 * k] for k in range(12)],
+    "a jump": [[30.0, 0.0, 0.0]] * 6 + [[-30.0, 50.0, 0.0]] * 6,
+}
+
+
+@pytest.mark.parametrize("shape", list(Shape))
+@pytest.mark.parametrize("cloud", CLOUDS)
+def test_degenerate_clouds_give_no_number_that_is_not_finite(shape, cloud):
+    follower = PathFollower(np.zeros(3), shape=shape)
+    for k, place in enumerate(CLOUDS[cloud]):
+        report = follower.update(float(k), Pose(np.eye(3), np.array(place)), COVARIANCE)
+    if isinstance(report.segment, Segment):
+        assert np.isfinite(report.segment.places(np.arange(12.0))).all()
+        assert np.isfinite(report.segment.parameters).all()
+    else:
+        assert report.segment.reason
+
+
+def test_a_camera_at_the_centre_of_the_path_has_no_line_of_sight():
+    follower = PathFollower(np.zeros(3), shape=Shape.SPIRAL)
+    told = follower.update(0.0, Pose(np.eye(3), np.zeros(3)), COVARIANCE)
+    assert "no line of sight" in told.segment.reason
+    follower.update(1.0, Pose(np.eye(3), np.array([0.0, 0.0, 5.0])), COVARIANCE)
+    assert len(follower.cloud) == 1
+
+
 def test_a_follower_wants_a_shape_or_a_plan():
     with pytest.raises(ValueError, match="shape or a plan"):
         PathFollower(CENTRE)

@@ -80,7 +80,7 @@ class PathFollower:
             shape: the shape to fit; None: that of the plan.
 
         Raises:
-            ValueError: neither shape nor plan.
+            ValueError: neither shape nor plan, or no such shape.
         """
         if shape is None and plan is None:
             raise ValueError("a follower needs a shape or a plan")
@@ -88,7 +88,8 @@ class PathFollower:
         self.options = options or FollowerOptions()
         given = centre_m if plan is None or plan.centre_m is None else plan.centre_m
         self.centre_m = np.asarray(given, dtype=np.float64)
-        self.shape = shape if shape is not None or plan is None else plan.shape
+        asked = shape if shape is not None or plan is None else plan.shape
+        self.shape = None if asked is None else Shape(asked)
         self._cloud = PointCloud.empty()
         self._turns: list[tuple[float, Array, Array]] = []  # time, attitude, covariance
         self._burns: list[tuple[float, Array]] = []
@@ -150,7 +151,7 @@ class PathFollower:
         weights: npt.ArrayLike | None,
         path_from_camera: npt.ArrayLike | None,
     ) -> Report:
-        trouble = self._trouble(time_s, covariance, points_m)
+        trouble = self._trouble(time_s, pose, covariance, points_m)
         if trouble is not None:
             return Report(time_s, self._number, False, trouble, None, None)
         self._last_s = time_s
@@ -176,7 +177,11 @@ class PathFollower:
         return self.plan is not None and self.plan.deviation and dynamic
 
     def _trouble(
-        self, time_s: float, covariance: npt.ArrayLike | None, points_m: npt.ArrayLike | None
+        self,
+        time_s: float,
+        pose: Pose | None,
+        covariance: npt.ArrayLike | None,
+        points_m: npt.ArrayLike | None,
     ) -> Nothing | None:
         if not np.isfinite(time_s):
             return Nothing(f"a time is not finite: {time_s}")
@@ -185,6 +190,8 @@ class PathFollower:
         for values, words in ((covariance, "the covariance"), (points_m, "a point")):
             if values is not None and not np.isfinite(np.asarray(values, np.float64)).all():
                 return Nothing(f"{words} is not finite")
+        if pose is not None and not pose.apply(self.centre_m).any():
+            return Nothing("the camera is at the centre of the path: there is no line of sight")
         return None
 
     def _take(

@@ -31,6 +31,7 @@ class AppearanceObservation(Observation):
 
     _: KW_ONLY
     # Where edges gave the pose, the outline is read when one of its results is first asked for.
+    # Until then it holds a part of the frame, before a bright sky the frame.
     outline: OutlineReading | LateReading = field(default_factory=OutlineReading)
     found: Found | None = None  # the best refined pose and its rival, given or not
     joints: JointAngles | None = None  # of a target with joints, with its pose
