@@ -50,9 +50,8 @@ from rendezview.sensors.reflectors.triangulation import Iteration
 from rendezview.sensors.run import Line, run
 
 _CALIBRATE = "calibrate"
-_READINGS_TO_HINT = (
-    8  # without a pose, from the start. Source: by construction, two are a first find
-)
+# Readings without a pose, from the start. Source: by construction, two make a first find
+_READINGS_TO_HINT = 8
 
 
 class Glass(StrEnum):

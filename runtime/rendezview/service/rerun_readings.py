@@ -91,7 +91,7 @@ class ReadingsRecorder:
         rr, shapes = self._rr, {}
         ring = state.get("ring") or {}
         candidates = [one["ellipse"] for one in ring.get("candidates") or ()]
-        ellipses = candidates or [ring["ellipse"]] if candidates or ring.get("ellipse") else []
+        ellipses = candidates or ([ring["ellipse"]] if ring.get("ellipse") else [])
         if ellipses:
             lines = [scale * seen_ellipse(ellipse, camera) for ellipse in ellipses]
             shapes["camera/image/ring"] = rr.LineStrips2D(lines, colors=_GREEN)
