@@ -147,6 +147,22 @@ def test_the_shape_of_a_target_is_calibrated_from_a_scene(
     strain = np.array(ViewModel.load(tmp_path / "built.rvm").provenance["strain"])
     assert strain[0, 0] == pytest.approx(0.03, abs=0.003)
     assert strain[1, 1] == pytest.approx(0.0, abs=0.006)
+    target = tmp_path / "target.toml"
+    head = (
+        'name = "bumpy"\n[docking_ring]\ncentre_m = [0, 0, 0]\naxis = [0, 0, 1]\nradius_m = 0.1\n'
+    )
+    target.write_text(head)
+    run(*shape, "--parts", target).says("no [[parts]]")
+    low, high = bumpy_mesh.vertices_m.min(0), bumpy_mesh.vertices_m.max(0)
+    box = [[float(0.5 * (low + high)[0]), *(low[1:] - 1.0).tolist()], (high + 1.0).tolist()]
+    target.write_text(f'{head}[[parts]]\nname = "front"\ntrust = 1.0\nboxes_m = [{box}]\n')
+    ran = run(*shape, "--poses", "scene", "--parts", target)
+    assert ran.code == 0, ran
+    assert "front" in ran.err
+    assert "trust" in ran.err
+    motion = ViewModel.load(tmp_path / "built.rvm").provenance["mounted"]["front"]
+    assert len(motion) == 6
+    assert 0.0 < abs(motion[3]) < 0.1
     run(*shape, "--length", "w=1/1").says("--length must be")
     run(*shape, "--length", "x=1/0").says("--length must be")
     run(*shape, "--poses", tmp_path / "none.csv").says("none.csv")

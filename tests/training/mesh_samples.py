@@ -21,7 +21,7 @@ TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 # A body, a mast and a wing: the wing alone lies in the box.
 _BODY = [((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)), ((0.5, 0.5, 0.9), (0.9, 0.3, 0.5))]
 _WING = ((1.2, 1.4, 0.05), (0.1, 1.5, 0.0))
-_HINGE_M = [0.1, 0.8, 0.0]  # where the wing joins the body
+HINGE_M = [0.1, 0.8, 0.0]  # where the wing joins the body
 WING_BOXES_M = "[[[-1.0, 0.7, -1.0], [1.0, 3.0, 1.0]]]"
 
 
@@ -66,7 +66,7 @@ def winged_mesh(wing_turn_rad: float = 0.0) -> trimesh.Trimesh:
     """Body and wing, the wing turned about its hinge, which is parallel to x."""
     made = boxes((*_BODY, _WING))
     made[-1].apply_transform(
-        trimesh.transformations.rotation_matrix(wing_turn_rad, [1.0, 0.0, 0.0], _HINGE_M)
+        trimesh.transformations.rotation_matrix(wing_turn_rad, [1.0, 0.0, 0.0], HINGE_M)
     )
     return trimesh.util.concatenate(made)
 

@@ -13,18 +13,18 @@ from rich.table import Table
 
 from rendezview.cli.progress import say
 from rendezview.errors import RendezviewError
-from rendezview.geometry.pose import Pose
+from rendezview.geometry.pose import Array, Pose
 from rendezview.io.camera_files import load_camera, save_camera
 from rendezview.io.files import check_place, make_folder
 from rendezview.io.results import read_results
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.io.sequences.images import write_png
+from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.as_built import (
     AsBuilt,
     ShapeEstimator,
     strain_names,
-    strained,
 )
 from rendezview.sensors.appearance.as_built.picture import shape_picture
 from rendezview.sensors.reflectors.card import write_card
@@ -126,6 +126,13 @@ def shape(
         ),
     ] = None,
     length_error: Annotated[float, typer.Option(help="One σ of these ratios.")] = 1e-3,
+    parts: Annotated[
+        Path | None,
+        typer.Option(
+            help="Target file whose [[parts]] (with boxes_m) may be mounted aside: the turn, shift "
+            "and trust of each are estimated."
+        ),
+    ] = None,
     frames: Annotated[int, typer.Option(help="At most, evenly spaced.")] = 200,
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
@@ -138,13 +145,17 @@ def shape(
     """Estimate how a target differs from its CAD model, from a fly-around, and correct the model.
 
     \b
-    The difference is a strain: other sizes along x, y and z, and shears. Poses need not be known.
+    The difference is a strain: other sizes along x, y and z, and shears; with --parts also parts
+    that are turned or shifted. Poses need not be known.
     Example: rendezview calibrate shape tango.rvm fly-around -o as-built.rvm --length x=0.571/0.560
     """
     check_place(output, "the model")
     if picture is not None:
         check_place(picture, "the picture")
     loaded = ViewModel.load(model)
+    mounted = () if parts is None else Target.load(parts).parts
+    if parts is not None and not mounted:
+        raise RendezviewError(f"{parts}: no [[parts]]: name those that may be mounted aside")
     sequence = open_sequence(scene, load_camera(camera) if camera else None, obj_id=obj_id)
     if frames < 1 or not len(sequence):
         raise RendezviewError(f"{scene}: calibration needs frames")
@@ -159,8 +170,9 @@ def shape(
         None if priors is None else [priors[int(k)] for k in chosen],
         known,
         say,
+        mounted,
     )
-    strained(loaded, found.strain, found.covariance).save(output)
+    found.model.save(output)
     if picture is not None:
         write_png(picture, shape_picture(found, f"{loaded.name}: {found.used} frames"))
     _tell(found, output, len(chosen))
@@ -192,12 +204,27 @@ def _rough_poses(text: str | None, sequence: Sequence) -> list[Pose | None] | No
     return [rows.get(frame.im_id) for frame in sequence.frames]
 
 
+def _triple(values: Array) -> str:
+    return " ".join(f"{value:+.2f}" for value in values)
+
+
 def _tell(found: AsBuilt, output: Path, given: int) -> None:
     table = Table("strain", "%", "σ, %")
     sigmas = np.sqrt(np.diag(found.covariance))
     for name, value, sigma in zip(strain_names(), found.components, sigmas, strict=True):
         table.add_row(name, f"{100 * value:+.2f}", f"{100 * sigma:.2f}")
-    Console(stderr=True).print(table)
+    console = Console(stderr=True)
+    console.print(table)
+    if found.mountings:
+        table = Table("part", "turned, °", "σ", "shifted, mm", "σ", "trust", "edges")
+        for part in found.mountings:
+            turn, shift = np.sqrt(np.trace(part.covariance[:3, :3])), part.motion[3:]
+            table.add_row(
+                part.name, _triple(np.rad2deg(part.motion[:3])), f"{np.rad2deg(turn):.2g}",
+                _triple(1e3 * shift), f"{1e3 * np.sqrt(np.trace(part.covariance[3:, 3:])):.2g}",
+                f"{part.trust:.2f}", str(part.edges),
+            )  # fmt: skip
+        console.print(table)
     if not found.size_known:
         say(
             "one camera does not see the overall size: it stays the model's, give a --length to "

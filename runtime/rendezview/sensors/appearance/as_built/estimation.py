@@ -14,7 +14,6 @@ component is likelier than three of half its size.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,22 +21,24 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import exp
-from rendezview.io.grey_frame import Picture, check_frame, shrunk
-from rendezview.sensors.appearance.as_built.shape import AsBuilt, ShapeOptions, SurfaceResiduals
-from rendezview.sensors.appearance.as_built.strain import matrix_of, strain_names, strained
-from rendezview.sensors.appearance.edges.levels import (
-    FINEST_RADIUS_PX,
-    shrunk_blur,
-    times_smaller,
+from rendezview.io.grey_frame import Picture
+from rendezview.io.parts import TrustedPart
+from rendezview.sensors.appearance.as_built.deformation import Deformation
+from rendezview.sensors.appearance.as_built.frames import (
+    LEAST_RMS_PX,
+    PosedFrame,
+    measured,
+    mountings,
+    pose_of,
+    posed,
 )
+from rendezview.sensors.appearance.as_built.parts import Part, distrusted
+from rendezview.sensors.appearance.as_built.shape import AsBuilt, ShapeOptions, SurfaceResiduals
+from rendezview.sensors.appearance.as_built.strain import matrix_of, strain_names
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
-from rendezview.sensors.appearance.edges.refinement import RefineOptions, Refiner
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.recognizer import Recognizer
-from rendezview.sensors.appearance.sketch.found import SketchFound
-from rendezview.sensors.appearance.sketch.network import Sketch
 from rendezview.sensors.appearance.sketch.search import SketchSearch
-from rendezview.sensors.appearance.sky import Sky
 
 # σ of the strain while it is not yet known: edges are looked for further away, without profiles.
 _ROUGH = 0.02  # Source: by construction
@@ -46,18 +47,6 @@ _PRIOR_ROUNDS = 30  # Source: by construction, the weights no longer change
 _MOST_SHOWN = 6000  # edges in a picture. Source: by construction
 # Mean of the strain along the axes. Source: by construction
 _SIZE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]) / 3.0
-
-
-@dataclass(slots=True, eq=False)
-class _Frame:
-    """One frame with the pose that is estimated with the strain."""
-
-    index: int
-    picture: Picture
-    sky: Sky
-    pose: Pose
-    times: int  # the picture is so many times smaller than the frame
-    sketch: Sketch | None  # its edges are the sketch's; None: grey edges
 
 
 class ShapeEstimator:
@@ -78,8 +67,9 @@ class ShapeEstimator:
         priors: Sequence[Pose | None] | None = None,
         known: Mapping[int, tuple[float, float]] | None = None,
         progress: Callable[[str], None] = lambda line: None,
+        parts: Sequence[TrustedPart] = (),
     ) -> AsBuilt:
-        """The strain that explains the frames.
+        """The strain, and the mounting of parts, that explain the frames.
 
         Args:
             frames: (H, W) uint8 each, any order.
@@ -87,17 +77,19 @@ class ShapeEstimator:
             known: components of the strain (0, 1, 2: along x, y, z) that are measured otherwise:
                 value and σ.
             progress: gets a line now and then.
+            parts: of the craft, with boxes, that may be turned and shifted; their ``trust`` is
+                not read.
 
         Raises:
-            RendezviewError: too few frames give a pose, or they do not show the strain.
+            RendezviewError: too few frames give a pose, or they do not show the strain; a part
+                is nowhere.
         """
-        strain, before = np.zeros(6), None
+        shape = Deformation(np.zeros(6), tuple(Part.of(part, self.model) for part in parts))
+        radius_m, before = self.model.target_radius_m, None
         untouched = SurfaceResiduals(np.zeros((0, 3)), np.zeros(0))
         for _ in range(self.options.looks):
-            recognizer = Recognizer(
-                strained(self.model, matrix_of(strain), shape_error=_ROUGH), self.camera
-            )
-            used = self._posed(recognizer, frames, priors, progress)
+            recognizer = Recognizer(shape.model(self.model, shape_error=_ROUGH), self.camera)
+            used = posed(recognizer, frames, priors, progress)
             count = len(used)
             if count < self.options.least_frames:
                 raise RendezviewError(
@@ -106,111 +98,72 @@ class ShapeEstimator:
                 )
             self._check_spread(used)
             sketcher = recognizer.sketch
-            began = strain
+            moved = np.zeros(shape.size)
             for turn in range(self.options.rounds):
-                measured = self._measured(used, strain, sketcher, rough=turn < _ROUGH_ROUNDS)
-                rms = self._shares(used, measured)
+                edges = self._measured(used, shape, sketcher, rough=turn < _ROUGH_ROUNDS)
+                rms = self._shares(used, edges)
                 if before is None:
                     before = float(np.median(rms[np.isfinite(rms)]))
-                    untouched = self._over_surface(used, measured)
-                step = self._step(used, measured, rms, strain, known or {})
-                strain = strain + step
-                largest = float(np.abs(step).max())
-                progress(f"round {turn + 1}: {_told(strain)}, changed by {100 * largest:.3f} %")
+                    untouched = self._over_surface(used, edges)
+                step = self._step(used, edges, rms, shape, known or {})
+                shape, moved = shape.after(step), moved + step
+                largest = shape.change(step, radius_m)
+                progress(f"round {turn + 1}: {shape.told()}, changed by {100 * largest:.3f} %")
                 if turn >= _ROUGH_ROUNDS and largest < self.options.stop:
                     break
-            if np.abs(strain - began).max() < self.options.look_again:
+            if shape.change(moved, radius_m) < self.options.look_again:
                 break
-        measured = self._measured(used, strain, sketcher, rough=False)
-        rms = self._shares(used, measured)
+        edges = self._measured(used, shape, sketcher, rough=False)
+        rms = self._shares(used, edges)
         good = self._good(rms)
-        covariance = self._covariance(used, measured, good, strain, known or {})
+        whole = self._covariance(edges, good, shape, known or {})
+        covariance = whole[:6, :6]
         self._check_observed(covariance)
+        fitting = [e for e, is_good in zip(edges, good, strict=True) if is_good and e is not None]
+        mounted = mountings(fitting, self.model, shape, whole, self.options)
+        trusts = [(p, m.trust) for p, m in zip(shape.parts, mounted, strict=True)]
         size_sigma = float(np.sqrt(_SIZE @ covariance @ _SIZE))
         poses: list[Pose | None] = [None] * len(frames)
         for k in np.flatnonzero(good):
             poses[used[k].index] = used[k].pose
         return AsBuilt(
-            matrix_of(strain), covariance, size_sigma, tuple(poses), before or 0.0,
+            matrix_of(shape.strain), covariance, size_sigma, tuple(poses), before or 0.0,
             float(np.median(rms[good])), size_sigma < 0.5 * self.options.size_sigma,
-            untouched, self._over_surface(used, measured),
+            untouched, self._over_surface(used, edges), mounted,
+            distrusted(shape.model(self.model, covariance=covariance), self.model, trusts),
         )  # fmt: skip
 
-    def _posed(
-        self,
-        recognizer: Recognizer,
-        frames: Sequence[Picture],
-        priors: Sequence[Pose | None] | None,
-        progress: Callable[[str], None],
-    ) -> list[_Frame]:
-        """The frames in which the recognizer gives a pose."""
-        used = []
-        for k, image in enumerate(frames):
-            frame = check_frame(image, self.camera.width, self.camera.height)
-            prior = None if priors is None else priors[k]
-            seen = recognizer.recognize(frame, prior)
-            if seen.pose is None:
-                continue
-            sketch = None
-            if isinstance(seen.found, SketchFound) and recognizer.sketch is not None:
-                sketch = recognizer.sketch.closer_sketch(frame, seen.pose)
-            range_m = float(np.linalg.norm(seen.pose.apply(self.model.centre_m)))
-            times = times_smaller(
-                self.camera, self.model.target_radius_m, range_m, FINEST_RADIUS_PX
-            )
-            picture = shrunk(frame, times) if times > 1 else frame
-            used.append(_Frame(k, picture, Sky.of(picture), seen.pose, times, sketch))
-            if (k + 1) % 20 == 0:
-                progress(f"{k + 1} of {len(frames)} frames, {len(used)} with a pose")
-        return used
-
     def _measured(
-        self, frames: list[_Frame], strain: Array, sketcher: SketchSearch | None, *, rough: bool
+        self,
+        frames: list[PosedFrame],
+        shape: Deformation,
+        sketcher: SketchSearch | None,
+        *,
+        rough: bool,
     ) -> list[MeasuredEdges | None]:
-        """The edges of all frames at the poses that fit them best; the poses are kept."""
-        model = strained(self.model, matrix_of(strain), shape_error=_ROUGH if rough else 0.0)
-        refiners: dict[int, Refiner] = {}
-        search = None
-        found: list[MeasuredEdges | None] = []
-        for frame in frames:
-            if frame.times not in refiners:
-                blur_px = shrunk_blur(RefineOptions().blur_px, frame.times)
-                refiners[frame.times] = Refiner(
-                    model, self.camera.binned(frame.times), RefineOptions(blur_px=blur_px)
-                )
-            refiner = refiners[frame.times]
-            if frame.sketch is None:
-                edges = refiner.measured(frame.picture, frame.sky, frame.pose)
-            else:
-                if search is None and sketcher is not None:
-                    search = sketcher.with_tables(model, refiner.views)
-                edges = None if search is None else search.measured(frame.sketch, frame.pose)
-            if edges is not None:
-                frame.pose = _pose(edges.rotation, edges.centre_m, self.model)
-            found.append(edges)
-        return found
+        model = shape.model(self.model, shape_error=_ROUGH if rough else 0.0)
+        return measured(frames, model, self.camera, sketcher)
 
-    def _shares(self, frames: list[_Frame], measured: list[MeasuredEdges | None]) -> Array:
+    def _shares(self, frames: list[PosedFrame], measured: list[MeasuredEdges | None]) -> Array:
         """(F,) rms of each frame, of the target's radius; infinite where nothing is found."""
-        shares = np.full(len(frames), np.inf)
+        shares, radius_m = np.full(len(frames), np.inf), self.model.target_radius_m
         for k, (frame, edges) in enumerate(zip(frames, measured, strict=True)):
             if edges is None or not edges.weight.sum() > 0.0:
                 continue
-            scale = 1.0 / frame.times if frame.sketch is None else frame.sketch.scale
-            radius_px = self.camera.fx * scale * self.model.target_radius_m / edges.centre_m[2]
+            radius_px = frame.radius_px(self.camera, radius_m, edges.centre_m[2])
             shares[k] = edges.residual_rms_px / radius_px
         return shares
 
     def _over_surface(
-        self, frames: list[_Frame], measured: list[MeasuredEdges | None]
+        self, frames: list[PosedFrame], measured: list[MeasuredEdges | None]
     ) -> SurfaceResiduals:
         """Edges of all frames on the target, thinned to what a picture shows."""
         places, shares = [np.zeros((0, 3))], [np.zeros(0)]
+        radius_m = self.model.target_radius_m
         for frame, edges in zip(frames, measured, strict=True):
             if edges is None:
                 continue
-            scale = 1.0 / frame.times if frame.sketch is None else frame.sketch.scale
-            radius_px = self.camera.fx * scale * self.model.target_radius_m / edges.centre_m[2]
+            radius_px = frame.radius_px(self.camera, radius_m, edges.centre_m[2])
             places.append(edges.places_m)
             shares.append(edges.residual_px / radius_px)
         place, share = np.concatenate(places), np.concatenate(shares)
@@ -222,12 +175,15 @@ class ShapeEstimator:
         median = np.median(rms[np.isfinite(rms)]) if np.isfinite(rms).any() else np.inf
         return np.asarray(np.isfinite(rms) & (rms <= self.options.most_rms * median))
 
-    def _reduced(self, edges: MeasuredEdges) -> tuple[Array, Array, Array, Array]:
-        """Information (6, 6) and right side (6,) of the strain with the pose eliminated; the pose's
-        own answer (6,) and its response to the strain (6, 6)."""
-        sigma2 = max(edges.residual_rms_px, 1e-3) ** 2 * self.options.edges_as_one
+    def _reduced(
+        self, edges: MeasuredEdges, deformation: Deformation
+    ) -> tuple[Array, Array, Array, Array]:
+        """Information (U, U) and right side (U,) of the shape with the pose eliminated; the pose's
+        own answer (6,) and its response to the shape (6, U)."""
+        sigma2 = max(edges.residual_rms_px, LEAST_RMS_PX) ** 2 * self.options.edges_as_one
         weight = edges.weight / sigma2
-        pose, shape = edges.pose_slopes, edges.strain_slopes
+        pose = edges.pose_slopes
+        shape = deformation.slopes(edges, self.model.target_radius_m)
         weighted = pose * weight[:, None]
         own = weighted.T @ pose
         own += 1e-9 * np.diag(np.diag(own))
@@ -242,14 +198,14 @@ class ShapeEstimator:
 
     def _step(
         self,
-        frames: list[_Frame],
+        frames: list[PosedFrame],
         measured: list[MeasuredEdges | None],
         rms: Array,
-        strain: Array,
+        shape: Deformation,
         known: Mapping[int, tuple[float, float]],
     ) -> Array:
-        """(6,) change of the strain; the poses follow it."""
-        matrix, right = np.zeros((6, 6)), np.zeros(6)
+        """(U,) change of the shape; the poses follow it."""
+        matrix, right = np.zeros((shape.size, shape.size)), np.zeros(shape.size)
         good = self._good(rms)
         if not good.any():
             raise RendezviewError("no frame's edges fit the model")
@@ -257,40 +213,49 @@ class ShapeEstimator:
         for k in np.flatnonzero(good):
             edges = measured[k]
             if edges is not None:
-                parts[k] = self._reduced(edges)
+                parts[k] = self._reduced(edges, shape)
                 matrix += parts[k][0]
                 right += parts[k][1]
         about = None
         for _ in range(_PRIOR_ROUNDS):  # the prior's weights follow the strain
-            information, towards = self._prior(strain, known, about)
+            information, towards = self._prior(shape, known, about)
             step = np.linalg.solve(matrix + information, right + towards)
-            about = strain + step
+            about = shape.strain + step[:6]
         for k, (_, _, answer, response) in parts.items():
             edges = measured[k]
             if edges is not None:
                 move = answer - response @ step
                 rotation = exp(np.ascontiguousarray(move[:3])) @ edges.rotation
-                frames[k].pose = _pose(rotation, edges.centre_m + move[3:], self.model)
+                frames[k].pose = pose_of(rotation, edges.centre_m + move[3:], self.model)
         return np.asarray(step)
 
     def _prior(
         self,
-        strain: Array,
+        shape: Deformation,
         known: Mapping[int, tuple[float, float]],
         about: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Information (6, 6) and right side (6,) of what is known without frames.
+        """Information (U, U) and right side (U,) of what is known without frames.
 
         ``about``: (6,) a strain: the smaller a component of it beside the largest, the less is
         the variance of that component; None: all have the same.
         """
+        strain, options = shape.strain, self.options
         variance = np.ones(6)
         if about is not None:
-            variance = self.options.usual_sigma**2 + about**2
-        information = np.diag(variance.max() / variance) / self.options.prior_sigma**2
+            variance = options.usual_sigma**2 + about**2
+        information = np.zeros((shape.size, shape.size))
+        information[:6, :6] = np.diag(variance.max() / variance) / options.prior_sigma**2
         if not known:  # a length says more about the size than the model does
-            information += self.options.size_sigma**-2 * np.outer(_SIZE, _SIZE)
-        right = -information @ strain
+            information[:6, :6] += options.size_sigma**-2 * np.outer(_SIZE, _SIZE)
+        right = np.zeros(shape.size)
+        right[:6] = -information[:6, :6] @ strain
+        move_sigma_m = options.move_sigma * self.model.target_radius_m
+        mounted = np.repeat([options.turn_sigma_rad, move_sigma_m], 3) ** -2.0
+        for k, part in enumerate(shape.parts):
+            own = shape.of_part(k)
+            information[own, own] = np.diag(mounted)
+            right[own] = -mounted * part.motion
         for component, (value, sigma) in known.items():
             information[component, component] += sigma**-2
             right[component] += (value - strain[component]) * sigma**-2
@@ -298,31 +263,30 @@ class ShapeEstimator:
 
     def _covariance(
         self,
-        frames: list[_Frame],
         measured: list[MeasuredEdges | None],
         good: np.ndarray,
-        strain: Array,
+        shape: Deformation,
         known: Mapping[int, tuple[float, float]],
     ) -> Array:
-        """(6, 6): the larger of the edges' own and of the scatter between the frames.
+        """(U, U): the larger of the edges' own and of the scatter between the frames.
 
         The scatter is the sandwich H⁻¹ (Σ g gᵀ) H⁻¹ over the frames (Huber 1967): frames are
         independent, the edges of one are not.
         """
-        matrix, _ = self._prior(strain, known)
-        prior = matrix.copy()
-        scatter = np.zeros((6, 6))
+        matrix, _ = self._prior(shape, known)
+        prior, scatter = matrix.copy(), np.zeros_like(matrix)
         for k in np.flatnonzero(good):
             edges = measured[k]
             if edges is not None:
-                information, right, _, _ = self._reduced(edges)
+                information, right, _, _ = self._reduced(edges, shape)
                 matrix += information
                 scatter += np.outer(right, right)
         inverse = np.linalg.inv(matrix)
         own, between = inverse, inverse @ (scatter + prior) @ inverse
-        return np.asarray(own if np.trace(own) > np.trace(between) else between)
+        larger = np.trace(own[:6, :6]) > np.trace(between[:6, :6])
+        return np.asarray(own if larger else between)
 
-    def _check_spread(self, frames: list[_Frame]) -> None:
+    def _check_spread(self, frames: list[PosedFrame]) -> None:
         """One side of a target shows its depth by perspective only.
 
         Raises:
@@ -355,13 +319,3 @@ class ShapeEstimator:
                 f"the frames do not show the strain {', '.join(loose)}: they need views of the "
                 "target from more sides"
             )
-
-
-def _told(strain: Array) -> str:
-    return ", ".join(
-        f"{name} {100 * value:+.2f} %" for name, value in zip(strain_names(), strain, strict=True)
-    )
-
-
-def _pose(rotation: Array, centre_m: Array, model: ViewModel) -> Pose:
-    return Pose(rotation, centre_m - rotation @ model.centre_m)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.measured import STRAINS
+from rendezview.sensors.appearance.model import ViewModel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +19,8 @@ class ShapeOptions:
     # Components below it are alike: most are right, a few far off.
     usual_sigma: float = 0.005  # Source: by construction, a careful CAD model
     size_sigma: float = 0.02  # of the mean of xx, yy, zz. Source: by construction, a known craft
+    turn_sigma_rad: float = 0.15  # of a part. Source: by construction, 6° is twice less
+    move_sigma: float = 0.05  # of a part, share of the target's radius. Source: by construction
     rounds: int = 10  # Gauss–Newton, at most. Source: experiment pose-shape, twice what it took
     stop: float = 2e-4  # largest change of a component. Source: a tenth of an edge's error
     # The frames are recognised so often at most: again with the model found, while the strain
@@ -26,6 +29,8 @@ class ShapeOptions:
     look_again: float = 5e-3  # Source: a pixel or two of an edge
     least_frames: int = 5  # with a pose. Source: by construction
     least_spread_rad: float = np.deg2rad(30.0)  # between two views. Source: by construction
+    whole_trust: float = 0.5  # a part above it is trusted wholly. Source: scatter of such ratios
+    least_edges: int = 50  # of a part; fewer say nothing of its trust. Source: by construction
     # Neighbouring edges err together: as many edges count as one.
     edges_as_one: float = 5.0  # Source: experiment photo-accuracy --folds
     # Times the median frame's residual; frames beyond are wrong poses.
@@ -41,8 +46,23 @@ class SurfaceResiduals:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Mounting:
+    """How a part of the craft is mounted, and how well its edges then fit."""
+
+    name: str
+    motion: Array  # (6,) rotation vector about the middle of its boxes, rad; shift, m; target axes
+    covariance: Array  # (6, 6)
+    trust: float  # 0 … 1: what one of its edges is worth beside one of the rest
+    edges: int  # of it, in all frames
+
+    @property
+    def turn_deg(self) -> float:
+        return float(np.rad2deg(np.linalg.norm(self.motion[:3])))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class AsBuilt:
-    """The strain of a craft, and how well it explains the frames."""
+    """The strain of a craft and the mounting of its parts, and how well they explain the frames."""
 
     strain: Array  # (3, 3) symmetric, target axes, about the view centre
     covariance: Array  # (6, 6) of its components xx, yy, zz, xy, xz, yz
@@ -53,6 +73,8 @@ class AsBuilt:
     size_known: bool  # by lengths, or by the frames
     before: SurfaceResiduals  # of the model as it was
     after: SurfaceResiduals
+    mountings: tuple[Mounting, ...]
+    model: ViewModel  # as built
 
     @property
     def components(self) -> Array:

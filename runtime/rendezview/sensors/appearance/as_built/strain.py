@@ -39,11 +39,11 @@ def strained(
     contours: Contours = replace(
         model.contours,
         point=_points(model.contours.point, matrix / grown),
-        tangent=_directions(model.contours.tangent, matrix),
+        tangent=turned_directions(model.contours.tangent, matrix),
     )
     surface = model.surface
     if surface is not None:
-        normal = _directions(surface.normal, np.linalg.inv(matrix).T)
+        normal = turned_directions(surface.normal, np.linalg.inv(matrix).T)
         surface = replace(surface, point=_points(surface.point, matrix / grown), normal=normal)
     sketches = model.sketches
     if sketches is not None:
@@ -65,7 +65,10 @@ def _points(points: npt.NDArray[np.int16], matrix: Array) -> npt.NDArray[np.int1
     return np.asarray(np.clip(moved, -_INT16, _INT16), dtype=np.int16)
 
 
-def _directions(directions: npt.NDArray[np.int8], matrix: npt.NDArray[Any]) -> npt.NDArray[np.int8]:
+def turned_directions(
+    directions: npt.NDArray[np.int8], matrix: npt.NDArray[Any]
+) -> npt.NDArray[np.int8]:
+    """Stored directions (…, 3) mapped by a matrix (3, 3)."""
     moved = directions.astype(np.float32) @ matrix.T.astype(np.float32)
     length = np.linalg.norm(moved, axis=-1, keepdims=True)
     return np.asarray(np.rint(moved / np.maximum(length, 1e-6) / DIRECTION_UNIT), dtype=np.int8)
