@@ -156,10 +156,13 @@ def test_the_shape_of_a_target_is_calibrated_from_a_scene(
     low, high = bumpy_mesh.vertices_m.min(0), bumpy_mesh.vertices_m.max(0)
     box = [[float(0.5 * (low + high)[0]), *(low[1:] - 1.0).tolist()], (high + 1.0).tolist()]
     target.write_text(f'{head}[[parts]]\nname = "front"\ntrust = 1.0\nboxes_m = [{box}]\n')
-    ran = run(*shape, "--poses", "scene", "--parts", target)
+    lens = tmp_path / "lens.yaml"
+    ran = run(*shape, "--poses", "scene", "--parts", target, "--lens", lens)
     assert ran.code == 0, ran
     assert "front" in ran.err
     assert "trust" in ran.err
+    assert "focal length" in ran.err
+    assert load_camera(lens).fx == pytest.approx(camera.fx, rel=0.02)
     motion = ViewModel.load(tmp_path / "built.rvm").provenance["mounted"]["front"]
     assert len(motion) == 6
     assert 0.0 < abs(motion[3]) < 0.1

@@ -133,6 +133,12 @@ def shape(
             "and trust of each are estimated."
         ),
     ] = None,
+    lens: Annotated[
+        Path | None,
+        typer.Option(
+            help="Camera file to write: focal length and principal point are estimated as well."
+        ),
+    ] = None,
     frames: Annotated[int, typer.Option(help="At most, evenly spaced.")] = 200,
     obj_id: Annotated[
         int | None, typer.Option(help="Which object of a BOP scene is the target.")
@@ -152,6 +158,8 @@ def shape(
     check_place(output, "the model")
     if picture is not None:
         check_place(picture, "the picture")
+    if lens is not None:
+        check_place(lens, "the camera file")
     loaded = ViewModel.load(model)
     mounted = () if parts is None else Target.load(parts).parts
     if parts is not None and not mounted:
@@ -171,8 +179,11 @@ def shape(
         known,
         say,
         mounted,
+        lens=lens is not None,
     )
     found.model.save(output)
+    if lens is not None:
+        save_camera(found.camera, lens)
     if picture is not None:
         write_png(picture, shape_picture(found, f"{loaded.name}: {found.used} frames"))
     _tell(found, output, len(chosen))
@@ -225,6 +236,13 @@ def _tell(found: AsBuilt, output: Path, given: int) -> None:
                 f"{part.trust:.2f}", str(part.edges),
             )  # fmt: skip
         console.print(table)
+    if len(found.lens_covariance):
+        sigmas = np.sqrt(np.diag(found.lens_covariance))
+        seen = found.camera
+        say(
+            f"focal length {seen.fx:.2f} px (σ {seen.fx * sigmas[0]:.2f}), principal point "
+            f"{seen.cx:.2f}, {seen.cy:.2f} px (σ {sigmas[1]:.2f}, {sigmas[2]:.2f})"
+        )
     if not found.size_known:
         say(
             "one camera does not see the overall size: it stays the model's, give a --length to "

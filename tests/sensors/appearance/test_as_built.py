@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
+from rendezview.sensors.appearance.as_built import ShapeEstimator, ShapeOptions, strained
 from rendezview.sensors.appearance.as_built.picture import shape_picture
 from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
@@ -52,6 +52,28 @@ def test_the_strain_is_found_within_its_uncertainty(found):
     assert error @ np.linalg.solve(found.covariance, error) < 30.0
     assert found.size_known
     assert found.rms_after < 0.7 * found.rms_before
+
+
+def test_a_wrong_focal_length_is_found_with_the_strain(refining_model, camera, fly_around):
+    frames, _, priors = fly_around
+    told = replace(camera, fx=1.03 * camera.fx, fy=1.03 * camera.fy, cx=camera.cx - 4.0)
+    known = {0: (STRAIN[0, 0], 1e-3)}
+    found = ShapeEstimator(refining_model, told).estimate(frames, priors, known, lens=True)
+    off = [np.log(found.camera.fx / camera.fx), found.camera.cx - camera.cx]
+    assert abs(off[0]) < 0.005
+    assert abs(off[1]) < 2.0
+    sigma = np.sqrt(np.diag(found.lens_covariance))
+    assert (np.abs([*off, found.camera.cy - camera.cy])[[0, 1, 2]] < 4.0 * sigma).all()
+    assert found.camera.fx / found.camera.fy == pytest.approx(camera.fx / camera.fy)
+    error = found.components - STRAIN[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    assert np.abs(error).max() < 0.005
+
+
+def test_frames_that_do_not_show_the_focal_length_are_refused(refining_model, camera, fly_around):
+    frames, _, priors = (part[:8] for part in fly_around)
+    well_known = ShapeOptions(focal_sigma=1e-4)  # the frames add nothing to that
+    with pytest.raises(RendezviewError, match="focal length"):
+        ShapeEstimator(refining_model, camera, well_known).estimate(frames, priors, lens=True)
 
 
 def test_a_corrected_model_gives_better_poses_of_other_frames(

@@ -68,6 +68,8 @@ class ShapeEstimator:
         known: Mapping[int, tuple[float, float]] | None = None,
         progress: Callable[[str], None] = lambda line: None,
         parts: Sequence[TrustedPart] = (),
+        *,
+        lens: bool = False,
     ) -> AsBuilt:
         """The strain, and the mounting of parts, that explain the frames.
 
@@ -79,16 +81,19 @@ class ShapeEstimator:
             progress: gets a line now and then.
             parts: of the craft, with boxes, that may be turned and shifted; their ``trust`` is
                 not read.
+            lens: whether the camera's focal length and principal point are estimated as well.
 
         Raises:
-            RendezviewError: too few frames give a pose, or they do not show the strain; a part
-                is nowhere.
+            RendezviewError: too few frames give a pose, or they do not show the strain or the
+                focal length; a part is nowhere.
         """
-        shape = Deformation(np.zeros(6), tuple(Part.of(part, self.model) for part in parts))
+        movable = tuple(Part.of(part, self.model) for part in parts)
+        shape = Deformation(np.zeros(6), movable, np.zeros(3) if lens else None)
         radius_m, before = self.model.target_radius_m, None
         untouched = SurfaceResiduals(np.zeros((0, 3)), np.zeros(0))
         for _ in range(self.options.looks):
-            recognizer = Recognizer(shape.model(self.model, shape_error=_ROUGH), self.camera)
+            deformed = shape.model(self.model, shape_error=_ROUGH)
+            recognizer = Recognizer(deformed, shape.camera(self.camera))
             used = posed(recognizer, frames, priors, progress)
             count = len(used)
             if count < self.options.least_frames:
@@ -107,11 +112,11 @@ class ShapeEstimator:
                     untouched = self._over_surface(used, edges)
                 step = self._step(used, edges, rms, shape, known or {})
                 shape, moved = shape.after(step), moved + step
-                largest = shape.change(step, radius_m)
+                largest = shape.change(step, radius_m, self.camera.fx)
                 progress(f"round {turn + 1}: {shape.told()}, changed by {100 * largest:.3f} %")
                 if turn >= _ROUGH_ROUNDS and largest < self.options.stop:
                     break
-            if shape.change(moved, radius_m) < self.options.look_again:
+            if shape.change(moved, radius_m, self.camera.fx) < self.options.look_again:
                 break
         edges = self._measured(used, shape, sketcher, rough=False)
         rms = self._shares(used, edges)
@@ -119,6 +124,12 @@ class ShapeEstimator:
         whole = self._covariance(edges, good, shape, known or {})
         covariance = whole[:6, :6]
         self._check_observed(covariance)
+        lens_covariance = whole[shape.of_lens, shape.of_lens]
+        if lens and lens_covariance[0, 0] > (0.5 * self.options.focal_sigma) ** 2:
+            raise RendezviewError(
+                "the frames do not show the focal length: they need views from nearer, where near "
+                "and far edges of the target differ in size"
+            )
         fitting = [e for e, is_good in zip(edges, good, strict=True) if is_good and e is not None]
         mounted = mountings(fitting, self.model, shape, whole, self.options)
         trusts = [(p, m.trust) for p, m in zip(shape.parts, mounted, strict=True)]
@@ -131,6 +142,7 @@ class ShapeEstimator:
             float(np.median(rms[good])), size_sigma < 0.5 * self.options.size_sigma,
             untouched, self._over_surface(used, edges), mounted,
             distrusted(shape.model(self.model, covariance=covariance), self.model, trusts),
+            shape.camera(self.camera), lens_covariance,
         )  # fmt: skip
 
     def _measured(
@@ -142,7 +154,7 @@ class ShapeEstimator:
         rough: bool,
     ) -> list[MeasuredEdges | None]:
         model = shape.model(self.model, shape_error=_ROUGH if rough else 0.0)
-        return measured(frames, model, self.camera, sketcher)
+        return measured(frames, model, shape.camera(self.camera), sketcher)
 
     def _shares(self, frames: list[PosedFrame], measured: list[MeasuredEdges | None]) -> Array:
         """(F,) rms of each frame, of the target's radius; infinite where nothing is found."""
@@ -183,7 +195,7 @@ class ShapeEstimator:
         sigma2 = max(edges.residual_rms_px, LEAST_RMS_PX) ** 2 * self.options.edges_as_one
         weight = edges.weight / sigma2
         pose = edges.pose_slopes
-        shape = deformation.slopes(edges, self.model.target_radius_m)
+        shape = deformation.slopes(edges, self.model.target_radius_m, self.camera)
         weighted = pose * weight[:, None]
         own = weighted.T @ pose
         own += 1e-9 * np.diag(np.diag(own))
@@ -256,6 +268,14 @@ class ShapeEstimator:
             own = shape.of_part(k)
             information[own, own] = np.diag(mounted)
             right[own] = -mounted * part.motion
+        if shape.lens is not None:
+            centre_sigma_px = options.centre_sigma * self.camera.fx
+            own, seen = (
+                shape.of_lens,
+                np.array([options.focal_sigma, *[centre_sigma_px] * 2]) ** -2.0,
+            )
+            information[own, own] = np.diag(seen)
+            right[own] = -seen * shape.lens
         for component, (value, sigma) in known.items():
             information[component, component] += sigma**-2
             right[component] += (value - strain[component]) * sigma**-2

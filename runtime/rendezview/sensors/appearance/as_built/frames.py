@@ -93,7 +93,7 @@ def measured(
             edges = refiner.measured(frame.picture, frame.sky, frame.pose)
         else:
             if search is None and sketcher is not None:
-                search = sketcher.with_tables(model, refiner.views)
+                search = sketcher.with_tables(model, refiner.views, camera)
             edges = None if search is None else search.measured(frame.sketch, frame.pose)
         if edges is not None:
             frame.pose = pose_of(edges.rotation, edges.centre_m, model)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.measured import STRAINS
 from rendezview.sensors.appearance.model import ViewModel
@@ -29,6 +30,8 @@ class ShapeOptions:
     look_again: float = 5e-3  # Source: a pixel or two of an edge
     least_frames: int = 5  # with a pose. Source: by construction
     least_spread_rad: float = np.deg2rad(30.0)  # between two views. Source: by construction
+    focal_sigma: float = 0.05  # of the focal length. Source: by construction, a data sheet
+    centre_sigma: float = 0.02  # of the principal point, share of the focal length. Source: same
     whole_trust: float = 0.5  # a part above it is trusted wholly. Source: scatter of such ratios
     least_edges: int = 50  # of a part; fewer say nothing of its trust. Source: by construction
     # Neighbouring edges err together: as many edges count as one.
@@ -75,6 +78,9 @@ class AsBuilt:
     after: SurfaceResiduals
     mountings: tuple[Mounting, ...]
     model: ViewModel  # as built
+    camera: Camera  # as it is, where it was asked for
+    # (3, 3) of the logarithm of the focal length and the principal point, px; (0, 0): not asked
+    lens_covariance: Array
 
     @property
     def components(self) -> Array:

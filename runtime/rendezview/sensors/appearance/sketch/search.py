@@ -120,10 +120,11 @@ class SketchSearch:
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
         return self._closer(frame, sketch, within, prior=True)
 
-    def with_tables(self, model: ViewModel, views: ViewTables) -> SketchSearch:
-        """The same search for the model with its contour points moved."""
+    def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
+        """The same search for the model with its contour points moved, and a camera alike."""
         moved = copy(self)
-        moved.model, moved._views = model, views
+        moved.model, moved._views, moved.camera = model, views, camera
+        moved._lens = (lens_vector(camera), camera.is_distorted)
         return moved
 
     def closer_sketch(self, frame: Picture, pose: Pose) -> Sketch | None:
