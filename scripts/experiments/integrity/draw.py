@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +21,8 @@ from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tra
 from rendezview.sensors.appearance.evidence import Evidence, Second
 from rendezview.training.mesh import Mesh
 
-SECOND_EVERY = 20  # poses of a track; the sketch is asked beside the first of them
+SECOND_EVERY = 5  # poses of a track; the sketch is asked beside the first of them
+OFF = np.deg2rad(20.0)  # a wrong pose is farther than that from the truth
 MOST_LOST = 4  # frames in a row without a pose, after which a sequence ends
 TARGETS = ("hubble", "client", "scole")
 SHARD = 4  # sequences of a file
@@ -49,10 +51,44 @@ def line(
     }
 
 
+def alike(recognizer: Recognizer, picture: np.ndarray, truth: Pose, mesh: Mesh) -> Iterator[Pose]:
+    """Wrong poses that may look like the true one: rivals, half turns, depth reversed."""
+    model = recognizer.model
+    found = recognizer.recognize(picture).found
+    if found is not None:
+        yield from (one.pose for one in (found.best, found.rival) if one is not None)
+    centre = truth.apply(model.centre_m)
+    main_axes = np.linalg.svd(mesh.vertices_m - mesh.vertices_m.mean(0), full_matrices=False)[2]
+    view = centre / np.linalg.norm(centre)
+    turns = [truth.rotation @ so3.exp(np.pi * axis) for axis in main_axes]
+    # A nearly flat craft seen along its normal n: turned about n × view by twice the angle between.
+    normal = truth.rotation @ main_axes[2]
+    across = np.cross(normal, view)
+    lean = np.arctan2(np.linalg.norm(across), normal @ view)
+    turns.append(so3.exp(2.0 * lean * across / max(np.linalg.norm(across), 1e-9)) @ truth.rotation)
+    yield from (Pose(turn, centre - turn @ model.centre_m) for turn in turns)
+
+
+def is_off(pose: Pose | None, truth: Pose, model: ViewModel) -> bool:
+    """Whether a pose is quite another attitude than the truth."""
+    return pose is not None and nearest_alike(pose, truth, model.symmetries).angle_to(truth) > OFF
+
+
+def misled(recognizer: Recognizer, picture: np.ndarray, truth: Pose, mesh: Mesh) -> Tracker | None:
+    """A tracker that takes a wrong prior; None where no wrong one is taken."""
+    for prior in alike(recognizer, picture, truth, mesh):
+        if not is_off(prior, truth, recognizer.model):
+            continue
+        if is_off(recognizer.recognize(picture, prior).pose, truth, recognizer.model):
+            return Tracker(recognizer, prior=prior)
+    return None
+
+
 def looks(
-    recognizer: Recognizer, mesh: Mesh, condition: Condition, rng: np.random.Generator
-) -> list[dict[str, Any]]:
-    """Every look at one sequence; every other one starts from a prior."""
+    recognizer: Recognizer, mesh: Mesh, condition: Condition, rng: np.random.Generator,
+    mislead: bool = False,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Every look at one sequence; every other one has a prior, a misled one a wrong prior."""
     model = recognizer.model
     centre_m, radius_m = model.centre_m, model.target_radius_m
     if condition.other:
@@ -63,7 +99,11 @@ def looks(
     poses = lost = 0
     for k, (picture, shown) in enumerate(sequence(mesh, centre_m, radius_m, condition, rng)):
         truth = None if condition.other else shown
-        if tracker is None:
+        if tracker is None and mislead:
+            tracker = misled(recognizer, picture, shown, mesh)
+            if tracker is None:
+                break
+        elif tracker is None:
             tracker = Tracker(recognizer, prior=truth if with_prior else None)
         predicted = tracker.predicted(float(k)) if k else None
         began_s = time.process_time()
@@ -73,6 +113,8 @@ def looks(
         due = poses % SECOND_EVERY == 0
         if due and seen.pose is not None and not (evidence is not None and evidence.sketched):
             second = recognizer.second_look(picture, seen.pose)
+        if mislead and not is_off(seen.pose, shown, model):
+            break
         poses += seen.pose is not None
         lost = 0 if seen.pose is not None else lost + 1
         lines.append(line(k, seen, evidence, second, truth, model, spent_s))
@@ -89,6 +131,9 @@ def run(
     seed: int = 1,
     minutes: Annotated[float, "no new shard is begun after them"] = 8.0,
     only: Annotated[str | None, "one condition"] = None,
+    mislead: Annotated[
+        bool, "begin at wrong poses that look alike, and end where they are left"
+    ] = False,
 ) -> None:
     """Draw and track sequences; each shard of four is a file.
 
@@ -106,9 +151,12 @@ def run(
     first, last = (int(part) for part in shards.split("-"))
     for shard in range(first, last + 1):
         for c, (name, condition) in enumerate(CONDITIONS.items()):
-            path = output / f"{name.replace(' ', '_').replace('_%', '')}-{shard:03d}.jsonl"
+            kind = name.replace(" ", "_").replace("_%", "") + "-misled" * mislead
+            path = output / f"{kind}-{shard:03d}.jsonl"
             if path.exists() or (only is not None and name != only):
                 continue
+            if mislead and condition.other:
+                continue  # no pose of it is right
             if time.monotonic() - began_s > 60.0 * minutes:
                 print(f"time is up before {path.name}: run again to continue")
                 return
@@ -118,10 +166,10 @@ def run(
                 others = [name for name in TARGETS if name != target]
                 shown = others[k // len(names) % len(others)] if condition.other else target
                 rng = np.random.default_rng([seed, c, shard, k])
-                head = {"condition": name, "target": target, "sequence": [seed, c, shard, k]}
-                lines += [
-                    head | one for one in looks(recognizers[target], meshes[shown], condition, rng)
-                ]
+                head = {"condition": name, "target": target, "sequence": [seed, c, shard, k],
+                        "misled": mislead}  # fmt: skip
+                seen = looks(recognizers[target], meshes[shown], condition, rng, mislead)
+                lines += [head | one for one in seen]
             atomic_write_text(path, "".join(json_line(one) + "\n" for one in lines))
             print(f"{path.name}: {len(lines)} frames, {time.monotonic() - began_s:.0f} s",
                   flush=True)  # fmt: skip

@@ -20,17 +20,23 @@ from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityO
 from rendezview.sensors.appearance.integrity_model import (
     FRAME_FEATURES,
     PACKAGED,
+    SPREAD_FEATURES,
     TRACK_FEATURES,
     IntegrityModel,
+    Spread,
 )
 
 NAMES = FRAME_FEATURES + TRACK_FEATURES
 SMOOTHING, ALLOWANCE, MOST = 0.3, 1.0, 4.0
 # Degrees of freedom of the tails that are tried; none is lighter, because no log shows their ends.
-DEGREES = (3.0, 4.0, 5.0, 6.0, 8.0)
-TURN_BIASES = tuple(np.deg2rad([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0]))  # that are tried
-MOVE_BIASES = (0.0, 0.003, 0.006, 0.01, 0.015, 0.02, 0.03)  # of the range
+DEGREES = (3.0, 4.0, 5.0, 6.0, 8.0, 12.0)
+TURN_BIASES = tuple(np.deg2rad([0.0, 0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0]))  # that are tried
+MOVE_BIASES = (0.0, 0.0015, 0.003, 0.006, 0.01, 0.015, 0.02, 0.03)  # of the range
 LEAST_SCALE = 0.2  # of a standard deviation; the bias does not take all of it
+# The factor of the covariance is fitted to this moment of the errors: to their tails, not their
+# middle. With 2 the levels are a third longer, with 8 one condition pays for another.
+MOMENT = 4.0
+SPREAD_RIDGE = 0.02  # of the squared weights of features of unit variance
 RISKS = np.geomspace(2e-4, 0.3, 40)  # at which the tails must lie above the errors'
 DEFAULT_RISK = 1e-3  # the tail that gives the shortest level there is taken
 LEAST_EXCEEDING = 3  # errors; the tail beyond them is extrapolated
@@ -41,6 +47,7 @@ DRAWS = 30  # of the tracks of a condition
 PRIOR = {"constant": -3.0, "doubt": 1.0, "young": 3.0, "second_agrees": -3.0,
          "second_disagrees": 1.8}  # fmt: skip
 PRIOR_SPREAD = 1.0  # of each weight; the logs move them from there
+ALONE = 0.2  # of a pose's weight: five frames of a track tell no more than one that stands alone
 LEAST_LIMIT = 8.0  # standard deviations; three large innovations in a row are a drift, one is none
 FOLDS = 5
 DRIFT_SHARE = 2e-3  # of the right poses may have a larger sum than the limit
@@ -51,7 +58,7 @@ HALF = 0.5  # of the risk, for wrong poses of a small probability
 class Poses:
     """All poses of the logs, one a row."""
 
-    features: np.ndarray  # (N, 20)
+    features: np.ndarray  # (N, 21)
     wrong: np.ndarray  # (N,)
     at_rival: np.ndarray  # (N,) the rival is within reach of the truth
     turn: np.ndarray  # (N, 4) length of the error, largest variance, trace over it, unit
@@ -59,12 +66,19 @@ class Poses:
     drift: np.ndarray  # (N,)
     condition: np.ndarray  # (N,)
     track: np.ndarray  # (N,) number of the track
+    misled: np.ndarray  # (N,) the track began at a wrong pose on purpose
+
+    def of(self, which: np.ndarray) -> Poses:
+        """Some of them."""
+        columns = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return Poses(**{name: values[which] for name, values in columns.items()})
 
 
 def gather(folder: Path) -> Poses:
     """Replay every track through a monitor and keep what it computes from."""
     plain = IntegrityModel(
         attitude=Overbound(1.0, 3.0), position=Overbound(1.0, 3.0), wrong=np.zeros(len(NAMES)),
+        attitude_spread=Spread.none(), position_spread=Spread.none(),
         at_rival=0.0, smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=math.inf,
     )  # fmt: skip
     rows: dict[str, list] = {field.name: [] for field in dataclasses.fields(Poses)}
@@ -83,6 +97,7 @@ def gather(folder: Path) -> Poses:
             rows["drift"].append(protection.drift)
             rows["condition"].append(look.condition)
             rows["track"].append(number)
+            rows["misled"].append(look.misled)
     return Poses(**{name: np.array(values) for name, values in rows.items()})
 
 
@@ -100,16 +115,32 @@ def _normalised(
     return length, largest, float(np.trace(covariance)) / largest, unit
 
 
-def wrong_odds(features: np.ndarray, wrong: np.ndarray) -> np.ndarray:
-    """(20,) log odds, the likeliest ones after the prior and the logs."""
+def wrong_odds(poses: Poses) -> np.ndarray:
+    """(21,) log odds, the likeliest ones after the prior and the logs.
+
+    Misled tracks tell what a wrong pose looks like, not how often there is one: all weights are
+    fitted to all tracks, then the constant anew to those that nobody misled (Prentice & Pyke,
+    Biometrika 66, 1979).
+    """
     prior = np.array([PRIOR.get(name, 0.0) for name in NAMES])
+    weights = _likeliest(poses.features, poses.wrong, prior)
+    plain = poses.of(~poses.misled)
+    told = plain.features[:, 1:] @ weights[1:]
+    constant = _likeliest(plain.features[:, :1], plain.wrong, prior[:1], told)
+    return np.concatenate([constant, weights[1:]])
+
+
+def _likeliest(
+    features: np.ndarray, wrong: np.ndarray, prior: np.ndarray, told: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """The weights of some features beside the odds that others tell."""
     sign = np.where(wrong, 1.0, -1.0)
 
     def unlikely(weights: np.ndarray) -> tuple[float, np.ndarray]:
-        odds = sign * (features @ weights)
+        odds = sign * (features @ weights + told)
         away = (weights - prior) / PRIOR_SPREAD**2
-        loss = np.logaddexp(0.0, -odds).sum() + 0.5 * away @ (weights - prior)
-        slope = features.T @ (-sign / (1.0 + np.exp(np.clip(odds, -500, 500))))
+        loss = ALONE * np.logaddexp(0.0, -odds).sum() + 0.5 * away @ (weights - prior)
+        slope = ALONE * features.T @ (-sign / (1.0 + np.exp(np.clip(odds, -500, 500))))
         return float(loss), slope + away
 
     return minimize(unlikely, prior, jac=True, method="L-BFGS-B", options={"maxiter": 2000}).x
@@ -119,20 +150,66 @@ def raised(poses: Poses) -> float:
     """What the constant is raised by: few wrong poses have a probability below a risk.
 
     Each track is judged by a fit to the others. At each risk, poses that are wrong and have a
-    smaller probability are at most half the risk of all poses.
+    smaller probability are at most half the risk of all poses. Misled tracks are not judged.
     """
     odds = np.empty(len(poses.wrong))
     folds = poses.track % FOLDS
     for fold in range(FOLDS):
         out = folds == fold
-        odds[out] = poses.features[out] @ wrong_odds(poses.features[~out], poses.wrong[~out])
+        odds[out] = poses.features[out] @ wrong_odds(poses.of(~out))
+    odds, wrong = odds[~poses.misled], poses.wrong[~poses.misled]
     lift = 0.0
     for risk in (1e-2, 1e-3):
         allowed = int(HALF * risk * len(odds))
-        lowest = np.sort(odds[poses.wrong])
+        lowest = np.sort(odds[wrong])
         if len(lowest) > allowed:
             lift = max(lift, math.log(risk / (1.0 - risk)) - lowest[allowed])
     return float(lift)
+
+
+def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> Spread:
+    """The factor by which errors exceed their covariance, log-linear in what the frame shows.
+
+    The likeliest one of a generalised normal distribution of power ``MOMENT``, all conditions
+    weighing the same.
+
+    Args:
+        features: (N, 16) ``FRAME_FEATURES``, the first constant.
+        errors: (N, 4) as in ``overbound``.
+        conditions: (N,) of each.
+    """
+    length, largest, axes, unit = errors.T
+    sigma = np.sqrt(largest * axes)
+    columns = np.column_stack([features, np.log(sigma / unit)])
+    middle, width = columns.mean(0), np.maximum(columns.std(0), 1e-6)
+    middle[0], width[0] = 0.0, 1.0
+    plain = (columns - middle) / width
+    names, of, counts = np.unique(conditions, return_inverse=True, return_counts=True)
+    weight = 1.0 / (len(names) * counts[of])
+    ratio = np.log(np.maximum(length / sigma, 1e-3))
+    penalty = np.append(0.0, np.full(plain.shape[1] - 1, SPREAD_RIDGE))
+
+    def unlikely(w: np.ndarray) -> tuple[float, np.ndarray]:
+        told = plain @ w
+        power = np.exp(np.clip(MOMENT * (ratio - told), -50.0, 50.0))
+        loss = float(weight @ (power + MOMENT * told) + penalty @ w**2)
+        slope = plain.T @ (weight * MOMENT * (1.0 - power)) + 2.0 * penalty * w
+        return loss, slope
+
+    found = minimize(unlikely, np.zeros(plain.shape[1]), jac=True, method="L-BFGS-B").x
+    weights = found / width
+    weights[0] = found[0] - float(weights[1:] @ middle[1:])
+    told = columns @ weights
+    return Spread(weights, float(told.min()), float(told.max()))
+
+
+def widened(told: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """(N, 4) the errors with their variance as the monitor widens it."""
+    out = errors.copy()
+    for k, (_, largest, axes, unit) in enumerate(errors):
+        whole = np.diag([largest * axes, 0.0, 0.0])  # only its trace is read
+        out[k, 1] = told.widened(whole, features[k], unit)[0, 0] / axes
+    return out
 
 
 def overbound(
@@ -194,19 +271,24 @@ def run(
     write: Annotated[bool, "into the package"] = False,
 ) -> None:
     """Fit tails, the odds of a wrong pose and the limit of drifts to logs of integrity-draw."""
-    poses = gather(folder)
-    right = ~poses.wrong
-    weights = wrong_odds(poses.features, poses.wrong)
-    lift = raised(poses)
+    everything = gather(folder)
+    weights = wrong_odds(everything)
+    lift = raised(everything)
     weights[0] += lift
+    poses = everything.of(~everything.misled)
+    right = ~poses.wrong
     names = np.unique(poses.condition)
+    sure = poses.of(right)
+    shown = sure.features[:, : len(FRAME_FEATURES)]
+    spreads = [spread(shown, errors, sure.condition) for errors in (sure.turn, sure.move)]
+    turn, move = (
+        widened(one, shown, e) for one, e in zip(spreads, (sure.turn, sure.move), strict=True)
+    )
     model = IntegrityModel(
-        attitude=overbound(
-            poses.turn[right], poses.condition[right], poses.track[right], TURN_BIASES
-        ),
-        position=overbound(
-            poses.move[right], poses.condition[right], poses.track[right], MOVE_BIASES
-        ),
+        attitude=overbound(turn, sure.condition, sure.track, TURN_BIASES),
+        position=overbound(move, sure.condition, sure.track, MOVE_BIASES),
+        attitude_spread=spreads[0],
+        position_spread=spreads[1],
         wrong=weights,
         at_rival=float((poses.at_rival.sum() + 1) / (poses.wrong.sum() + 2)),  # Laplace's rule
         smoothing=SMOOTHING,
@@ -217,8 +299,10 @@ def run(
             "experiment": "integrity-fit",
             "logs": folder.name,
             "poses": len(poses.wrong),
-            "tracks": int(poses.track.max()) + 1,
+            "tracks": len(np.unique(poses.track)),
             "wrong": int(poses.wrong.sum()),
+            "misled": int(everything.misled.sum()),
+            "misled_tracks": len(np.unique(everything.track[everything.misled])),
             "raised": lift,
             "prior": PRIOR,
         },
@@ -230,6 +314,10 @@ def run(
     print(f"raised {lift:.2f}, at the rival {model.at_rival:.2f}, drift limit {model.limit}")
     for name, weight in zip(NAMES, weights, strict=True):
         print(f"  {name:20}{weight:8.2f}")
+    for what, one in (("attitude", spreads[0]), ("position", spreads[1])):
+        print(f"spread of {what}: factor {math.exp(one.least):.2f} to {math.exp(one.most):.2f}")
+        for name, weight in zip(SPREAD_FEATURES, one.weights, strict=True):
+            print(f"  {name:20}{weight:8.2f}")
     if write:
         text = json.dumps(model.record(), indent=1) + "\n"
         PACKAGED.write_text(text, encoding="utf-8")

@@ -16,7 +16,6 @@ from rendezview.sensors.appearance.evidence import Evidence, Second
 # A pose is another answer than the truth where its error is larger than this and beyond its tails.
 WRONG_DEG = 5.0  # of attitude, as in the experiments of poses
 WRONG_SHARE = 0.1  # of the range
-LEAST_CONFIDENCE = 0.6  # of the second witness, as the recognizer wants it
 WRONG_SIGMA = 6.0  # standard deviations along the longest axis of the covariance
 
 
@@ -31,6 +30,7 @@ class Look:
     second: Second | None
     asked: bool  # whether the second witness was
     error: np.ndarray | None  # (6,) from the pose to the truth; None: another target
+    misled: bool = False  # the track began at a wrong prior on purpose
 
     @property
     def ask(self) -> Callable[[], Second | None] | None:
@@ -80,7 +80,8 @@ def _look(line: dict, asked: bool) -> Look:
         tuple(line["sequence"]),
         line["frame"],
         None if evidence is None else Evidence.of_record(evidence),
-        None if second is None or second["confidence"] < LEAST_CONFIDENCE else Second(**second),
+        None if second is None else Second(**second),
         asked,
         None if error is None else np.array(error),
+        line.get("misled", False),
     )

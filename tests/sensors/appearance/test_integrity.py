@@ -24,9 +24,13 @@ from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityO
 from rendezview.sensors.appearance.integrity_model import (
     FRAME_FEATURES,
     PACKAGED,
+    SPREAD_FEATURES,
     TRACK_FEATURES,
     IntegrityModel,
+    SecondWitness,
+    Spread,
     frame_features,
+    track_features,
 )
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
@@ -43,6 +47,8 @@ def model(**weights: float) -> IntegrityModel:
     return IntegrityModel(
         attitude=Overbound(1.0, 1e6),
         position=Overbound(1.0, 1e6),
+        attitude_spread=Spread.none(),
+        position_spread=Spread.none(),
         wrong=np.array([given.get(name, 0.0) for name in NAMES]),
         at_rival=0.4,
         smoothing=0.5,
@@ -182,6 +188,41 @@ def test_a_disagreement_is_asked_about_again():
     alarms = [monitor.judge(evidence(float(k)), lambda: answers.pop(0)).alarms for k in range(8)]
     assert alarms == [("witnesses",)] * 5 + [()] * 3
     assert not answers
+
+
+def test_each_agreement_counts_up_to_a_few_and_disagreements_stand_against_them():
+    found = SecondWitness()
+    for _ in range(6):
+        found = found.after(AGREES)
+    young, once, again, against, none = track_features(30, found)
+    assert (once, again, against, none) == (1.0, 3.0, 0.0, 0.0)
+    assert young == pytest.approx(1.0 / 21.0)
+    found = found.after(None).after(DISAGREES)
+    assert track_features(30, found)[3:] == pytest.approx([0.9, 0.0])
+    assert found.contradicts(0.1)
+    assert not found.contradicts(3.0)  # the level reaches it
+    assert not found.after(Second(2.0, 0.4)).contradicts(0.1)  # unsure
+    assert not found.after(AGREES).contradicts(0.1)
+    assert track_features(0, SecondWitness().after(None))[1:] == pytest.approx([0.0, 0.0, 0.0, 1.0])
+
+
+def test_a_level_follows_what_the_frame_shows_of_its_covariance():
+    weights = np.zeros(len(SPREAD_FEATURES))
+    weights[FRAME_FEATURES.index("dim")] = 2.0  # evidence: 0.1 of it
+    weights[-1] = -0.5  # of log σ
+    spread = Spread(weights, -10.0, 10.0)
+    plain = IntegrityMonitor(IntegrityOptions(), model()).judge(evidence())
+    told = dataclasses.replace(model(), attitude_spread=spread)
+    found = IntegrityMonitor(IntegrityOptions(), told).judge(evidence())
+    factor = math.exp(0.2) / math.sqrt(math.sqrt(3.0) * SIGMA_RAD)
+    assert found.attitude_rad == pytest.approx(factor * plain.attitude_rad)
+    assert found.position_m == plain.position_m
+    told = dataclasses.replace(model(), position_spread=dataclasses.replace(spread, most=0.7))
+    found = IntegrityMonitor(IntegrityOptions(), told).judge(evidence())
+    assert found.position_m == pytest.approx(math.exp(0.7) * plain.position_m)
+    assert Spread.of_record(spread.record(), "spread").record() == spread.record()
+    with pytest.raises(ValueError, match="log_sigma"):
+        Spread.of_record({"weights": {}, "least": 0.0, "most": 0.0}, "spread")
 
 
 def test_confidence_grows_along_a_track_and_a_jump_begins_another():

@@ -20,8 +20,8 @@ from rendezview.estimation.protection import LEAST_RISK, MOST_RISK, Drift, Overb
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.evidence import Evidence, Second
 from rendezview.sensors.appearance.integrity_model import (
-    SAME_RAD,
     IntegrityModel,
+    SecondWitness,
     frame_features,
     track_features,
 )
@@ -41,7 +41,7 @@ class IntegrityOptions:
     # Acceleration that is no drift: a slow tumble of 3°/s, a thruster of a small craft.
     turn_rad_s2: float = math.radians(0.1)  # rad/s². Source: torque-free motion
     move_m_s2: float = 2e-3  # m/s². Source: cold-gas thrusters
-    second_every: int = 10  # frames; the second witness is not asked more often. Source: its cost
+    second_every: int = 5  # frames; the second witness is not asked more often. Source: its cost
 
     def __post_init__(self) -> None:
         if not LEAST_RISK <= self.risk <= MOST_RISK:
@@ -80,7 +80,7 @@ class IntegrityMonitor:
     def _restart(self) -> None:
         self._smoothed: Array | None = None
         self._followed = 0
-        self._second: Second | None = None
+        self._witness = SecondWitness()
         self._asked = -self.options.second_every
         self._steps: list[_Step] = []
         self._drift = Drift.none(6)
@@ -128,14 +128,14 @@ class IntegrityMonitor:
         doubt = protection.wrong > self.options.risk or WITNESSES in protection.alarms
         if ask is None or evidence.sketched or not (waited and doubt):
             return protection  # of its own pose a sketch is no second witness
-        self._asked, self._second = self._followed, ask()
+        self._asked, self._witness = self._followed, self._witness.after(ask())
         return self._protection(evidence)
 
     @property
     def features(self) -> Array:
-        """(20,) ``FRAME_FEATURES`` and ``TRACK_FEATURES`` of the last pose."""
+        """(21,) ``FRAME_FEATURES`` and ``TRACK_FEATURES`` of the last pose."""
         assert self._smoothed is not None
-        return np.concatenate([self._smoothed, track_features(self._followed, self._second)])
+        return np.concatenate([self._smoothed, track_features(self._followed, self._witness)])
 
     def _move(self, evidence: Evidence) -> None:
         """Compare the pose with the motion of the two before it."""
@@ -158,13 +158,16 @@ class IntegrityMonitor:
         model, options = self.model, self.options
         wrong = model.probability_wrong(self.features)
         rival = 0.0 if math.isnan(evidence.rival_rad) else model.at_rival * wrong
-        covariance = evidence.covariance
+        shown, covariance = self._smoothed, evidence.covariance
+        assert shown is not None
+        turning = model.attitude_spread.widened(covariance[:3, :3], shown, 1.0)
+        moving = model.position_spread.widened(covariance[3:6, 3:6], shown, evidence.range_m)
         attitude, turn = _level(
-            model.attitude, covariance[:3, :3], options.risk,
+            model.attitude, turning, options.risk,
             [(evidence.rival_rad, rival), (math.pi, wrong - rival)], math.pi, 1.0,
         )  # fmt: skip
         position, move = _level(
-            model.position, covariance[3:6, 3:6], options.risk,
+            model.position, moving, options.risk,
             [(evidence.rival_m, rival), (math.inf, wrong - rival)], math.inf, evidence.range_m,
         )  # fmt: skip
         return Protection(
@@ -183,7 +186,7 @@ class IntegrityMonitor:
             alarms.append("attitude")
         if position_m > options.alarm_position_m or math.isinf(position_m):
             alarms.append("position")
-        if self._second is not None and self._second.angle_rad > max(attitude_rad, SAME_RAD):
+        if self._witness.contradicts(attitude_rad):
             alarms.append(WITNESSES)
         if self._drift.largest > self.model.limit:
             alarms.append("drift")

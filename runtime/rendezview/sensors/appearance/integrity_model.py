@@ -9,7 +9,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,14 @@ FRAME_FEATURES = (
     "dim", "bright_sky", "rival", "unshaded", "shading_known", "sketched", "searched", "no_prior",
     "trees_missing",
 )  # fmt: skip
-# What the track and a second witness say.
-TRACK_FEATURES = ("young", "second_agrees", "second_disagrees", "no_second")
+# What the track and a second witness say, which is asked again and again.
+TRACK_FEATURES = ("young", "second_agrees", "agrees_again", "second_disagrees", "no_second")
+_MOST_AGAIN = 3.0  # agreements after the first; more tell nothing new. Source: by construction
+_MOST_AGAINST = 3.0  # disagreements, weighted by confidence. Source: by construction
+SURE = 0.6  # probability; a witness below it raises no alarm. Source: the recognizer's threshold
+# What tells how far errors are from their covariance: a frame's features, and that covariance.
+SPREAD_FEATURES = (*FRAME_FEATURES, "log_sigma")
+_LEAST_SHARE = 1e-6  # rad or of the range; no deviation is smaller. Source: by construction
 _MOST_ODDS = 8.0  # of the log odds of a confidence. Source: by construction
 _LEAST_RESIDUAL_PX = 0.03  # px; a smaller one is no better. Source: by construction
 _MOST_OVERSHOOT, _MOST_MARGIN = 0.3, 0.3  # merit. Source: as in the confidence of edges
@@ -38,12 +44,51 @@ SAME_RAD = math.radians(10.0)  # rad; two witnesses agree. Source: a sketch's er
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """By what factor errors are larger than their covariance says, as the frame shows it."""
+
+    weights: Array  # (17,) of SPREAD_FEATURES; their sum is the logarithm of the factor
+    least: float  # logarithms; the fit has seen none beyond
+    most: float
+
+    @classmethod
+    def none(cls) -> Spread:
+        """Errors are as large as they say everywhere."""
+        return cls(np.zeros(len(SPREAD_FEATURES)), 0.0, 0.0)
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any], what: str) -> Spread:
+        """Of a JSON object."""
+        weights = _weights(record["weights"], SPREAD_FEATURES, what)
+        return cls(weights, float(record["least"]), float(record["most"]))
+
+    def record(self) -> dict[str, Any]:
+        """As a JSON object."""
+        weights = dict(zip(SPREAD_FEATURES, self.weights.tolist(), strict=True))
+        return {"weights": weights, "least": self.least, "most": self.most}
+
+    def widened(self, covariance: Array, features: Array, unit: float) -> Array:
+        """A covariance (3, 3) of the errors as they are, of a frame's features (16,).
+
+        Args:
+            covariance: of the pose's rotation or translation.
+            features: ``FRAME_FEATURES``, smoothed over the track.
+            unit: of the covariance's square root: 1, or a range.
+        """
+        share = max(math.sqrt(float(np.trace(covariance))) / unit, _LEAST_SHARE)
+        told = float(self.weights[:-1] @ features) + float(self.weights[-1]) * math.log(share)
+        return np.asarray(math.exp(2.0 * max(self.least, min(told, self.most))) * covariance)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class IntegrityModel:
     """The fitted numbers."""
 
     attitude: Overbound  # bias in rad
     position: Overbound  # bias as a share of the range
-    wrong: Array  # (20,) log odds of FRAME_FEATURES and TRACK_FEATURES
+    attitude_spread: Spread
+    position_spread: Spread
+    wrong: Array  # (21,) log odds of FRAME_FEATURES and TRACK_FEATURES
     at_rival: float  # share of the wrong poses whose rival is right
     smoothing: float  # weight of a new frame in the mean over the track
     allowance: float  # of drifts, standard deviations
@@ -63,14 +108,7 @@ class IntegrityModel:
         Raises:
             ValueError: a coefficient is missing, unknown or no number.
         """
-        names = FRAME_FEATURES + TRACK_FEATURES
-        given = record["wrong"]
-        if set(given) != set(names):
-            odd = ", ".join(sorted(set(given) ^ set(names)))
-            raise ValueError(f"integrity.wrong has other features than the program: {odd}")
-        wrong = np.array([float(given[name]) for name in names])
-        if not np.all(np.isfinite(wrong)):
-            raise ValueError(f"integrity.wrong must hold finite numbers: {given}")
+        wrong = _weights(record["wrong"], FRAME_FEATURES + TRACK_FEATURES, "integrity.wrong")
         numbers = {
             name: float(record[name])
             for name in ("at_rival", "smoothing", "allowance", "most", "limit")
@@ -78,6 +116,8 @@ class IntegrityModel:
         return cls(
             attitude=Overbound(**record["attitude"]),
             position=Overbound(**record["position"]),
+            attitude_spread=Spread.of_record(record["attitude_spread"], "attitude_spread"),
+            position_spread=Spread.of_record(record["position_spread"], "position_spread"),
             wrong=wrong,
             provenance=dict(record.get("provenance", {})),
             **numbers,
@@ -89,6 +129,8 @@ class IntegrityModel:
         return {
             "attitude": dataclasses.asdict(self.attitude),
             "position": dataclasses.asdict(self.position),
+            "attitude_spread": self.attitude_spread.record(),
+            "position_spread": self.position_spread.record(),
             "wrong": dict(zip(names, self.wrong.tolist(), strict=True)),
             "at_rival": self.at_rival,
             "smoothing": self.smoothing,
@@ -99,7 +141,7 @@ class IntegrityModel:
         }
 
     def probability_wrong(self, features: Array) -> float:
-        """That another answer is the truth, of (20,) ``FRAME_FEATURES`` and ``TRACK_FEATURES``."""
+        """That another answer is the truth, of (21,) ``FRAME_FEATURES`` and ``TRACK_FEATURES``."""
         odds = float(self.wrong @ features)
         return 1.0 / (1.0 + math.exp(-max(-30.0, min(odds, 30.0))))
 
@@ -137,16 +179,52 @@ def frame_features(evidence: Evidence) -> Array:
     )
 
 
-def track_features(followed: int, second: Second | None) -> Array:
-    """(4,) ``TRACK_FEATURES`` of a pose after so many frames, and the last second witness."""
-    young = 1.0 / (1.0 + min(followed, _MOST_YEARS))
-    agrees = disagrees = 0.0
-    if second is not None:
+@dataclass(frozen=True, slots=True)
+class SecondWitness:
+    """What a second witness has said along a track."""
+
+    agreed: float = 0.0  # times, however sure: two searches agree by chance once in a thousand
+    against: float = 0.0  # sum of the confidences of those that disagreed
+    last: Second | None = None
+
+    def after(self, second: Second | None) -> SecondWitness:
+        """With one more answer; ``None``: it saw nothing."""
+        if second is None:
+            return replace(self, last=None)
         if second.angle_rad < SAME_RAD:
-            agrees = second.confidence
-        else:
-            disagrees = second.confidence
-    return np.array([young, agrees, disagrees, float(second is None)])
+            return SecondWitness(self.agreed + 1.0, self.against, second)
+        return SecondWitness(self.agreed, self.against + second.confidence, second)
+
+    def contradicts(self, attitude_rad: float) -> bool:
+        """Whether the last answer is surely another attitude than one with this level."""
+        last = self.last
+        if last is None or last.confidence < SURE:
+            return False
+        return last.angle_rad > max(attitude_rad, SAME_RAD)
+
+
+def track_features(followed: int, witness: SecondWitness) -> Array:
+    """(5,) ``TRACK_FEATURES`` of a pose after so many frames, and what the second witness said."""
+    return np.array(
+        [
+            1.0 / (1.0 + min(followed, _MOST_YEARS)),
+            min(witness.agreed, 1.0),
+            min(max(witness.agreed - 1.0, 0.0), _MOST_AGAIN),
+            min(witness.against, _MOST_AGAINST),
+            float(witness.agreed + witness.against == 0.0),
+        ]
+    )
+
+
+def _weights(given: Mapping[str, float], names: tuple[str, ...], what: str) -> Array:
+    """The coefficients of some features, in their order."""
+    if set(given) != set(names):
+        odd = ", ".join(sorted(set(given) ^ set(names)))
+        raise ValueError(f"{what} has other features than the program: {odd}")
+    weights = np.array([float(given[name]) for name in names])
+    if not np.all(np.isfinite(weights)):
+        raise ValueError(f"{what} must hold finite numbers: {given}")
+    return weights
 
 
 @cache

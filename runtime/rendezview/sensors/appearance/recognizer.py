@@ -229,14 +229,14 @@ class Recognizer:
     def second_look(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
 
-        It takes a quarter of a second. ``None``: there is no sketch, or it gives no confident pose.
+        It takes a quarter of a second. ``None``: there is no sketch, or no pose on it.
         """
         if self.sketch is None:
             return None
         frame = check_frame(image, self.camera.width, self.camera.height)
         with self._lock:
             choice = self.sketch.anywhere(frame)
-        if choice is None or choice.confidence < self.least_confidence:
+        if choice is None:
             return None
         other = nearest_alike(choice.pose, pose, self.model.symmetries)
         return Second(other.angle_to(pose), choice.confidence)
