@@ -109,12 +109,12 @@ def looks(
         began_s = time.process_time()
         seen = tracker.update(float(k), picture)
         spent_s = time.process_time() - began_s
+        if mislead and not is_off(seen.pose, shown, model):
+            break
         evidence, second = Evidence.of(seen, float(k), predicted, model.centre_m), None
         due = poses % SECOND_EVERY == 0
         if due and seen.pose is not None and not (evidence is not None and evidence.sketched):
             second = recognizer.second_look(picture, seen.pose)
-        if mislead and not is_off(seen.pose, shown, model):
-            break
         poses += seen.pose is not None
         lost = 0 if seen.pose is not None else lost + 1
         lines.append(line(k, seen, evidence, second, truth, model, spent_s))

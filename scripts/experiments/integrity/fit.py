@@ -207,8 +207,7 @@ def widened(told: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarra
     """(N, 4) the errors with their variance as the monitor widens it."""
     out = errors.copy()
     for k, (_, largest, axes, unit) in enumerate(errors):
-        whole = np.diag([largest * axes, 0.0, 0.0])  # only its trace is read
-        out[k, 1] = told.widened(whole, features[k], unit)[0, 0] / axes
+        out[k, 1] *= told.factor(math.sqrt(largest * axes) / unit, features[k]) ** 2
     return out
 
 

@@ -67,6 +67,17 @@ class Spread:
         weights = dict(zip(SPREAD_FEATURES, self.weights.tolist(), strict=True))
         return {"weights": weights, "least": self.least, "most": self.most}
 
+    def factor(self, share: float, features: Array) -> float:
+        """Of a standard deviation.
+
+        Args:
+            share: the whole standard deviation, rad or of the range.
+            features: (16,) ``FRAME_FEATURES``, smoothed over the track.
+        """
+        log_sigma = math.log(max(share, _LEAST_SHARE))
+        told = float(self.weights[:-1] @ features) + float(self.weights[-1]) * log_sigma
+        return math.exp(max(self.least, min(told, self.most)))
+
     def widened(self, covariance: Array, features: Array, unit: float) -> Array:
         """A covariance (3, 3) of the errors as they are, of a frame's features (16,).
 
@@ -75,9 +86,8 @@ class Spread:
             features: ``FRAME_FEATURES``, smoothed over the track.
             unit: of the covariance's square root: 1, or a range.
         """
-        share = max(math.sqrt(float(np.trace(covariance))) / unit, _LEAST_SHARE)
-        told = float(self.weights[:-1] @ features) + float(self.weights[-1]) * math.log(share)
-        return np.asarray(math.exp(2.0 * max(self.least, min(told, self.most))) * covariance)
+        share = math.sqrt(float(np.trace(covariance))) / unit
+        return np.asarray(self.factor(share, features) ** 2 * covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

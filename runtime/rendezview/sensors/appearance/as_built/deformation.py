@@ -34,7 +34,7 @@ class Deformation:
     @property
     def size(self) -> int:
         """Unknowns: strain; of each part its turn (rad) and shift (m); the camera's."""
-        return _STRAINS + _MOTION * len(self.parts) + (0 if self.lens is None else _CAMERA)
+        return int(self.of_lens.stop)
 
     def of_part(self, k: int) -> slice:
         """Where the unknowns of a part are."""
@@ -80,7 +80,7 @@ class Deformation:
 
     def members(self, edges: MeasuredEdges, radius_m: float) -> npt.NDArray[np.intp]:
         """(N,) which part each edge is of; −1: of none."""
-        return members(self.parts, edges, np.asarray(np.linalg.inv(self._stretch)), radius_m)
+        return members(self.parts, edges, self._stretch, radius_m)
 
     def slopes(self, edges: MeasuredEdges, radius_m: float, camera: Camera) -> Array:
         """(N, size) of the predicted edges: px per unit of strain, px/rad, px/m, camera's.

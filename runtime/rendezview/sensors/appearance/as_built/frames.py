@@ -13,6 +13,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture, check_frame, shrunk
 from rendezview.sensors.appearance.as_built.deformation import Deformation
 from rendezview.sensors.appearance.as_built.shape import Mounting, ShapeOptions
+from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.edges.levels import (
     FINEST_RADIUS_PX,
@@ -172,11 +173,10 @@ def _of_nearest_view(
     """(N,) which part each contour point of the view nearest to a pose is of; −1: of none."""
     contours = model.contours
     assert contours is not None
-    view = int(np.argmax(-model.lattice.nodes @ (edges.rotation.T @ edges.centre_m)))
-    depth = 1.0 / float(np.linalg.norm(edges.centre_m))
-    shell = int(np.argmin(np.abs(1.0 / contours.shells_m - depth)))
-    exists = contours.kind[shell, view] != NO_POINT
-    points = contours.point[shell, view][exists] * (POINT_UNIT * model.target_radius_m)
+    nodes, view = model.lattice.nodes, np.zeros(1, dtype=np.int64)
+    shell = nearest_views(nodes, contours.shells_m, edges.rotation, edges.centre_m, view)
+    exists = contours.kind[shell, view[0]] != NO_POINT
+    points = contours.point[shell, view[0]][exists] * (POINT_UNIT * model.target_radius_m)
     of = np.full(len(points), -1, dtype=np.intp)
     for k, part in enumerate(shape.parts):
         of[part.holds(points) & (of < 0)] = k

@@ -16,14 +16,16 @@ from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp, log
 from rendezview.io.parts import TrustedPart
-from rendezview.sensors.appearance.as_built.strain import turned_directions
+from rendezview.sensors.appearance.as_built.strain import stored_points, turned_directions
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.model import ViewModel
 
-_INT16 = 32767  # Source: by construction, the largest stored coordinate
 _MARGIN_RADII = 2e-4  # of the target's radius; beyond a box, for rounding. Source: unit of points
 _SEED = 0  # of the points that a distrusted part keeps. Source: by construction
+
+Shorts = npt.NDArray[np.int16]
+Bytes = npt.NDArray[np.int8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +50,7 @@ class Part:
             )
         boxes = np.array(part.boxes_m) - model.centre_m
         made = cls(part.name, boxes, np.eye(3), np.zeros(3))
-        if not made.holds(_places(model)).any():
+        if not made.holds(_contour_places(model)).any():
             raise RendezviewError(f"part {part.name!r}: no contour point of the model is in it")
         return made
 
@@ -77,22 +79,22 @@ class Part:
 
 
 def members(
-    parts: Sequence[Part], edges: MeasuredEdges, unstrained: Array, radius_m: float
+    parts: Sequence[Part], edges: MeasuredEdges, stretch: Array, radius_m: float
 ) -> npt.NDArray[np.intp]:
     """(N,) which part each edge is of; −1: of none.
 
     Args:
         parts: as the model has them by now.
         edges: measured with that model.
-        unstrained: (3, 3) from the strained model's places to those of the model as it was.
+        stretch: (3, 3) from the places of the model as it was to those of the strained one.
         radius_m: of the target.
     """
     found = np.full(len(edges.weight), -1, dtype=np.intp)
-    back = np.linalg.inv(unstrained)
+    unstretch = np.linalg.inv(stretch)
     for k, part in enumerate(parts):
-        middle = back @ part.middle_m
+        middle = stretch @ part.middle_m
         unmoved = (edges.places_m - middle - part.move_m) @ part.turn + middle
-        inside = part.holds(unmoved @ unstrained.T, _MARGIN_RADII * radius_m)
+        inside = part.holds(unmoved @ unstretch.T, _MARGIN_RADII * radius_m)
         found[inside & (found < 0)] = k
     return found
 
@@ -120,25 +122,28 @@ def remounted(
         parts: their mounting.
         strain: (3, 3).
     """
-    assert model.contours is not None
-    assert original.contours is not None
-    radius_m, unit_m = model.target_radius_m, POINT_UNIT * model.target_radius_m
-    point, tangent = model.contours.point.copy(), model.contours.tangent.copy()
-    surface = model.surface
-    places = None if surface is None else _surface_places(original)
-    at, normal = (None, None) if surface is None else (surface.point.copy(), surface.normal.copy())
-    for part in parts:
-        middle = part.middle_m + strain @ part.middle_m
-        own = part.holds(_places(original), _MARGIN_RADII * radius_m)
-        point[own] = _moved(model.contours.point[own], part, middle, unit_m)
-        tangent[own] = turned_directions(model.contours.tangent[own], part.turn)
-        if surface is not None and at is not None and normal is not None and places is not None:
-            own = part.holds(places, _MARGIN_RADII * radius_m)
-            at[own] = _moved(surface.point[own], part, middle, unit_m)
-            normal[own] = turned_directions(surface.normal[own], part.turn)
-    if surface is not None and at is not None and normal is not None:
-        surface = replace(surface, point=at, normal=normal)
-    contours = replace(model.contours, point=point, tangent=tangent)
+    contours, surface = model.contours, model.surface
+    assert contours is not None
+    unit_m = POINT_UNIT * model.target_radius_m
+    margin_m = _MARGIN_RADII * model.target_radius_m
+
+    def mounted(points: Shorts, directions: Bytes, places: Array) -> tuple[Shorts, Bytes]:
+        """Points and directions of the strained model, by their places as they were."""
+        moved, turned = points.copy(), directions.copy()
+        for part in parts:
+            own = part.holds(places, margin_m)
+            middle = part.middle_m + strain @ part.middle_m
+            at = points[own] * unit_m - middle
+            moved[own] = stored_points((at @ part.turn.T + middle + part.move_m) / unit_m)
+            turned[own] = turned_directions(directions[own], part.turn)
+        return moved, turned
+
+    point, tangent = mounted(contours.point, contours.tangent, _contour_places(original))
+    contours = replace(contours, point=point, tangent=tangent)
+    if surface is not None and original.surface is not None:
+        places = _places(original.surface.point, original)
+        point, normal = mounted(surface.point, surface.normal, places)
+        surface = replace(surface, point=point, normal=normal)
     return replace(model, contours=contours, surface=surface)
 
 
@@ -146,20 +151,19 @@ def distrusted(
     model: ViewModel, original: ViewModel, trusts: Sequence[tuple[Part, float]]
 ) -> ViewModel:
     """A model whose parts keep only a share of their contour points each."""
-    assert model.contours is not None
-    assert original.contours is not None
-    kind = model.contours.kind
+    contours = model.contours
+    assert contours is not None
+    kind, places = contours.kind, _contour_places(original)
     drop = np.zeros(kind.shape, dtype=np.bool_)
     rng = np.random.default_rng(_SEED)
     for part, trust in trusts:
-        own = part.holds(_places(original), _MARGIN_RADII * original.target_radius_m)
+        own = part.holds(places, _MARGIN_RADII * original.target_radius_m)
         drop |= own & (rng.random(kind.shape) >= trust)
     drop &= kind != NO_POINT
     if not drop.any():
         return model
     gone = drop | (kind == NO_POINT)
     order = np.argsort(gone, axis=-1, kind="stable")  # rows without a point stand last
-    contours = model.contours
     kept = {
         name: np.take_along_axis(
             array, order.reshape(order.shape + (1,) * (array.ndim - order.ndim)), axis=2
@@ -171,20 +175,12 @@ def distrusted(
     return replace(model, contours=replace(contours, **kept))
 
 
-def _places(model: ViewModel) -> Array:
+def _contour_places(model: ViewModel) -> Array:
     """(S, V, N, 3) contour points from the view centre, m."""
     assert model.contours is not None
-    return np.asarray(model.contours.point * np.float32(POINT_UNIT * model.target_radius_m))
+    return _places(model.contours.point, model)
 
 
-def _surface_places(model: ViewModel) -> Array:
-    assert model.surface is not None
-    return np.asarray(model.surface.point * np.float32(POINT_UNIT * model.target_radius_m))
-
-
-def _moved(
-    points: npt.NDArray[np.int16], part: Part, middle_m: Array, unit_m: float
-) -> npt.NDArray[np.int16]:
-    at = points * unit_m - middle_m
-    moved = np.rint((at @ part.turn.T + middle_m + part.move_m) / unit_m)
-    return np.asarray(np.clip(moved, -_INT16, _INT16), dtype=np.int16)
+def _places(points: Shorts, model: ViewModel) -> Array:
+    """Stored points (…, 3) from the view centre, m."""
+    return np.asarray(points * np.float32(POINT_UNIT * model.target_radius_m))

@@ -61,8 +61,12 @@ def strained(
 
 
 def _points(points: npt.NDArray[np.int16], matrix: Array) -> npt.NDArray[np.int16]:
-    moved = np.rint(points.astype(np.float32) @ matrix.T.astype(np.float32))
-    return np.asarray(np.clip(moved, -_INT16, _INT16), dtype=np.int16)
+    return stored_points(points.astype(np.float32) @ matrix.T.astype(np.float32))
+
+
+def stored_points(points: npt.NDArray[np.floating]) -> npt.NDArray[np.int16]:
+    """Points in units of what is stored, rounded; beyond 1.02 radii they stay there."""
+    return np.asarray(np.clip(np.rint(points), -_INT16, _INT16), dtype=np.int16)
 
 
 def turned_directions(
