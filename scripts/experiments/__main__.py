@@ -20,6 +20,7 @@ EXPERIMENTS = {
         "close-in": ("pose.close_in", "poses close to a docking ring, from a prior"),
         "pose-times": ("pose.scale:times", "worst time of any picture under any option"),
         "pose-trials": ("pose.trials", "sequences, frames without a target, an inexact model"),
+        "pose-mounting": ("pose.mounting", "a bent wing and a wrong camera file, calibrated"),
         "pose-shape": ("pose.shape", "a wrong mesh before and after calibration of its shape"),
         "pose-misfit": (
             "pose.shape:misfit",
