@@ -70,7 +70,7 @@ def error(model: ViewModel, frames: Frames) -> str:
 
 
 def run(*, frames: int = 40, seed: int = 7) -> None:
-    """Calibrate on frames with rough poses, judge on as many others; then a wrong camera file."""
+    """Calibrate on frames of unknown pose, judge on as many others; then a wrong camera file."""
     options = TrainingOptions(
         order=2, perturbed_views=1000, held_out_views=100, shadowed_silhouettes=False
     )
@@ -89,8 +89,8 @@ def run(*, frames: int = 40, seed: int = 7) -> None:
             seen, others = (shown(folder, turns(rng), rng) for _ in range(2))
 
             def found(parts: tuple[TrustedPart, ...], seen: Frames = seen) -> AsBuilt:
-                pictures, priors = [picture for _, picture in seen], [pose for pose, _ in seen]
-                return ShapeEstimator(model, CAMERA).estimate(pictures, priors, parts=parts)
+                pictures = [picture for _, picture in seen]
+                return ShapeEstimator(model, CAMERA).estimate(pictures, parts=parts)
 
             strain, both = found(()), found((wing,))
             (mounted,) = both.mountings
