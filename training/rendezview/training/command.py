@@ -23,6 +23,7 @@ from rendezview.training.mesh import load_mesh
 from rendezview.training.open_executor import open_executor
 from rendezview.training.options import Neighbourhood, TrainingOptions
 from rendezview.training.renderers import Renderer, working_renderer
+from rendezview.training.simplify import TOLERANCE_RADII
 from rendezview.training.target_job import train_target
 
 _DEFAULT = TrainingOptions()
@@ -151,6 +152,13 @@ def summary(trained: Trained) -> str:
         f"{max(features)}); "
         f"{100 * np.mean(model.training_accuracy):.1f} % of the training samples correct",
     ]
+    given, drawn = model.provenance["triangles"], trained.drawn_triangles
+    if drawn is not None and drawn < given:
+        moved_mm = 1000.0 * TOLERANCE_RADII * model.target_radius_m
+        lines.append(
+            f"views drawn with {drawn} of {given} triangles: no surface moved by more than "
+            f"{moved_mm:.2g} mm"
+        )
     if model.contours is not None:
         lit = 0 if model.lit is None else len(model.lit.sun)
         lines.append(

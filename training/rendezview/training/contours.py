@@ -50,7 +50,7 @@ _MARGIN_PX = 8  # px; no edge of a near view is nearer to the border
 _CANDIDATES = 4  # candidates per kept point, for which free runs are measured
 # Pixels per kept point, for which the exact crossing is computed. Source: experiment benchmark: the
 # median attitude error of a first pose is 0.023°, with 8 it is 0.082°
-_PIXELS = 64
+_PIXELS = 24
 _LEAST_RELIABILITY = 0.02  # weight of an unreliable edge: chosen only where there is no other
 _OWN_LINE_PX = 2.5  # px; nearer, the marks of an edge's own line block the search
 

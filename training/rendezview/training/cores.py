@@ -10,6 +10,7 @@ from typing import Any
 
 import cv2
 import joblib
+from threadpoolctl import threadpool_limits
 
 from rendezview.errors import RendezviewError
 from rendezview.training.shard_executor import Shared, Task, run_shard
@@ -33,13 +34,15 @@ class Cores:
         threads = cv2.getNumThreads()
         jobs = int(joblib.effective_n_jobs(self.jobs))
         try:
-            if jobs == 1:
-                for k, own in enumerate(arguments):
-                    yield k, run_shard(task, shared, own)
-            elif self.processes:
-                yield from _in_processes(jobs, task, shared, arguments)
-            else:
-                yield from _in_threads(jobs, task, shared, arguments)
+            # Shards are the parallelism: threads of linear algebra would only wait for each other.
+            with threadpool_limits(1):
+                if jobs == 1:
+                    for k, own in enumerate(arguments):
+                        yield k, run_shard(task, shared, own)
+                elif self.processes:
+                    yield from _in_processes(jobs, task, shared, arguments)
+                else:
+                    yield from _in_threads(jobs, task, shared, arguments)
         finally:
             cv2.setNumThreads(threads)
 

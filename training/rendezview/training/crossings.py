@@ -312,7 +312,7 @@ def edge_crossings(
     """Where the edges beside some pixels cross the lines to their neighbours: (M, 11) rows.
 
     Args:
-        vertices: (V, 3), camera frame, and ``points``: (V, 2), their pixels.
+        vertices: (V, 3), camera frame, and ``points``: (V, 2) or more, their pixels.
         faces: (F, 3), with ``normals`` (F, 3) and ``beside`` (F, 3).
         pixels: (N, 4) of ``edge_pixels``.
         focal: px, and ``middle``: px, of both axes.

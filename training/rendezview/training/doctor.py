@@ -19,6 +19,7 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.mesh_colours import GREY
 from rendezview.training.mesh_notes import counted
 from rendezview.training.options import TrainingOptions, view_geometry
+from rendezview.training.simplify import MANY_FACES
 from rendezview.training.symmetries import find_symmetries
 
 # Times larger by one body: a question, and a warning. Source: one panel of a craft makes 1.5
@@ -31,7 +32,6 @@ _HIDDEN_SHARE = 0.05  # of the area; fewer are no finding. Source: a chosen limi
 # rad; a curved surface bends by this much from facet to facet, an edge of the craft by more.
 _BENDS_RAD = (math.radians(0.5), math.radians(45.0))  # Source: 8 facets to a circle, and more
 _FACET_SHARE = 0.001  # of the radius: a finding above it. Source: the range error of `track`
-_MANY_FACES = 300_000  # Source: training costs, docs/notes/training-costs.md
 
 
 class Mark(StrEnum):
@@ -319,11 +319,11 @@ def _colourless(mesh: Mesh) -> list[Finding]:
 
 
 def _many(mesh: Mesh) -> list[Finding]:
-    if len(mesh.faces) <= _MANY_FACES:
+    if len(mesh.faces) <= MANY_FACES:
         return []
     return [
         Finding(
             Mark.NOTE, f"{counted(len(mesh.faces), 'triangle')} are more than accuracy needs.",
-            "all are drawn", "none; training takes longer: 100,000 are plenty",
+            "views are drawn with fewer, of the same shape", "none; a little time in training",
         )
     ]  # fmt: skip

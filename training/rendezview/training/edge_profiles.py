@@ -20,9 +20,9 @@ from rendezview.training.zbuffer import Int32s
 
 # Lengths are shares of the target's radius in the picture. 1/196 is one pixel of a view 400 px
 # wide, in which the target's radius is 196 px.
-# Distance of the three lines across an edge that are averaged. Source: three lines at 0 and ± √3 px
-# have the spread of five at 0, ± 1 and ± 2 px
-_ASIDE = np.sqrt(3.0) / 196.0
+# Distance from a point of the two lines across its edge that are averaged. Source: two lines at
+# ± √2 px have the spread of five at 0, ± 1 and ± 2 px
+_ASIDE = np.sqrt(2.0) / 196.0
 _OUTSIDE = 2.0 / 196.0  # the profile of an outline starts that far outside
 # Samples along the normal: (up to this distance from the edge, spacing).
 _SAMPLING = ((3.0 / 196.0, 1.0 / 3136.0), (6.0 / 196.0, 1.0 / 1568.0), (REACH_RADII, 1.0 / 784.0))
@@ -138,10 +138,10 @@ def _sample(
     corners: Array, faces: Int32s, beside: Int32s, focal: float, middle: float, owner: Int32s,
     normals: Array, albedo: Array, scratch: Scratch, samples: Array, depth: Array,
 ) -> None:  # fmt: skip
-    """Light and depth at places along one normal, averaged over three lines along the edge."""
+    """Light at places along one normal, averaged over two lines beside it; depth of the first."""
     count = len(places_px)
     samples[:count], depth[:count] = 0.0, 0.0
-    for b in range(-1, 2):
+    for b in range(-1, 2, 2):
         line = np.array([point[0] + aside * b * tx, point[1] + aside * b * ty, -ty, tx])
         faces_along(
             line, places_px, vertices, corners, faces, beside, focal, middle, owner, normals,
@@ -151,11 +151,11 @@ def _sample(
             face = scratch.visible[i]
             if face < 0:
                 continue
-            share = albedo[face] / 3.0
+            share = albedo[face] / 2.0
             for k in range(3):
                 samples[i, k] += share * normals[face, k]
             samples[i, 3] += share * _AROUND
-            if b == 0:
+            if b < 0:
                 depth[i] = 1.0 / scratch.nearness[i]
 
 

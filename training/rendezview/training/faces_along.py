@@ -62,7 +62,7 @@ def faces_along(
     Args:
         line: (4,) u, v, du, dv, px: a place s lies at (u, v) + s (du, dv).
         places: (M,) ascending, px.
-        vertices: (V, 3), camera frame, and ``corners``: (V, 2), their pixels.
+        vertices: (V, 3), camera frame, and ``corners``: (V, 2) or more, their pixels.
         faces: (F, 3), with ``beside`` (F, 3) and ``normals`` (F, 3).
         focal: px, and ``middle``: px, of both axes.
         owner: (H, W) visible face, −1 for the sky.

@@ -34,6 +34,7 @@ from rendezview.training.options import TrainingOptions, ViewGeometry, view_geom
 from rendezview.training.pyrender_renderer import PyrenderRenderer
 from rendezview.training.renderers import Renderer, make_renderer
 from rendezview.training.shard_executor import ShardExecutor
+from rendezview.training.simplify import TOLERANCE_RADII, simplified
 from rendezview.training.stages import Progress, Shards
 from rendezview.training.training_stages import TrainingStages
 
@@ -48,6 +49,7 @@ class Trained:
     model: ViewModel
     decisions: Decisions | None  # on held-out views, if there were any
     geometry: ViewGeometry
+    drawn_triangles: int | None = None  # None: the views are of an earlier run
 
 
 def train(
@@ -98,25 +100,26 @@ def train(
     if (path.exists() and not path.is_file()) or not path.parent.is_dir():
         raise RendezviewError(f"{path}: give a file name in an existing folder for the model")
     geometry = view_geometry(mesh, options, camera, bounding_sphere)
+    drawn = simplified(mesh, TOLERANCE_RADII * geometry.target_radius_m)
     inputs = provenance(mesh, options, camera)
-    renderer = make_renderer(options.renderer, mesh)
+    renderer = make_renderer(options.renderer, drawn)
     surfaces = renderer if isinstance(renderer, PyrenderRenderer) else None
-    beside = faces_beside(mesh)
     shards = Shards(path.with_name(path.name + ".partial"), inputs | {"code": _code_sha256()})
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # the jobs are the parallelism
     try:
         stages = TrainingStages(
-            shards, mesh, beside, renderer, surfaces, geometry, options, executor, progress
-        )
+            shards, drawn, faces_beside(drawn), renderer, surfaces, geometry, options, executor,
+            progress,
+        )  # fmt: skip
         trained = _train(stages, name, tuple(symmetries), shape_error, inputs)
         model = dataclasses.replace(
             trained.model,
             docking_ring=docking_ring,
             reflectors=reflectors,
-            near=stages.near(docking_ring, camera),
+            near=stages.near(mesh, docking_ring, camera),
         )
-        trained = dataclasses.replace(trained, model=model)
+        trained = dataclasses.replace(trained, model=model, drawn_triangles=len(drawn.faces))
     finally:
         cv2.setNumThreads(threads)
     trained.model.save(path)

@@ -66,11 +66,24 @@ def project_vertices(vertices_m: Array, camera_from_target: Pose, window: Window
     Raises:
         RendezviewError: a vertex lies at or behind the camera's plane.
     """
-    points_px = np.empty((len(vertices_m), 2))
+    return _projected(vertices_m, camera_from_target, window, 2)
+
+
+def project_with_nearness(vertices_m: Array, camera_from_target: Pose, window: Window) -> Array:
+    """Project vertices (V, 3) to (V, 3): pixels of the window, and nearness in 1/m.
+
+    Raises:
+        RendezviewError: a vertex lies at or behind the camera's plane.
+    """
+    return _projected(vertices_m, camera_from_target, window, 3)
+
+
+def _projected(vertices_m: Array, pose: Pose, window: Window, columns: int) -> Array:
+    points_px = np.empty((len(vertices_m), columns))
     least = _project(
         vertices_m,
-        camera_from_target.rotation,
-        camera_from_target.translation_m,
+        pose.rotation,
+        pose.translation_m,
         window.focal_px,
         window.cx,
         window.cy,
@@ -94,7 +107,7 @@ def _project(
     cy: float,
     out: Array,
 ) -> float:
-    """Pinhole projection into ``out`` (V, 2); returns the least depth."""
+    """Pinhole projection into ``out`` (V, 2), or (V, 3) with 1/z; returns the least depth."""
     least = np.inf
     r = rotation
     for i in range(vertices.shape[0]):
@@ -104,4 +117,6 @@ def _project(
         scale = focal / depth if depth > 0.0 else np.nan
         out[i, 0] = (r[0, 0] * x + r[0, 1] * y + r[0, 2] * z + translation[0]) * scale + cx
         out[i, 1] = (r[1, 0] * x + r[1, 1] * y + r[1, 2] * z + translation[1]) * scale + cy
+        if out.shape[1] == 3:
+            out[i, 2] = scale / focal
     return least

@@ -6,6 +6,8 @@ real CAD files is unreliable.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 from numba import njit
@@ -80,15 +82,13 @@ def fill_silhouette(
         ax, ay = points_px[a, 0], points_px[a, 1]
         bx, by = points_px[b, 0], points_px[b, 1]
         cx, cy = points_px[c, 0], points_px[c, 1]
-        top = max(0, int(np.ceil(ay)))
-        bottom = min(height - 1, int(np.floor(cy)))
+        top = max(0, math.ceil(ay))
+        bottom = min(height - 1, math.floor(cy))
         low, high = max(0.0, min(ax, bx, cx)), min(width - 1.0, max(ax, bx, cx))
-        if top > bottom or np.ceil(low) > high:  # no pixel centre between its borders
+        if top > bottom or math.ceil(low) > high:  # no pixel centre between its borders
             continue
         if cy == ay:  # a sliver along a row of pixel centres
-            left = max(0, int(np.ceil(min(ax, bx, cx))))
-            right = min(width - 1, int(np.floor(max(ax, bx, cx))))
-            mask[top, left : right + 1] = 255
+            mask[top, math.ceil(low) : math.floor(high) + 1] = 255
             continue
         long_slope = (cx - ax) / (cy - ay)
         upper_slope = (bx - ax) / (by - ay) if by > ay else 0.0
@@ -97,10 +97,9 @@ def fill_silhouette(
             x0 = ax + long_slope * (y - ay)
             upper = y < by or cy == by
             x1 = ax + upper_slope * (y - ay) if upper else bx + lower_slope * (y - by)
-            if x1 < x0:
-                x0, x1 = x1, x0
-            left = max(0, int(np.ceil(x0)))
-            right = min(width - 1, int(np.floor(x1)))
+            left = math.ceil(max(0.0, min(x0, x1)))
+            right = math.floor(min(width - 1.0, max(x0, x1)))
             row = mask[y]
-            for x in range(left, right + 1):
+            # Unsigned numbers need no test for a place counted from the end.
+            for x in range(np.uint64(left), np.uint64(max(left, right + 1))):
                 row[x] = 255

@@ -11,10 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.training.mesh import Mesh
-from rendezview.training.projection import Mask, Window, project_vertices
+from rendezview.training.projection import (
+    Mask,
+    Window,
+    project_vertices,
+    project_with_nearness,
+)
 from rendezview.training.rasterizer import fill_silhouette
 from rendezview.training.zbuffer import Float32s, Int32s, draw_chosen, empty_buffers
 
@@ -34,8 +40,23 @@ class ShownFaces:
     def near(self, direction: Array, around: int) -> npt.NDArray[np.intp]:
         """The faces that are visible from one of the nodes around a direction (3,), ascending."""
         nearest = np.argpartition(-(self.nodes @ direction), around)[:around]
-        bits = np.bitwise_or.reduce(self.bits[nearest])
-        return np.flatnonzero(np.unpackbits(bits, count=self.faces, bitorder="little"))
+        return _set_bits(self.bits, nearest)
+
+
+@njit(cache=True, nogil=True)
+def _set_bits(bits: npt.NDArray[np.uint8], rows: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """The numbers of the bits that are set in any of some rows, ascending, lowest bit first."""
+    numbers = np.empty(8 * bits.shape[1], dtype=np.intp)
+    count = 0
+    for k in range(bits.shape[1]):
+        byte = np.uint8(0)
+        for row in rows:
+            byte |= bits[row, k]
+        for bit in range(8 if byte else 0):
+            if byte >> bit & 1:
+                numbers[count] = 8 * k + bit
+                count += 1
+    return numbers[:count]
 
 
 def bits_of(owner: Int32s, faces: int) -> npt.NDArray[np.uint8]:
@@ -87,12 +108,9 @@ class ShownRenderer:
         Raises:
             RendezviewError: a part of the target lies behind the camera's plane.
         """
-        points_px = project_vertices(self._vertices, camera_from_target, window)
-        pose = camera_from_target
-        depth = self._vertices @ pose.rotation[2] + pose.translation_m[2]
+        on_plane = project_with_nearness(self._vertices, camera_from_target, window)
         nearness, owner = self._buffers(window.height, window.width)
-        on_plane = np.column_stack([points_px, 1.0 / depth])
-        draw_chosen(on_plane, self._faces, self._near(pose), nearness, owner)
+        draw_chosen(on_plane, self._faces, self._near(camera_from_target), nearness, owner)
         return nearness, owner
 
     def _near(self, camera_from_target: Pose) -> npt.NDArray[np.intp]:

@@ -24,6 +24,7 @@ from rendezview.sensors.appearance.outline.voters import Voters
 from rendezview.sensors.appearance.sketch.views import ViewSketches
 from rendezview.training.calibrate import prior_errors, recognition_errors
 from rendezview.training.contours import contour_points
+from rendezview.training.crossings import faces_beside
 from rendezview.training.learn import Samples, TreeSet, learn_trees
 from rendezview.training.mesh import Mesh
 from rendezview.training.near_spheres import near_spheres
@@ -109,19 +110,27 @@ class TrainingStages:
         renderer = self.edges_shown or self.surfaces
         return self._contours("contours", self.geometry, directions, shells_m, renderer)
 
-    def near(self, ring: DockingRing | None, camera: Camera | None) -> tuple[NearSphere, ...]:
-        """Contour points of the part around the docking ring; none without one, or with joints."""
+    def near(
+        self, whole: Mesh, ring: DockingRing | None, camera: Camera | None
+    ) -> tuple[NearSphere, ...]:
+        """Contour points of the part around the docking ring; none without one, or with joints.
+
+        Args:
+            whole: the mesh with all its triangles: a near camera sees the small ones.
+        """
         if 0 in (self.options.contour_points, self.options.near_cone_rad):
             return ()
         if ring is None or self.mesh.face_part is not None:
             return ()
         spheres = near_spheres(self.geometry, self.options, ring, camera)
+        beside = self.beside if whole is self.mesh else faces_beside(whole)
+        stages = dataclasses.replace(self, mesh=whole, beside=beside)
         return tuple(
             NearSphere(
                 near.geometry.centre_m,
                 near.geometry.target_radius_m,
                 near.directions,
-                self._contours(f"near-{k}", near.geometry, near.directions, near.shells_m, None),
+                stages._contours(f"near-{k}", near.geometry, near.directions, near.shells_m, None),
             )
             for k, near in enumerate(spheres)
         )
