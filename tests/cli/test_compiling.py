@@ -168,3 +168,45 @@ def test_a_loop_that_is_compiled_unexpectedly_is_announced_once():
     assert len(said) == 1
     entries = compiling.recorded(lambda: njit(lambda x: 2.0 * x)(1))
     assert [entry["arguments"] for entry in entries] == [["int64"]]
+
+
+def test_loops_are_compiled_beside_the_work_and_waited_for(tmp_path):
+    """Of an empty cache, in a process of its own: loops of other modules wait in the cache."""
+    program = """
+from rendezview.cli import compiling
+spoken = []
+compiling.say = spoken.append
+few = [e for e in compiling.load_loops("demo") if 0.0 < e["seconds"] < 1.0][:3]
+compiling.load_loops = lambda group: few
+compiling._LEAST_S = 0.0
+loops = [compiling._named(entry["loop"]) for entry in few]
+assert not any(compiling._is_cached(loop) for loop in loops)
+with compiling.compile_beside("demo") as ready:
+    ready()
+    assert all(compiling._is_cached(loop) for loop in loops)
+    ready()
+assert not any(loop.overloads for loop in loops)  # not here
+assert len(spoken) == 1 and "the last of" in spoken[0], spoken
+with compiling.compile_beside("demo") as ready:
+    ready()
+assert len(spoken) == 1, spoken
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=environment, check=True, timeout=120)
+
+
+def test_what_is_compiled_beside_ends_with_the_work(monkeypatch):
+    entries = [e for e in compiling.load_loops("demo") if e["seconds"]]
+    monkeypatch.setattr(compiling, "_missing", lambda groups: entries)
+    started = []
+    begin = compiling._worker
+
+    def noted(*arguments):
+        started.append(begin(*arguments))
+        return started[-1]
+
+    monkeypatch.setattr(compiling, "_worker", noted)
+    with pytest.raises(ZeroDivisionError), compiling.compile_beside("demo"):
+        raise ZeroDivisionError
+    assert started
+    assert all(worker.poll() is not None for worker in started)

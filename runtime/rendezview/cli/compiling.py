@@ -90,9 +90,8 @@ def compile_ahead(*groups: str) -> None:
     Nothing is done where numba keeps no cache. A loop that cannot be compiled here is left to its
     first call.
     """
-    entries = [entry for group in groups for entry in load_loops(group)]
-    missing = [e for e in entries if e["seconds"] and not _is_cached(_named(e["loop"]))]
-    if _seconds(missing) < _LEAST_S or os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+    missing = _missing(groups)
+    if not missing:
         return
     own, *others = _shares(missing, min(_MOST_PROCESSES, _cores()))
     seconds = max(_seconds(share) for share in (own, *others))
@@ -101,11 +100,7 @@ def compile_ahead(*groups: str) -> None:
         f"only once: about {seconds + _START_S:.0f} s …"
     )
     start = time.perf_counter()
-    command = [sys.executable, "-m", "rendezview.cli.compiling"]
-    workers = [
-        subprocess.Popen([*command, json.dumps(share)], stderr=subprocess.DEVNULL)
-        for share in others
-    ]
+    workers = [_worker(share) for share in others]
     try:
         _compile(own)
         for worker in workers:
@@ -114,6 +109,43 @@ def compile_ahead(*groups: str) -> None:
         for worker in workers:
             worker.kill()
     say(f"Compiled in {time.perf_counter() - start:.0f} s")
+
+
+@contextlib.contextmanager
+def compile_beside(*groups: str) -> Iterator[Callable[[], None]]:
+    """Meanwhile compile some groups in processes of low priority; the value waits for their end."""
+    missing = _missing(groups)
+    shares = _shares(missing, min(_MOST_PROCESSES, _cores())) if missing else []
+    workers = [_worker(share, "--beside") for share in shares]
+
+    def wait() -> None:
+        if any(worker.poll() is None for worker in workers):
+            say(f"Compiling the last of {len(missing)} more loops for this machine, only once …")
+        for worker in workers:
+            worker.wait()
+
+    try:
+        with _saved_in_turn():
+            yield wait
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+
+
+def _missing(groups: Sequence[str]) -> list[dict[str, Any]]:
+    """The loops of some groups that the cache on disk lacks; none if they take no time."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return []
+    entries = [entry for group in groups for entry in load_loops(group)]
+    missing = [e for e in entries if e["seconds"] and not _is_cached(_named(e["loop"]))]
+    return missing if _seconds(missing) >= _LEAST_S else []
+
+
+def _worker(share: list[dict[str, Any]], *options: str) -> subprocess.Popen[bytes]:
+    """A process that compiles a share."""
+    command = [sys.executable, "-m", "rendezview.cli.compiling", *options, json.dumps(share)]
+    return subprocess.Popen(command, stderr=subprocess.DEVNULL)
 
 
 _START_S = 2.0  # s; of a process, before it compiles. Source: experiment compiled-loops
@@ -278,4 +310,6 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    _compile(json.loads(sys.argv[1]))
+    if "--beside" in sys.argv and hasattr(os, "nice"):
+        os.nice(10)  # a tenth of a core that another process wants
+    _compile(json.loads(sys.argv[-1]))

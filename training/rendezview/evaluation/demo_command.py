@@ -12,7 +12,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from rendezview.cli.compiling import compile_ahead, tell_of_compiling
+from rendezview.cli.compiling import compile_ahead, compile_beside, tell_of_compiling
 from rendezview.cli.progress import ProgressBar
 from rendezview.evaluation.contact import contact_picture, fuse_to_contact
 from rendezview.evaluation.evaluate import evaluate as evaluate_rows
@@ -84,9 +84,9 @@ def demo(
     mesh = load_mesh(target.mesh_path, target.unit)
     make_folder(output)
     model_path = output / f"{target.name}.rvm"
-    compile_ahead("train", "track", "demo")
+    compile_ahead("train", "track")
     tell_of_compiling()
-    with ProgressBar() as progress:
+    with compile_beside("demo") as compiled, ProgressBar() as progress:
         console.print(f"1. Training {target.name} on {len(mesh.faces)} triangles …")
         trained = train(
             mesh,
@@ -125,6 +125,7 @@ def demo(
         sequence = open_sequence(output / "scene")
         observations: list[AppearanceObservation] = []
         tracked = _track(model, sequence, output, observations, progress)
+        compiled()
         console.print("4. Finding the ring, and fusing camera, ring and laser ranger …")
         contact = fuse_to_contact(
             sequence.frames[last:],
