@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.mjpeg_stream import mjpeg_stream
 
+from rendezview.cli import reflectors
 from rendezview.errors import RendezviewError
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
@@ -19,6 +20,9 @@ from rendezview.io.sequences.bop_writer import BopSceneWriter
 from rendezview.io.sequences.frame import Frame
 from rendezview.io.sequences.live import is_live, live_frames, with_rate
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.observation import Status
+from rendezview.sensors.reflectors.difference import LitDark, ThresholdOptions
+from rendezview.sensors.reflectors.observation import ReflectorObservation
 from rendezview.sensors.reflectors.run import FramePair, wrong_mode
 
 CAMERA = Camera(640, 480, 620.0, 625.0, 322.0, 236.0)
@@ -169,6 +173,24 @@ def test_the_shape_of_a_target_is_calibrated_from_a_scene(
     run(*shape, "--length", "w=1/1").says("--length must be")
     run(*shape, "--length", "x=1/0").says("--length must be")
     run(*shape, "--poses", tmp_path / "none.csv").says("none.csv")
+
+
+def test_separate_poses_are_told_of_the_likely_option(monkeypatch):
+    """Dots are found at once and nothing follows them: the mode of the pictures is right."""
+    said = []
+    monkeypatch.setattr(reflectors, "say", said.append)
+    grey = np.full((CAMERA.height, CAMERA.width), 9, np.uint8)
+    frame = Frame(0, "0.png", 0.0, CAMERA, None, 1, lambda: grey)
+    pair = FramePair(frame, None, None, False)
+    found = ReflectorObservation(Status.UNCONFIRMED, "found for the first time")
+    gone = ReflectorObservation(Status.NO_SPOTS, "no spots")
+    for readings in ([found, gone, found], [found, gone, gone, gone]):
+        hint = reflectors._Hint(ThresholdOptions())
+        for reading in readings:
+            hint.look(pair, LitDark(grey), reading)
+        hint.tell()
+    assert len(said) == 1
+    assert "--independent" in said[0]
 
 
 def test_a_camera_that_goes_on_is_told_of_the_likely_option(run, tmp_path):

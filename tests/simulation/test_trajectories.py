@@ -208,6 +208,7 @@ def test_looking_along_up_is_a_value_error() -> None:
         ("inertia", (1.0, 1.0, 2.5)),
         ("inertia", (0.0, 1.0, 1.0)),
         ("bearing_max_rad", 1.6),
+        ("off_axis_max_rad", 1.6),
         ("hop_ratio", -0.1),
         ("pointing_jitter_rad", -0.1),
         ("roll_jitter_rad", math.nan),
@@ -227,3 +228,29 @@ def test_an_unknown_kind_is_refused_with_the_known_ones() -> None:
 def test_an_end_range_is_refused_where_the_range_is_kept(kind: TrajectoryKind) -> None:
     with pytest.raises(RendezviewError, match="end range"):
         made(kind, end_range_m=10.0)
+
+
+def test_stations_lie_in_their_cone_at_all_ranges_and_bearings() -> None:
+    axis = np.array([-1.0, 0.5, 0.2])
+    poses = made(
+        "stations", frames=400, start_range_m=8.0, end_range_m=2.0, approach_axis=tuple(axis),
+        off_axis_max_rad=0.3, bearing_max_rad=0.1,
+    )  # fmt: skip
+    places, centres = cameras_m(poses), centres_m(poses)
+    ranges = np.linalg.norm(places, axis=1)
+    off = np.arccos(places @ axis / np.linalg.norm(axis) / ranges)
+    bearing = np.arctan2(np.linalg.norm(centres[:, :2], axis=1), centres[:, 2])
+    for values, (low, high) in ((ranges, (2.0, 8.0)), (off, (0.0, 0.3)), (bearing, (0.0, 0.1))):
+        assert low <= values.min()
+        assert values.max() <= high + 1e-9
+        assert np.ptp(values) > 0.8 * (high - low)
+    # uniform over the solid angle: half of the places lie beyond half of 1 − cos
+    assert np.mean(np.cos(off) < 0.5 + 0.5 * np.cos(0.3)) == pytest.approx(0.5, abs=0.08)
+    assert np.abs(np.mean(places / ranges[:, None], axis=0) @ np.cross(axis, [0, 0, 1])) < 0.03
+    ups = np.array([pose.rotation[:, 2] for _, pose in poses])  # the target's +Z
+    rolls = np.arctan2(ups[:, 0], -ups[:, 1])
+    assert 0.25 < np.abs(rolls).max() < 0.45  # 0.3, and what perspective adds
+    assert np.array_equal(poses[7][1].rotation, made(
+        "stations", frames=400, start_range_m=8.0, end_range_m=2.0, approach_axis=tuple(axis),
+        off_axis_max_rad=0.3, bearing_max_rad=0.1,
+    )[7][1].rotation)  # fmt: skip

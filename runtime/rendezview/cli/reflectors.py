@@ -204,13 +204,16 @@ def reflectors(
     _run(steps, patterns, forms, overlay, output, total, options)
 
 
+_SEPARATE = "Dots are found, but no reading follows the one before: separate poses? --independent"
+
+
 class _Hint:
     """What may be wrong with the mode of a run that begins without a pose; said once."""
 
     def __init__(self, options: ThresholdOptions) -> None:
         self._options = options
         self._first: FramePair | None = None  # that could be read
-        self._readings, self._open = 0, True
+        self._readings, self._found, self._open = 0, 0, True
 
     def look(self, pair: FramePair, frames: LitDark | None, reading: ReflectorObservation) -> None:
         """Take a reading; a camera that goes on gets its hint after a few."""
@@ -219,13 +222,17 @@ class _Hint:
         elif frames is not None:
             self._first = self._first or pair
             self._readings += 1
+            self._found += reading.status is Status.UNCONFIRMED
             if self._readings == _READINGS_TO_HINT:
                 self.tell()
 
     def tell(self) -> None:
         """Say it, if there is something to say."""
-        if self._open and self._first and (words := wrong_mode([self._first], self._options)):
-            say(words)
+        if self._open and self._first:
+            if self._found >= max(2, self._readings / 2):
+                say(_SEPARATE)
+            elif words := wrong_mode([self._first], self._options):
+                say(words)
         self._open = False
 
 

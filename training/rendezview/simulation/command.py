@@ -51,6 +51,7 @@ class Kind(StrEnum):
     FLYAROUND = "flyaround"
     TUMBLE = "tumble"
     RANDOM = "random"
+    STATIONS = "stations"
 
 
 def simulate(
@@ -75,8 +76,8 @@ def simulate(
     axis: Annotated[
         str | None,
         typer.Option(
-            help="V-bar: 'x,y,z' from the target to the camera, target frame; or 'ring': along "
-            "the docking ring's axis, straight, with ranges from the ring's centre. Default: +X."
+            help="V-bar and stations: 'x,y,z' from the target to the camera, target frame; or "
+            "'ring': the docking ring's axis, straight, ranges from its centre. Default: +X."
         ),
     ] = None,
     laser: Annotated[
@@ -146,8 +147,12 @@ def simulate(
         typer.Option(help="Bumpy blanket over half of the mesh: thickness, share of its radius."),
     ] = 0.0,
     bearing: Annotated[
-        float, typer.Option(help="Random trajectory: largest angle off the boresight, degrees.")
+        float,
+        typer.Option(help="Random and stations: largest angle of the target off the boresight, °."),
     ] = 0.0,
+    off_axis: Annotated[
+        float, typer.Option(help="Stations: largest angle of the camera off the axis, degrees.")
+    ] = 15.0,
     jitter: Annotated[float, typer.Option(help="Pointing jitter, degrees (one σ).")] = 0.3,
     mitsuba: Annotated[
         bool,
@@ -199,7 +204,7 @@ def simulate(
         masks=masks,
     )
     motion = _trajectory_options(
-        kind, mesh, frames, dt, start_range, end_range, turn, bearing, jitter, seed
+        kind, mesh, frames, dt, start_range, end_range, turn, bearing, off_axis, jitter, seed
     )
     if axis is not None:
         motion = _along(axis, kind, motion, found)
@@ -252,12 +257,13 @@ def _trajectory_options(
     end_range_m: float | None,
     turn_deg: float,
     bearing_deg: float,
+    off_axis_deg: float,
     jitter_deg: float,
     seed: int,
 ) -> TrajectoryOptions:
     centre, radius_m = mesh.bounding_sphere
     start_m = start_range_m if start_range_m is not None else 6.0 * radius_m
-    if end_range_m is None and kind in (Kind.SPIRAL, Kind.VBAR, Kind.RANDOM):
+    if end_range_m is None and kind in (Kind.SPIRAL, Kind.VBAR, Kind.RANDOM, Kind.STATIONS):
         end_range_m = 3.0 * radius_m
     return TrajectoryOptions(
         frames=frames,
@@ -267,15 +273,16 @@ def _trajectory_options(
         centre_m=(float(centre[0]), float(centre[1]), float(centre[2])),
         turn_rad=float(np.deg2rad(turn_deg)),
         bearing_max_rad=float(np.deg2rad(bearing_deg)),
+        off_axis_max_rad=float(np.deg2rad(off_axis_deg)),
         pointing_jitter_rad=float(np.deg2rad(jitter_deg)),
         seed=seed,
     )
 
 
 def _along(axis: str, kind: Kind, motion: TrajectoryOptions, target: Target) -> TrajectoryOptions:
-    """The options of an approach along an axis, or to the docking ring."""
-    if kind is not Kind.VBAR:
-        raise RendezviewError(f"--axis is that of a vbar trajectory, not of {kind}: leave it out")
+    """The options of an approach or of places along an axis, or before the docking ring."""
+    if kind not in (Kind.VBAR, Kind.STATIONS):
+        raise RendezviewError(f"--axis is for vbar and stations, not for {kind}: leave it out")
     if axis != "ring":
         return replace(motion, approach_axis=_vector("--axis", axis))
     ring = target.docking_ring

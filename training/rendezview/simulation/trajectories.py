@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array, Pose
 
-TrajectoryKind = Literal["circular", "spiral", "vbar", "flyaround", "tumble", "random"]
+TrajectoryKind = Literal["circular", "spiral", "vbar", "flyaround", "tumble", "random", "stations"]
 TimedPose = tuple[float, Pose]
 Triple = tuple[float, float, float]
 
@@ -34,12 +34,13 @@ class TrajectoryOptions:
     centre_m: Triple = (0.0, 0.0, 0.0)
     turn_rad: float = 2.0 * math.pi  # total angle around the target: circular, spiral, flyaround
     inclination_rad: float = math.radians(35.0)  # flyaround: its plane to the target's XY
-    approach_axis: Triple = (1.0, 0.0, 0.0)  # vbar: from the target to the camera
+    approach_axis: Triple = (1.0, 0.0, 0.0)  # vbar, stations: from the target to the camera
+    off_axis_max_rad: float = math.radians(15.0)  # stations: the camera lies in this cone
     hops: int = 3  # vbar
     hop_ratio: float = 0.03  # vbar: height of a hop as a share of the distance
     body_rate_rad_s: Triple = (0.005, 0.05, 0.01)  # tumble: initial angular velocity, target axes
     inertia: Triple = (1.0, 1.6, 2.0)  # tumble: principal moments on the target axes, any unit
-    bearing_max_rad: float = 0.0  # random: the centre lies in this cone about the boresight
+    bearing_max_rad: float = 0.0  # random, stations: the centre is in this cone about the boresight
     pointing_jitter_rad: float = 0.0  # one sigma each of the camera's x and y, new each frame
     roll_jitter_rad: float = 0.0  # one sigma about the boresight, new each frame
     seed: int = 0
@@ -52,7 +53,7 @@ class TrajectoryOptions:
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise RendezviewError(f"{name} must be positive, not {value}")
         jitters = ("pointing_jitter_rad", "roll_jitter_rad")
-        for name in ("hops", "hop_ratio", "bearing_max_rad", *jitters):
+        for name in ("hops", "hop_ratio", "bearing_max_rad", "off_axis_max_rad", *jitters):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0.0):
                 raise RendezviewError(f"{name} must not be negative, not {value}")
@@ -71,8 +72,9 @@ class TrajectoryOptions:
                 f"inertia {self.inertia} belongs to no body: moments must be positive, and none "
                 "may exceed the sum of the other two"
             )
-        if self.bearing_max_rad >= math.pi / 2:
-            raise RendezviewError(f"bearing_max_rad must be below π/2, not {self.bearing_max_rad}")
+        for name in ("bearing_max_rad", "off_axis_max_rad"):
+            if getattr(self, name) >= math.pi / 2:
+                raise RendezviewError(f"{name} must be below π/2, not {getattr(self, name)}")
 
     @property
     def last_range_m(self) -> float:
@@ -94,6 +96,9 @@ def trajectory(kind: TrajectoryKind, options: TrajectoryOptions | None = None) -
       ``centre_m``, taken for its centre of mass: :func:`torque_free`.
     - ``random``: attitudes uniform on SO(3), ranges uniform between start and end,
       bearings of the centre uniform over a cone about the boresight.
+    - ``stations``: separate places before the target, as a calibration wants them: directions
+      uniform over the cone of ``off_axis_max_rad`` about ``approach_axis``, rolls within ± the
+      same angle, ranges and bearings as of ``random``.
 
     Jitter rotates the camera about its optical centre and does not change the range.
 
@@ -117,6 +122,8 @@ def trajectory(kind: TrajectoryKind, options: TrajectoryOptions | None = None) -
         poses = _tumble(options, times_s)
     elif kind == "random":
         poses = _random(options, rng)
+    elif kind == "stations":
+        poses = _stations(options, rng)
     elif kind == "vbar":
         poses = _vbar(options, progress)
     else:
@@ -238,12 +245,35 @@ def _random(options: TrajectoryOptions, rng: np.random.Generator) -> list[Pose]:
         # A normal 4-vector has no preferred direction: uniform on SO(3).
         quat = rng.standard_normal(4)
         range_m = rng.uniform(low, high)
-        # Uniform over the cone's solid angle: cos uniform.
-        cosine = rng.uniform(math.cos(options.bearing_max_rad), 1.0)
-        around = rng.uniform(0.0, 2.0 * math.pi)
-        sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
-        bearing = np.array([sine * math.cos(around), sine * math.sin(around), cosine])
         turn = Pose.from_quat_wxyz(quat, np.zeros(3))
-        centre_m = range_m * bearing
+        centre_m = range_m * _in_cone(options.bearing_max_rad, rng)
         poses.append(Pose(turn.rotation, centre_m - turn.rotation @ np.asarray(options.centre_m)))
     return poses
+
+
+def _stations(options: TrajectoryOptions, rng: np.random.Generator) -> list[Pose]:
+    axis = np.asarray(options.approach_axis) / np.linalg.norm(options.approach_axis)
+    up = np.eye(3)[2 if abs(axis[2]) < 0.9 else 1]
+    centre = np.asarray(options.centre_m)
+    # Its boresight is the axis, from the camera to the target: the cone opens backwards.
+    along = looking_at(centre + axis, centre, up).rotation
+    low, high = sorted((options.start_range_m, options.last_range_m))
+    most = options.off_axis_max_rad
+    poses = []
+    for _ in range(options.frames):
+        range_m = rng.uniform(low, high)
+        place = centre - range_m * (along.T @ _in_cone(most, rng))
+        pose = looking_at(place, centre, along.T @ [0.0, -1.0, 0.0])
+        bearing = _in_cone(options.bearing_max_rad, rng)
+        aside, _ = Rotation.align_vectors(bearing[None], [[0.0, 0.0, 1.0]])
+        roll = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-most, most)])
+        poses.append(Pose((aside * roll).as_matrix(), np.zeros(3)) @ pose)
+    return poses
+
+
+def _in_cone(half_rad: float, rng: np.random.Generator) -> Array:
+    """A unit vector (3,), uniform over the solid angle of a cone about +Z."""
+    cosine = rng.uniform(math.cos(half_rad), 1.0)
+    around = rng.uniform(0.0, 2.0 * math.pi)
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    return np.array([sine * math.cos(around), sine * math.sin(around), cosine])
