@@ -91,6 +91,30 @@ def test_bloom_adds_a_halo_that_fades_outwards() -> None:
     assert middle[SIDE // 2 + 22] > 2.0 * middle[SIDE // 2 + 28] > 0.0
 
 
+def test_glare_reaches_further_than_the_bloom() -> None:
+    bloom = {"bloom_share": 1.0, "bloom": (0.02, 0.02), "bloom_sigma_px": (2.0, 2.0)}
+    plain = taken(**bloom)
+    more = taken(**bloom, glare_share=1.0, glare=(0.05, 0.05)) - plain
+    corner, middle = more[:8, :8].mean(), more[INNER].mean()
+    assert middle > 3.0 > corner > 0.05
+    assert plain[:8, :8].max() < 0.01
+
+
+def test_wrinkled_foil_has_sharp_bright_lines() -> None:
+    options = replace(NOTHING, wrinkles_share=1.0, wrinkles=(6, 7), wrinkles_depth=(1.0, 1.0))
+    factor = hard_light.mottled_reflectance(128, np.random.default_rng(4), options)
+    assert 0.0 < factor.min() < factor.max() <= 1.0
+    across = np.diff(np.log(factor), n=2, axis=1)
+    assert -across.min() > 3.0 * across.max()  # it bends at the crests alone
+
+
+def test_compression_changes_what_is_fine_and_little_else() -> None:
+    noisy = {"noise_sigma_grey": (3.0, 3.0)}
+    difference = taken(**noisy, jpeg_share=1.0, jpeg_quality=(60, 61)) - taken(**noisy)
+    assert 0.5 < difference[INNER].std() < 4.0
+    assert abs(difference[INNER].mean()) < 1.0
+
+
 def test_stray_light_is_brighter_on_one_side() -> None:
     more = taken(stray_share=1.0, stray_grey=(10.0, 10.0), stray_slope=(1.0, 1.0)) - taken()
     assert more[0, 0] < 0.1

@@ -17,6 +17,7 @@ from rendezview.simulation.sketch_frames import (
     CraftDrawing,
     draw_craft,
     draw_sky,
+    magnified,
     sketch_frame,
     take,
 )
@@ -89,6 +90,16 @@ def test_edges_lie_on_the_outline_of_a_convex_craft_and_creases_within() -> None
         assert edge[beyond].max(initial=0.0) < 0.3  # two pixels off the craft
         assert crease[cover < 0.5].max() < 0.5
         assert np.count_nonzero(crease > 0.5) < 0.2 * np.count_nonzero(cover > 0.5)
+
+
+def test_a_larger_picture_shows_the_same_craft_more_closely() -> None:
+    small, large = (draw_craft(box(), np.random.default_rng(1), s) for s in (SIDE_PX, 2 * SIDE_PX))
+    halved = large.maps[COVER].reshape(SIDE_PX, 2, SIDE_PX, 2).mean((1, 3))
+    assert np.abs(halved - small.maps[COVER]).mean() < 0.5  # of 255
+    picture, maps = take(large, draw_sky(np.random.default_rng(2)), np.random.default_rng(3))
+    assert picture.shape == maps.shape[1:] == (2 * SIDE_PX, 2 * SIDE_PX)
+    closer = magnified(HardLightOptions(), 2.0)
+    assert closer.blur_sigma_px == (0.2, 2.6)
 
 
 def test_skies_are_of_both_kinds_and_bright() -> None:

@@ -13,6 +13,7 @@ import onnxruntime as ort
 from joblib import Parallel, delayed
 
 from rendezview.sensors.appearance.sketch import network as sketch
+from rendezview.sensors.appearance.sketch.network import SIDE_PX
 from rendezview.simulation.random_craft import any_craft
 from rendezview.simulation.sketch_frames import (
     DRAWINGS,
@@ -24,26 +25,30 @@ from rendezview.simulation.sketch_frames import (
 
 BLOCK = 5  # craft a file
 BATCH = 16
+LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer look
+LARGE_BATCH = BATCH // LARGE**2
+LARGE_SHARE = 0.35  # of the batches, where there are larger drawings
 FRAMES_A_SKY = 5
 LEAST_SKIES = 10
 MOST_HELD_OUT = 22  # craft
 HELD_SEED = 5  # of their photographs
+SHOWN = 64  # pictures that set the scales of the whole numbers of the network as written
 AHEAD = 6  # batches that are made while the network learns
 
 
-def drawings(folder: Path, count: int, seed: int) -> list[CraftDrawing]:
+def drawings(folder: Path, count: int, seed: int, side_px: int = SIDE_PX) -> list[CraftDrawing]:
     """``DRAWINGS`` of each craft, in order; files that are there already are read."""
     crafts = -(-count // DRAWINGS)
 
     def block(first: int) -> Path:
         last = min(first + BLOCK, crafts)
-        path = folder / f"{seed}-{first:06d}-{last:06d}.npz"
+        path = folder / f"{seed}-{side_px}-{first:06d}-{last:06d}.npz"
         if not path.exists():
             made = []
             for k in range(first, last):
                 rng = np.random.default_rng([seed, k])
                 mesh = any_craft(rng)
-                made += [draw_craft(mesh, rng) for _ in range(DRAWINGS)]
+                made += [draw_craft(mesh, rng, side_px) for _ in range(DRAWINGS)]
             _save(path, maps=[d.maps for d in made], light=[d.light for d in made])
         return path
 
@@ -85,18 +90,23 @@ def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
     return pictures, np.array([maps for _, maps in taken])
 
 
-def written_difference(path: Path, odds: np.ndarray, pictures: np.ndarray) -> float:
-    """Largest difference of log-odds between the network written and the one trained."""
+def written_entropy(path: Path, pictures: np.ndarray, maps: np.ndarray) -> float:
+    """Cross entropy of the network as written, on pictures (N, 2, S, S) of known maps."""
+    import torch
+
+    from experiments.training import sketch_unet as unet
+
     session = ort.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    squares = sketch.to_squares(pictures[0])[None]
-    written = sketch.from_squares(session.run(None, {"squares": squares})[0][0])
-    return float(np.abs(written - odds).max())
+    squares = (sketch.to_squares(picture)[None] for picture in pictures)
+    odds = np.array([sketch.from_squares(session.run(None, {"squares": s})[0][0]) for s in squares])
+    return float(unet.losses(torch.from_numpy(odds), torch.from_numpy(maps))[0])
 
 
 def run(
     network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"],
     *,
     frames: Annotated[int, "drawings of craft; each is photographed many times"] = 7800,
+    large: Annotated[int, "drawings of larger pictures, four times as slow to draw"] = 1800,
     minutes: Annotated[float, "of training"] = 40.0,
     seed: int = 11,
     folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
@@ -121,24 +131,33 @@ def run(
     if frames < 2 * DRAWINGS:
         sys.exit(f"--frames must be at least {2 * DRAWINGS}: two craft, one of them held out")
     drawn = drawings(folder, frames, seed)
+    larger = drawings(folder, large, seed + 1, LARGE * SIDE_PX)
     behind = skies(folder, max(LEAST_SKIES, frames // FRAMES_A_SKY), seed)
     held_count = DRAWINGS * max(1, min(MOST_HELD_OUT, len(drawn) // DRAWINGS // 5))
     held_out, seen = drawn[:held_count], drawn[held_count:]
-    print(f"{len(seen)} drawings, {held_count} held out, {len(behind)} skies", flush=True)
+    print(
+        f"{len(seen)} drawings, {len(larger)} larger, {held_count} held out, {len(behind)} skies",
+        flush=True,
+    )
     held = photographs(held_out, behind, np.random.default_rng(HELD_SEED))
     batches: queue.Queue = queue.Queue(AHEAD)
 
     def feed() -> None:
         rng = np.random.default_rng([seed, 2])
         while True:
-            chosen = [seen[k] for k in rng.integers(len(seen), size=BATCH)]
+            some, count = seen, BATCH
+            if larger and rng.random() < LARGE_SHARE:
+                some, count = larger, LARGE_BATCH
+            chosen = [some[k] for k in rng.integers(len(some), size=count)]
             batches.put(tuple(torch.from_numpy(x) for x in photographs(chosen, behind, rng)))
 
     threading.Thread(target=feed, daemon=True).start()
     tensors = tuple(torch.from_numpy(x) for x in held)
     trained = unet.trained(batches.get, tensors, minutes, seed, start)
-    unet.write(trained, network)
-    with torch.no_grad():
-        odds = unet.log_odds(trained, tensors[0][:1])[0].numpy()
-    difference = written_difference(network, odds, held[0])
-    print(f"{network}: {network.stat().st_size / 1e6:.1f} MB, log-odds within {difference:.1e}")
+    some = [seen[k] for k in range(0, len(seen), -(-len(seen) // SHOWN))]
+    shown, _ = photographs(some, behind, np.random.default_rng([seed, 3]))
+    unet.write(trained, network, shown)
+    size_mb = network.stat().st_size / 1e6
+    print(
+        f"{network}: {size_mb:.1f} MB, cross entropy {written_entropy(network, *held):.3f} held out"
+    )

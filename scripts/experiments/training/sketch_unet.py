@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
+from onnxruntime.quantization import CalibrationDataReader, quantize_static
 from torch import nn
 from torch.nn import functional
 
-from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX
+from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX, to_squares
 
 CHANNELS = 2  # grey levels, and faint differences magnified
-WIDTHS = (56, 80, 112, 128)  # channels at full size, a half, a quarter and an eighth of the squares
+# Channels at full size, a half, a quarter, an eighth and a sixteenth of the squares.
+WIDTHS = (56, 80, 112, 128, 192)
 LINE_WEIGHT = 3.0  # of a pixel on a line: most are on none
 MAP_WEIGHTS = (1.0, 1.5, 1.5)
 DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
@@ -37,18 +40,35 @@ class Layer(nn.Module):
         return functional.relu(self.norm(self.convolution(x)), inplace=True)
 
 
+class Residual(nn.Module):
+    """Two layers beside a way past them; it begins as that way alone."""
+
+    def __init__(self, channels):
+        super().__init__()
+        self.first = Layer(channels, channels)
+        self.convolution = nn.Conv2d(channels, channels, 3, padding=1, bias=False)
+        self.norm = nn.BatchNorm2d(channels, momentum=0.03)
+        nn.init.zeros_(self.norm.weight)
+
+    def forward(self, x):
+        return functional.relu(x + self.norm(self.convolution(self.first(x))), inplace=True)
+
+
 class SketchUNet(nn.Module):
     """(N, CHANNELS n², h, w) squares to (N, MAPS n², h, w) log-odds; n = SQUARE_PX."""
 
     def __init__(self):
         super().__init__()
-        a, b, c, d = WIDTHS
+        a, b, c, d, e = WIDTHS
         self.a = nn.Sequential(Layer(CHANNELS * SQUARE_PX**2, a), Layer(a, a))
         self.b = nn.Sequential(Layer(a, b), Layer(b, b))
         self.c = nn.Sequential(Layer(b, c), Layer(c, c))
         self.d = nn.Sequential(Layer(c, d), Layer(d, d), Layer(d, d))
-        self.from_d, self.from_c, self.from_b = (
-            nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
+        self.more_b, self.more_c, self.more_d = Residual(b), Residual(c), Residual(d)
+        self.more_up_c, self.more_up_b = Residual(c), Residual(b)
+        self.e = nn.Sequential(Layer(d, e), Layer(e, e), Layer(e, e))
+        self.from_e, self.from_d, self.from_c, self.from_b = (
+            nn.Conv2d(e, d, 1), nn.Conv2d(d, c, 1), nn.Conv2d(c, b, 1), nn.Conv2d(b, a, 1)
         )  # fmt: skip
         self.up_c = nn.Sequential(Layer(c, c), Layer(c, c))
         self.up_b = Layer(b, b)
@@ -60,11 +80,13 @@ class SketchUNet(nn.Module):
             return functional.interpolate(x, scale_factor=2, mode="nearest")
 
         a = self.a(squares)
-        b = self.b(functional.max_pool2d(a, 2))
-        c = self.c(functional.max_pool2d(b, 2))
-        d = self.d(functional.max_pool2d(c, 2))
-        c = self.up_c(c + twice(self.from_d(d)))
-        b = self.up_b(b + twice(self.from_c(c)))
+        b = self.more_b(self.b(functional.max_pool2d(a, 2)))
+        c = self.more_c(self.c(functional.max_pool2d(b, 2)))
+        d = self.more_d(self.d(functional.max_pool2d(c, 2)))
+        e = self.e(functional.max_pool2d(d, 2))
+        d = d + twice(self.from_e(e))
+        c = self.more_up_c(self.up_c(c + twice(self.from_d(d))))
+        b = self.more_up_b(self.up_b(b + twice(self.from_c(c))))
         return self.out(self.up_a(a + twice(self.from_b(b))))
 
 
@@ -161,17 +183,37 @@ def _report(step: int, running, network, held: Batch, device: str) -> None:
     )
 
 
-def write(network, path: Path) -> None:
-    """Write the network as ONNX, normalisation folded into the weights, for pictures of any size.
+def write(network, path: Path, pictures: np.ndarray) -> None:
+    """Write the network as ONNX in whole numbers of 8 bits, for pictures of any size.
 
-    Input ``squares`` (1, CHANNELS n², h, w), output ``y`` (1, MAPS n², h, w) log-odds. The weights
-    are kept beside it as .pt.
+    Input ``squares`` (1, CHANNELS n², h, w), output ``y`` (1, MAPS n², h, w) log-odds, float32. The
+    normalisation is folded into the weights. They are kept beside it as .pt, as trained.
+
+    Args:
+        network: trained, on the CPU.
+        path: of the ONNX file.
+        pictures: (N, CHANNELS, S, S) that show the range of every layer's values.
     """
     torch.save(network.state_dict(), path.with_suffix(".pt"))
     network.eval()
     squares = torch.zeros(1, CHANNELS * SQUARE_PX**2, 64, 64)
     sides = {2: "h", 3: "w"}
-    torch.onnx.export(
-        network, (squares,), str(path), input_names=["squares"], output_names=["y"],
-        dynamic_axes={"squares": sides, "y": sides}, dynamo=False, opset_version=12,
-    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        exact = Path(folder) / "exact.onnx"
+        torch.onnx.export(
+            network, (squares,), str(exact), input_names=["squares"], output_names=["y"],
+            dynamic_axes={"squares": sides, "y": sides}, dynamo=False, opset_version=17,
+        )  # fmt: skip
+        # Weights of 7 bits: with 8, sums overflow on processors without VNNI.
+        quantize_static(exact, path, _Pictures(pictures), per_channel=True, reduce_range=True)
+
+
+class _Pictures(CalibrationDataReader):
+    """The pictures one by one, as the network takes them."""
+
+    def __init__(self, pictures: np.ndarray) -> None:
+        self._each = iter(pictures)
+
+    def get_next(self) -> dict[str, np.ndarray] | None:
+        picture = next(self._each, None)
+        return None if picture is None else {"squares": to_squares(picture)[None]}

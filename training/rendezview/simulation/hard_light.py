@@ -39,6 +39,9 @@ class HardLightOptions:
     patches_share: float = 0.6
     patches: tuple[int, int] = (3, 48)  # knots along a side of the picture
     patches_depth: Range = (0.05, 0.6)
+    wrinkles_share: float = 0.25  # foil: sharp bright lines between its folds
+    wrinkles: tuple[int, int] = (4, 32)  # knots along a side of the picture
+    wrinkles_depth: Range = (0.2, 1.5)
     dirt_share: float = 0.3
     dirt_size_px: Range = (0.6, 2.0)  # σ of its correlation
     dirt_depth: Range = (0.05, 0.8)
@@ -75,6 +78,9 @@ class HardLightOptions:
     bloom_sigma_px: Range = (2.0, 18.0)  # log
     bloom: Range = (0.005, 0.12)  # of the light, added
     bloom_most_grey: float = 2000.0  # of the light that blooms
+    glare_share: float = 0.4  # halos so many times as wide as that of the bloom
+    glare_widths: tuple[float, ...] = (3.0, 8.0)
+    glare: Range = (0.0, 0.06)  # of the light, added by each
     stray_share: float = 0.25
     stray_grey: Range = (0.0, 12.0)
     stray_slope: Range = (-2.0, 2.0)  # along each axis, 1 / side
@@ -88,13 +94,15 @@ class HardLightOptions:
     smooth_noise_share: float = 0.4  # noise of neighbours is correlated, as after demosaicing
     smooth_noise_sigma_px: float = 0.6
     shot_noise: Range = (0.0, 3.0)  # variance of white over that of black, less 1
+    jpeg_share: float = 0.35
+    jpeg_quality: tuple[int, int] = (60, 99)  # at least, less than
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name.endswith("_share") and not 0.0 <= value <= 1.0:
                 raise RendezviewError(f"{field.name} must be 0 to 1, not {value}")
-            pair = isinstance(value, tuple) and field.name != "percentiles"
+            pair = isinstance(value, tuple) and field.name not in ("percentiles", "glare_widths")
             if pair and not (len(value) == 2 and value[0] <= value[1]):
                 raise RendezviewError(f"{field.name} must be a range (low, high), not {value}")
 
@@ -141,6 +149,10 @@ def mottled_reflectance(side: int, rng: np.random.Generator, options: HardLightO
         knots = rng.standard_normal(tuple(rng.integers(*options.patches, 2))).astype(np.float32)
         slow = cv2.resize(knots, (side, side), interpolation=cv2.INTER_CUBIC)
         factor *= np.exp(rng.uniform(*options.patches_depth) * slow)
+    if _happens(options.wrinkles_share, rng):
+        knots = rng.standard_normal(tuple(rng.integers(*options.wrinkles, 2))).astype(np.float32)
+        folds = np.abs(cv2.resize(knots, (side, side), interpolation=cv2.INTER_CUBIC))
+        factor *= np.exp(-rng.uniform(*options.wrinkles_depth) * folds)
     if _happens(options.dirt_share, rng):
         white = rng.standard_normal((side, side)).astype(np.float32)
         fine = cv2.GaussianBlur(white, (0, 0), rng.uniform(*options.dirt_size_px))
@@ -206,8 +218,12 @@ def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightO
     grey = _blurred(grey, rng.uniform(*options.blur_sigma_px))
     if _happens(options.bloom_share, rng):
         bright = np.minimum(grey, np.float32(options.bloom_most_grey))
-        halo = _blurred(bright, _log_uniform(options.bloom_sigma_px, rng))
-        grey = grey + np.float32(rng.uniform(*options.bloom)) * halo
+        sigma_px = _log_uniform(options.bloom_sigma_px, rng)
+        grey = grey + np.float32(rng.uniform(*options.bloom)) * _blurred(bright, sigma_px)
+        if _happens(options.glare_share, rng):
+            for width in options.glare_widths:
+                halo = _widely_blurred(bright, width * sigma_px)
+                grey = grey + np.float32(rng.uniform(*options.glare)) * halo
     if _happens(options.stray_share, rng):
         x, y = _places(len(grey))
         most = rng.uniform(*options.stray_grey)
@@ -217,7 +233,7 @@ def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightO
 
 
 def detected(grey: Float32s, rng: np.random.Generator, options: HardLightOptions) -> Float32s:
-    """(S, S) grey levels that are read out: saturation, response, read and shot noise."""
+    """(S, S) grey levels that are read out: saturation, response, noise, compression."""
     grey = np.clip(grey, 0.0, 255.0).astype(np.float32)
     if _happens(options.response_share, rng):
         grey = (255.0 * (grey / 255.0) ** rng.uniform(*options.response)).astype(np.float32)
@@ -228,6 +244,11 @@ def detected(grey: Float32s, rng: np.random.Generator, options: HardLightOptions
         noise /= noise.std()
     more = grey / 255.0 * rng.uniform(*options.shot_noise)
     noisy = np.clip(grey + sigma_grey * noise * np.sqrt(1.0 + more), 0.0, 255.0)
+    if _happens(options.jpeg_share, rng):
+        quality = int(rng.integers(*options.jpeg_quality))
+        rounded = np.rint(noisy).astype(np.uint8)
+        _, packed = cv2.imencode(".jpg", rounded, [cv2.IMWRITE_JPEG_QUALITY, quality])
+        noisy = cv2.imdecode(packed, cv2.IMREAD_GRAYSCALE)
     return np.asarray(noisy, dtype=np.float32)
 
 
@@ -254,3 +275,11 @@ def _ramp(side: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
 
 def _blurred(picture: Float32s, sigma_px: float) -> Float32s:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px), dtype=np.float32)
+
+
+def _widely_blurred(picture: Float32s, sigma_px: float) -> Float32s:
+    """As ``_blurred``, on a picture of a quarter of the size: no detail is left."""
+    small = np.asarray(cv2.resize(picture, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA))
+    soft = _blurred(small.astype(np.float32), 0.25 * sigma_px)
+    size = picture.shape[1], picture.shape[0]
+    return np.asarray(cv2.resize(soft, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)

@@ -7,8 +7,9 @@ Source of all numbers: by construction of the training set.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
@@ -29,7 +30,8 @@ from rendezview.training.zbuffer import Float32s, draw_perspective, empty_buffer
 SKY_PX = 320  # px a side; a picture shows a part of it
 DRAWINGS = 6  # of each craft
 _FOCAL_SIDES = (0.8, 6.0)  # focal length over the side of the picture, log
-_RADIUS_PX = (28.0, 165.0)  # of the craft in the picture, log: all of it, or nearly …
+# Of the craft in a picture of SIDE_PX, log; larger pictures have it larger: all of it, or nearly …
+_RADIUS_PX = (28.0, 165.0)
 _NEAR_RADIUS_PX = (110.0, 380.0)  # … or cut by the border
 _NEAR_SHARE = 0.3
 _LEAST_RADII = 1.6  # of the craft; the camera is no nearer
@@ -58,7 +60,14 @@ def take(
     rng: np.random.Generator,
     options: HardLightOptions | None = None,
 ) -> tuple[Float32s, Float32s]:
-    """A photograph of a drawn craft, turned and mirrored at random, and its maps."""
+    """A photograph of a drawn craft, turned and mirrored at random, and its maps.
+
+    A drawing larger than SIDE_PX is a closer look: sky and all lengths in pixels grow with it.
+    """
+    larger = drawing.maps.shape[-1] / SIDE_PX
+    if larger > 1.0:
+        options = magnified(options or HardLightOptions(), larger)
+        sky = np.asarray(cv2.resize(sky.astype(np.float32), None, fx=larger, fy=larger))
     turns, mirrored = int(rng.integers(4)), rng.random() < 0.5
     maps, light = (
         _turned(part, turns, mirrored).astype(np.float32) for part in (drawing.maps, drawing.light)
@@ -67,10 +76,25 @@ def take(
     return photograph(light[0], light[1], maps[0], sky, rng, options), maps
 
 
-def draw_craft(mesh: Mesh, rng: np.random.Generator) -> CraftDrawing:
-    """A craft in a random pose and random sunlight, that covers a part of the picture."""
+def magnified(options: HardLightOptions, larger: float) -> HardLightOptions:
+    """The conditions of a look that is so many times closer: at most so many times more blurred."""
+
+    def longer(lengths_px: tuple[float, float]) -> tuple[float, float]:
+        return lengths_px[0], larger * lengths_px[1]
+
+    return replace(
+        options,
+        dirt_size_px=longer(options.dirt_size_px),
+        blur_sigma_px=longer(options.blur_sigma_px),
+        bloom_sigma_px=longer(options.bloom_sigma_px),
+        smooth_noise_sigma_px=larger * options.smooth_noise_sigma_px,
+    )
+
+
+def draw_craft(mesh: Mesh, rng: np.random.Generator, side_px: int = SIDE_PX) -> CraftDrawing:
+    """A craft in a random pose and random sunlight, that covers a part of a square picture."""
     while True:
-        drawing = _draw_anywhere(mesh, rng)
+        drawing = _draw_anywhere(mesh, rng, side_px)
         if drawing.maps[0].mean() > 255.0 * _LEAST_COVER:
             return drawing
 
@@ -83,8 +107,8 @@ def draw_sky(rng: np.random.Generator) -> Float32s:
     return np.asarray(sky / max(float(np.percentile(sky, 99.0)), 0.05), dtype=np.float32)
 
 
-def _draw_anywhere(mesh: Mesh, rng: np.random.Generator) -> CraftDrawing:
-    camera, pose = _view(mesh, rng)
+def _draw_anywhere(mesh: Mesh, rng: np.random.Generator, side_px: int) -> CraftDrawing:
+    camera, pose = _view(mesh, rng, side_px)
     centre_m = pose.apply(mesh.bounding_sphere[0])
     maps, normals = _maps_and_normals(mesh, camera, pose)
     sun = sun_at_phase(centre_m, np.deg2rad(rng.uniform(0.0, 150.0)), rng.uniform(0.0, 2.0 * np.pi))
@@ -102,15 +126,15 @@ def _draw_anywhere(mesh: Mesh, rng: np.random.Generator) -> CraftDrawing:
     )
 
 
-def _view(mesh: Mesh, rng: np.random.Generator) -> tuple[Camera, Pose]:
+def _view(mesh: Mesh, rng: np.random.Generator, side_px: int) -> tuple[Camera, Pose]:
     """Any attitude, anywhere in the picture, sometimes across its border."""
     centre_m, radius_m = mesh.bounding_sphere
-    focal = SIDE_PX * _log_uniform(_FOCAL_SIDES, rng)
-    middle = 0.5 * (SIDE_PX - 1)
-    camera = Camera(width=SIDE_PX, height=SIDE_PX, fx=focal, fy=focal, cx=middle, cy=middle)
+    focal = side_px * _log_uniform(_FOCAL_SIDES, rng)
+    middle = 0.5 * (side_px - 1)
+    camera = Camera(width=side_px, height=side_px, fx=focal, fy=focal, cx=middle, cy=middle)
     sizes = _NEAR_RADIUS_PX if rng.random() < _NEAR_SHARE else _RADIUS_PX
-    radius_px = _log_uniform(sizes, rng)
-    room = max(0.5 * SIDE_PX - radius_px * rng.uniform(0.55, 1.0), 8.0)
+    radius_px = side_px / SIDE_PX * _log_uniform(sizes, rng)
+    room = max(0.5 * side_px - radius_px * rng.uniform(0.55, 1.0), 8.0)
     shift = rng.uniform(-1.0, 1.0, 2) * room / focal
     range_m = max(focal * radius_m / radius_px, _LEAST_RADII * radius_m)
     place = range_m * np.array([*shift, 1.0])
