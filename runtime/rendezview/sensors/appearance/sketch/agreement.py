@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Float32s
+from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, SIDE_PX, Float32s
 from rendezview.sensors.appearance.sketch.retrieval import nearest_view, towards
 from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches
 
-_HALVES = 2  # times coarser than the sketch: a view's maps are no finer. Source: by construction
+_COMPARED_PX = SIDE_PX // 2  # at most, a side: a view's maps are no finer. Source: by construction
 # Source: experiment photo-accuracy
 _LINE_SIGMA_CELLS = 1.2  # σ, cells: lines of the nearest view lie a little aside
 
@@ -26,7 +26,8 @@ class SketchAgreement:
         """
         self._views = views
         height, width = maps.shape[1:]
-        self._size = max(1, width // _HALVES), max(1, height // _HALVES)
+        self._coarser = max(2, -(-max(width, height) // _COMPARED_PX))  # times than the sketch
+        self._size = max(1, width // self._coarser), max(1, height // self._coarser)
         self._maps = np.stack(
             [np.asarray(cv2.resize(m, self._size, interpolation=cv2.INTER_AREA)) for m in maps]
         )
@@ -48,8 +49,8 @@ class SketchAgreement:
         spin = np.array([[c, -s], [s, c]])
         middle_px = centre_px + radius_px * spin @ self._views.centre_radii[view]
         cell = 2.0 * REACH * float(self._views.size_radii[view]) * radius_px / GRID
-        linear = cell / _HALVES * spin
-        shift = (middle_px + 0.5) / _HALVES - 0.5 - linear @ np.full(2, 0.5 * (GRID - 1))
+        linear = cell / self._coarser * spin
+        shift = (middle_px + 0.5) / self._coarser - 0.5 - linear @ np.full(2, 0.5 * (GRID - 1))
         warp = np.column_stack([linear, shift])
         drawn = np.stack(
             [np.asarray(cv2.warpAffine(m, warp, self._size)) for m in self._views.decoded(view)]

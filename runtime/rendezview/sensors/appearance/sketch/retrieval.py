@@ -21,6 +21,7 @@ from rendezview.sensors.appearance.sketch.views import (
 _NOTHING = 1e-6  # keeps quotients finite. Source: by construction
 
 Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
 
 _ROLLS = 40  # 9° apart; alignment converges from half of that. Source: spacing of the nodes' views
 # Weights of the correlations of each map. Source: experiment photo-accuracy
@@ -34,6 +35,8 @@ _BEYOND = 0.5  # Source: experiments photo-accuracy and sketch-confidence
 _COARSER = 2  # cells of the grid a cell where targets are cut. Source: by construction, its cost
 # Source: spacing of the nodes' views
 _SAME_RAD = np.deg2rad(7.0)  # rad; nearer views lead to the same pose
+_SORTED = 16384  # likeliest views and rolls that are looked through. Source: by construction
+_BLOCK = 512  # of them are compared with each other at once. Source: its cost
 
 
 class SketchRetrieval:
@@ -66,26 +69,14 @@ class SketchRetrieval:
         alike = np.stack(
             [self._alike(sketch, place, turns, allowed) for place in placements]
         )  # (placements, rolls, views)
-        rotations: list[Array] = []
-        centres: list[Array] = []
-        turned = np.empty((most, 3, 3))
-        least = 1.0 + 2.0 * np.cos(apart_rad)
-        for k in np.argsort(-alike, axis=None):
-            which, roll, view = np.unravel_index(k, alike.shape)
-            if alike[which, roll, view] == -np.inf:
-                break
-            spin, (centre, size) = spins[roll], placements[which]
-            rotation = spin @ self._sketches.rotation[view].astype(np.float64)
-            known = turned[: len(rotations)]
-            if len(known) and np.einsum("kij,ij->k", known, rotation).max() > least:
-                continue
-            turned[len(rotations)] = rotation
-            bearing, range_m = self._placed(sketch, centre, size, int(view), spin)
-            rotations.append(towards(bearing) @ rotation)
-            centres.append(bearing * range_m)
-            if len(rotations) == most:
-                break
-        return np.array(rotations).reshape(-1, 3, 3), np.array(centres).reshape(-1, 3)
+        chosen = _distinct(alike, spins, self._sketches.rotation, most, apart_rad)
+        which, roll, view = np.unravel_index(np.array(chosen, np.int64), alike.shape)
+        middles = np.array([centre for centre, _ in placements])[which]
+        sizes = np.array([size for _, size in placements])[which]
+        bearings, ranges_m = self._placed(sketch, middles, sizes, view, spins[roll])
+        ahead = np.array([towards(bearing) for bearing in bearings]).reshape(-1, 3, 3)
+        rotations = ahead @ spins[roll] @ self._sketches.rotation[view].astype(np.float64)
+        return rotations, bearings * ranges_m[:, None]
 
     def _placements(self, sketch: Sketch) -> list[tuple[Array, float]]:
         """Centre and size (root of the area) of the cover, px; guesses of both where it is cut."""
@@ -126,31 +117,38 @@ class SketchRetrieval:
         """View centres (K, 3) m that put the cover of the nearest views over the sketch's."""
         centre, size = centroid(cover_of(sketch.maps))
         ahead = towards(self._ray(sketch, centre))
-        centres = []
-        for rotation in rotations:
-            seen = ahead.T @ rotation
-            view, turn = nearest_view(self._sketches, seen)
-            bearing, range_m = self._placed(
-                sketch, centre, size, view, exp(np.array([0.0, 0.0, turn]))
-            )
-            centres.append(bearing * range_m)
-        return np.array(centres).reshape(-1, 3)
+        views = np.empty(len(rotations), np.int64)
+        spins = np.empty((len(rotations), 3, 3))
+        for k, rotation in enumerate(rotations):
+            views[k], turn = nearest_view(self._sketches, ahead.T @ rotation)
+            spins[k] = exp(np.array([0.0, 0.0, turn]))
+        many = len(rotations)
+        bearings, ranges_m = self._placed(
+            sketch, np.tile(centre, (many, 1)), np.full(many, size), views, spins
+        )
+        return bearings * ranges_m[:, None]
 
     def _placed(
-        self, sketch: Sketch, centre_px: Array, size_px: float, view: int, spin: Array
-    ) -> tuple[Array, float]:
-        """Unit direction (3,) to the view centre and its distance, for a view and its roll."""
-        scale = size_px / float(self._sketches.size_radii[view])  # sketch px a target radius
-        off = spin[:2, :2] @ self._sketches.centre_radii[view].astype(np.float64)
+        self, sketch: Sketch, centres_px: Array, sizes_px: Array, views: Ints, spins: Array
+    ) -> tuple[Array, Array]:
+        """Unit directions (K, 3) to the view centres and their distances (K,), for covers at
+        ``centres_px`` (K, 2) of ``sizes_px`` (K,), shown by ``views`` at rolls ``spins``."""
+        # Sketch px a target radius.
+        scales = sizes_px / self._sketches.size_radii[views].astype(np.float64)
+        off = np.einsum("kij,kj->ki", spins[:, :2, :2], self._sketches.centre_radii[views])
         focal = float(np.sqrt(self._camera.fx * self._camera.fy))
-        range_m = focal * sketch.scale * self._radius_m / scale
-        return self._ray(sketch, centre_px - scale * off), range_m
+        ranges_m = focal * sketch.scale * self._radius_m / scales
+        return self._rays(sketch, centres_px - scales[:, None] * off), ranges_m
 
     def _ray(self, sketch: Sketch, place_px: Array) -> Array:
         """Unit direction (3,) to a place of the sketch."""
-        in_frame = (place_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
-        ray = np.asarray(self._camera.rays(in_frame[None]))[0]
-        return np.asarray(ray / np.linalg.norm(ray))
+        return self._rays(sketch, place_px[None])[0]
+
+    def _rays(self, sketch: Sketch, places_px: Array) -> Array:
+        """Unit directions (K, 3) to places (K, 2) of the sketch."""
+        in_frame = (places_px - np.array([sketch.left_px, sketch.top_px])) / sketch.scale
+        rays = np.asarray(self._camera.rays(in_frame)).reshape(-1, 3)
+        return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
 
 
 class PartialViews:
@@ -200,6 +198,39 @@ def towards(bearing: Array) -> Array:
     if sine < 1e-12:
         return np.eye(3)
     return np.asarray(exp(axis / sine * np.arctan2(sine, bearing[2])))
+
+
+def _distinct(
+    alike: Float32s, spins: Array, views: Float32s, most: int, apart_rad: float
+) -> list[int]:
+    """Flat places of the likeliest of ``alike`` (P, R, V) whose attitudes are some angle apart.
+
+    Args:
+        spins: (R, 3, 3), and ``views``: (V, 3, 3), whose product is the attitude.
+    """
+    flat = alike.ravel()
+    likely = np.argpartition(-flat, min(_SORTED, len(flat) - 1))[:_SORTED]
+    order = likely[np.argsort(-flat[likely], kind="stable")]
+    least = 1.0 + 2.0 * np.cos(apart_rad)  # trace of the rotation between two
+    kept: list[int] = []
+    known = np.empty((most, 9))
+    for start in range(0, len(order), _BLOCK):
+        block = order[start : start + _BLOCK]
+        _, roll, view = np.unravel_index(block, alike.shape)
+        turned = (spins[roll] @ views[view]).reshape(-1, 9)
+        free = flat[block] > -np.inf
+        if kept:
+            free &= (turned @ known[: len(kept)].T).max(1) <= least
+        apart = turned @ turned.T <= least
+        while len(kept) < most and free.any():
+            k = int(np.argmax(free))
+            known[len(kept)] = turned[k]
+            kept.append(int(block[k]))
+            free &= apart[k]
+            free[k] = False
+        if len(kept) == most or not np.isfinite(flat[block[-1]]):
+            break
+    return kept
 
 
 def _coarser(maps: Float32s) -> Float32s:
