@@ -46,6 +46,24 @@ def race(ways: dict[str, Way], seconds: float, rounds: int = 15) -> dict[str, fl
     return best
 
 
+def medians_in_turns_ms(
+    ways: dict[str, Callable[[], object]], turns: int, seed: int = 0
+) -> dict[str, float]:
+    """Median milliseconds of some calls on the wall clock, taken in turns after a warm-up.
+
+    The order of every turn is drawn: each way then starts with the caches that the others leave.
+    """
+    rng, spent = np.random.default_rng(seed), {name: list[float]() for name in ways}
+    for call in ways.values():
+        call()
+    for _ in range(turns):
+        for name in rng.permutation(list(ways)):
+            start = time.perf_counter()
+            ways[name]()
+            spent[name].append(time.perf_counter() - start)
+    return {name: 1e3 * float(np.median(times)) for name, times in spent.items()}
+
+
 def median_ms(
     call: Callable[[], object], calls: int = 60, *, seconds: float = 0.0, rounds: int = 1
 ) -> float:

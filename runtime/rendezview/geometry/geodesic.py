@@ -78,9 +78,16 @@ def within(
     directions: npt.NDArray[np.floating], direction: npt.ArrayLike, angle_rad: float
 ) -> npt.NDArray[np.intp]:
     """Indices of unit directions (N, 3) at most ``angle_rad`` from another (3,), ascending."""
-    # single precision is off by 1e-7
-    cosine = np.cos(min(angle_rad, np.pi)) - (1e-12 if directions.dtype == np.float64 else 1e-6)
+    cosine = cosine_within(angle_rad, single=directions.dtype != np.float64)
     return np.flatnonzero(directions @ np.asarray(direction, dtype=directions.dtype) >= cosine)
+
+
+def cosine_within(angle_rad: float, *, single: bool = False) -> float:
+    """Least cosine of unit directions at most ``angle_rad`` apart, with room for rounding.
+
+    ``single``: of directions in single precision, which is off by 1e-7.
+    """
+    return float(np.cos(min(angle_rad, np.pi)) - (1e-6 if single else 1e-12))
 
 
 def angle_between(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:

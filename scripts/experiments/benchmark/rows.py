@@ -81,8 +81,9 @@ def poses(bench: Bench) -> Iterator[Row]:
                 return math.inf
             return math.degrees(angle_between(pose, truth, bench.model.symmetries))
 
-        calls = pose_speed.calls(full, fast, frame, prior)
-        for name, spent in bench.race(dict(calls)).items():
+        calls = pose_speed.calls(full, frame)
+        ways = pose_speed.tracked(full, fast, frame, prior) | calls
+        for name, spent in bench.race(dict(ways)).items():
             table.setdefault(name, []).append(spent)
         for name, observation in (
             ("with a prior", fast.recognize(frame, prior)),

@@ -13,6 +13,7 @@ from rendezview.sensors.appearance.outline.signature import (
     Signature,
     quantised,
     radial_maxima,
+    roll_against,
     rolled,
     spokes_of,
     twist,
@@ -140,6 +141,7 @@ def test_twist_is_the_angle_of_a_pure_roll_and_zero_for_a_pure_tilt():
         # a roll after or before a tilt is still that roll
         both = np.stack([roll_matrix(0.4) @ tilt @ node, tilt @ roll_matrix(0.4) @ node])
         assert np.allclose(twist(both, node), 0.4, atol=1e-12)
+        assert roll_against(both[0], node) == pytest.approx(0.4, abs=1e-12)
 
 
 def farthest_crossings(points: np.ndarray, bins: int) -> np.ndarray:

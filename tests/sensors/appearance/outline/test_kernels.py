@@ -82,8 +82,11 @@ def test_the_roll_is_the_vertex_of_the_distances_by_whole_bins(rng):
         roll, least = roll_and_distance(view, node, 0.0, 3.9 * step)
         assert least == pytest.approx(distance[k], rel=1e-5)
         assert roll == pytest.approx(-shift * step, abs=1e-5)
+        # Of three views the first is not like it, and the last lies outside the circle.
+        readings, ahead = np.array([node + 300, node, view]), np.array([0.0, 0.0, 1.0])
+        directions = unit(np.array([ahead, [0.0, 0.1, 1.0], [1.0, 0.0, 0.0]]))
         best, same_roll, same_least = most_similar(
-            view, np.array([node + 300, node]), np.arange(2), np.zeros(2), 3.9 * step
+            view, readings, directions, np.stack([np.eye(3)] * 3), ahead, 0.9, np.eye(3), 3.9 * step
         )
         assert (best, same_roll, same_least) == (1, pytest.approx(roll), pytest.approx(least))
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
@@ -24,13 +26,14 @@ class CutOut:
     """A part of a frame, each of whose pixels is the mean of a square of the frame's."""
 
     picture: Picture
-    corner_px: Array  # (2,) of the frame: its upper left pixel
+    corner_px: tuple[int, int]  # x, y of the frame: its upper left pixel
     times: int  # pixels of the frame along the side of one of its own
+    centre_px: Array  # (2,) of the picture: where the middle of the target is expected
 
     @classmethod
-    def whole(cls, frame: Picture) -> CutOut:
+    def whole(cls, frame: Picture, centre_px: Array) -> CutOut:
         """The frame itself."""
-        return cls(frame, np.zeros(2), 1)
+        return cls(frame, (0, 0), 1, centre_px)
 
     @classmethod
     def about(cls, frame: Picture, camera: Camera, centre_m: Array, radius_m: float) -> CutOut:
@@ -42,13 +45,15 @@ class CutOut:
             centre_m: (3,) of the sphere, camera frame.
             radius_m: of the sphere.
         """
-        if centre_m[2] < _NEAREST_RADII * radius_m:
-            return cls.whole(frame)
+        centre_px = camera.project(centre_m)
+        right_m, down_m, depth_m = centre_m.tolist()
+        if depth_m < _NEAREST_RADII * radius_m:
+            return cls.whole(frame, centre_px)
         height, width = frame.shape
         focal = max(camera.fx, camera.fy)
-        aside = 1.0 + float(centre_m[:2] @ centre_m[:2]) / centre_m[2] ** 2  # off the boresight
-        half = _AROUND * aside * focal * radius_m / np.sqrt(centre_m[2] ** 2 - radius_m**2)
-        u, v = camera.project(centre_m)
+        aside = 1.0 + (right_m**2 + down_m**2) / depth_m**2  # off the boresight
+        half = _AROUND * aside * focal * radius_m / math.sqrt(depth_m**2 - radius_m**2)
+        u, v = centre_px.tolist()
         left, top = max(0, int(u - half)), max(0, int(v - half))
         right, bottom = min(width, int(u + half) + 2), min(height, int(v + half) + 2)
         times = 1
@@ -56,35 +61,66 @@ class CutOut:
             times *= 2
         across, down = (right - left) // times, (bottom - top) // times
         if across < 1 or down < 1:
-            return cls.whole(frame)
+            return cls.whole(frame, centre_px)
         part = frame[top : top + down * times, left : left + across * times]
-        if times == 1:
-            small = np.ascontiguousarray(part)
-        else:
-            small = np.asarray(
-                cv2.resize(part, (across, down), interpolation=cv2.INTER_AREA), dtype=frame.dtype
-            )
-        return cls(small, np.array([left, top], dtype=np.float64), times)
-
-    def inside(self, place_px: Array) -> Array:
-        """Places (…, 2) of the frame in this picture."""
-        return (place_px - self.corner_px + 0.5) / self.times - 0.5
+        inside_px = (centre_px - (left, top) + 0.5) / times - 0.5
+        return cls(means_over_squares(part, times), (left, top), times, inside_px)
 
     def in_frame(self, found: Silhouette) -> Silhouette:
         """A silhouette of this picture in the pixels of the frame."""
-        left, top = self.corner_px.astype(int)
-        x0, y0, x1, y1 = found.box_px
-        last = self.times - 1
-        return replace(
-            found,
-            outlines_px=tuple(
-                (outline + 0.5) * self.times - 0.5 + self.corner_px for outline in found.outlines_px
-            ),
-            area_px=found.area_px * self.times**2,
-            box_px=(
-                int(x0 * self.times + left),
-                int(y0 * self.times + top),
-                int(x1 * self.times + last + left),
-                int(y1 * self.times + last + top),
-            ),
+        (left, top), times = self.corner_px, self.times
+        last = times - 1
+        x0, y0, x1, y1 = (side * times for side in found.box_px)
+        for outline in found.outlines_px:  # traced here, so nobody else has them yet
+            outline *= times
+            outline[:, 0] += left + 0.5 * last
+            outline[:, 1] += top + 0.5 * last
+        return Silhouette(
+            found.outlines_px,
+            found.area_px * times**2,
+            (x0 + left, y0 + top, x1 + last + left, y1 + last + top),
+            found.sky_grey,
+            found.level_grey,
         )
+
+
+def means_over_squares(part: Picture, times: int) -> Picture:
+    """The means over squares of ``times`` pixels, a power of two that divides both sides."""
+    height, width = part.shape
+    if times == 1:
+        return np.ascontiguousarray(part)
+    small = np.empty((height // times, width // times), dtype=np.uint8)
+    if times == 2:
+        cv2.resize(part, small.shape[::-1], small, interpolation=cv2.INTER_AREA)
+    else:
+        _fill_means(part, times, small)
+    return small
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_means(part: Picture, times: int, small: Picture) -> None:
+    """As OpenCV's ``INTER_AREA``, which takes twice as long from four pixels on."""
+    height, width = small.shape
+    bits = np.uint32(2 * np.rint(np.log2(times)))
+    below_half = np.uint32(times * times // 2 - 1)
+    columns = np.empty(width * times, dtype=np.uint32)
+    pairs = np.empty(width * times, dtype=np.uint32)
+    for y in range(height):
+        first = part[y * times]
+        for x in range(len(columns)):
+            columns[x] = first[x]
+        for k in range(1, times):
+            row = part[y * times + k]
+            for x in range(len(columns)):
+                columns[x] += np.uint32(row[x])
+        count = len(columns)
+        while count > width:
+            count //= 2
+            for x in range(count):
+                pairs[x] = columns[2 * x] + columns[2 * x + 1]
+            columns, pairs = pairs, columns
+        mean = small[y]
+        for x in range(width):
+            # Divided by the square; a half goes to the even neighbour.
+            odd = columns[x] >> bits & np.uint32(1)
+            mean[x] = (columns[x] + below_half + odd) >> bits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from rendezview.geometry.pose import Array, Pose, minimal_rotation
 from rendezview.geometry.so3 import hat
@@ -35,12 +36,20 @@ def range_from_area(model: ViewModel, area_m2: Array, slope: Array, area_sr: flo
         slope: (K,) perspective of each view.
         area_sr: observed area.
     """
-    range_m = np.sqrt(area_m2 / area_sr)
-    for _ in range(4):
-        # The linear model does not hold far inside the sphere; bound it there.
-        loom = np.maximum(1.0 + slope * (model.sphere_radius_m / range_m - 1.0), 0.1)
-        range_m = np.sqrt(area_m2 * loom / area_sr)
-    return np.asarray(range_m)
+    range_m = np.empty(len(area_m2))
+    _ranges(area_m2, slope, area_sr, model.sphere_radius_m, range_m)
+    return range_m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ranges(area_m2: Array, slope: Array, area_sr: float, radius_m: float, range_m: Array) -> None:
+    """``range_from_area`` into (K,)."""
+    for k in range(len(range_m)):
+        range_m[k] = np.sqrt(area_m2[k] / area_sr)
+        for _ in range(4):
+            # The linear model does not hold far inside the sphere; bound it there.
+            loom = max(1.0 + slope[k] * (radius_m / range_m[k] - 1.0), 0.1)
+            range_m[k] = np.sqrt(area_m2[k] * loom / area_sr)
 
 
 def place(model: ViewModel, match: Match, signature: Signature) -> tuple[Pose, Array]:

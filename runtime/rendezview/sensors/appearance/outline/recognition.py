@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -62,6 +63,7 @@ class OutlineRecognition:
         self.model = model
         self.camera = camera
         self.silhouette_options = silhouette
+        self._options_of_means = replace(silhouette, averaged_px=1)
         self.matcher = Matcher(model, match)
         self._interpolator = None if model.views.far_change is None else Interpolator(model)
         self._foreground = Foreground()
@@ -106,23 +108,20 @@ class OutlineRecognition:
             )
         cut = self.cut_out(frame, pose)
         clock.lap("silhouette")
-        return _late(lambda own: self.read(self.trace_in(cut, pose, own), pose, own), clock)
+        return _late(lambda own: self.read(self.trace_in(cut, own), pose, own), clock)
 
     def cut_out(self, frame: Picture, pose: Pose) -> CutOut:
         """The part of a frame in which a target at a pose is traced."""
-        options = self.silhouette_options
+        options, centre_m = self.silhouette_options, pose.apply(self.model.centre_m)
         if options.background is not None or options.cleaning is not Cleaning.NONE:
-            return CutOut.whole(frame)  # they are in pixels of the frame
-        centre_m = pose.apply(self.model.centre_m)
+            # They are in pixels of the frame.
+            return CutOut.whole(frame, self.camera.project(centre_m))
         return CutOut.about(frame, self.camera, centre_m, self.model.target_radius_m)
 
-    def trace_in(self, cut: CutOut, pose: Pose, clock: StageClock) -> Traced:
+    def trace_in(self, cut: CutOut, clock: StageClock) -> Traced:
         """The silhouette of the target in `cut_out` of a frame and a pose."""
-        options = self.silhouette_options
-        if cut.times > 1:
-            options = replace(options, averaged_px=1)
-        expected_px = cut.inside(self.camera.project(pose.apply(self.model.centre_m)))
-        found = find_silhouette(cut.picture, options, expected_px)
+        options = self._options_of_means if cut.times > 1 else self.silhouette_options
+        found = find_silhouette(cut.picture, options, cut.centre_px)
         clock.lap("silhouette")
         return self._traced(found if isinstance(found, Missing) else [cut.in_frame(found)], clock)
 
@@ -131,8 +130,9 @@ class OutlineRecognition:
             return Traced(None, [], bodies)
         outlines = []
         for body in bodies:
-            ends = np.cumsum([len(points) for points in body.outlines_px])[:-1]
-            rays = np.split(self.camera.rays(np.concatenate(body.outlines_px)), ends)
+            every = self.camera.rays(np.concatenate(body.outlines_px))
+            ends = list(accumulate(map(len, body.outlines_px), initial=0))
+            rays = [every[start:end] for start, end in pairwise(ends)]
             signature = Signature.of_outlines(rays, self.model.bins, self.model.smooth_bins)
             if signature is not None:
                 outlines.append(Outlines(rays, signature))
@@ -150,9 +150,10 @@ class OutlineRecognition:
         match = self.matcher.at(signature, pose)
         reading = OutlineReading(traced.silhouette, signature)
         if match is not None:
-            reading = replace(reading, active_nodes=match.active_nodes, weights=match.weights)
+            votes = {"active_nodes": match.active_nodes, "weights": match.weights}
             if self.matcher.refusal(match) is None:
-                reading = replace(reading, points_m=node_points(self.model, match, signature))
+                votes["points_m"] = node_points(self.model, match, signature)
+            reading = OutlineReading(traced.silhouette, signature, **votes)
         clock.lap("trees")
         return reading
 

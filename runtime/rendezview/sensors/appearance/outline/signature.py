@@ -109,20 +109,23 @@ def radial_maxima(rays: Array, centred_from_camera: Array, spokes: Array, maxima
         return
     per_radian = bins / (2.0 * np.pi)
     q = centred_from_camera
-    x0, y0, turn0 = 0.0, 0.0, 0.0
-    for i in range(-1, m):
-        k = m - 1 if i < 0 else i
+    xs, ys, zs, turns = np.empty(m), np.empty(m), np.empty(m), np.empty(m)
+    nearest = np.inf
+    for k in range(m):  # without a branch, so that several points are taken at once
         rx, ry, rz = rays[k, 0], rays[k, 1], rays[k, 2]
         z = q[2, 0] * rx + q[2, 1] * ry + q[2, 2] * rz
-        if z <= _AHEAD:
-            return  # more than a right angle from the centroid: not a target's outline
+        nearest = min(nearest, z)
         scale = 1.0 / z
-        x1 = (q[0, 0] * rx + q[0, 1] * ry + q[0, 2] * rz) * scale
-        y1 = -(q[1, 0] * rx + q[1, 1] * ry + q[1, 2] * rz) * scale  # up on the screen
-        turn1 = _nearly_atan2(y1, x1) * per_radian
-        if i >= 0:
-            _raise_bins(x0, y0, turn0, x1, y1, turn1, spokes, maxima)
-        x0, y0, turn0 = x1, y1, turn1
+        x = (q[0, 0] * rx + q[0, 1] * ry + q[0, 2] * rz) * scale
+        y = -(q[1, 0] * rx + q[1, 1] * ry + q[1, 2] * rz) * scale  # up on the screen
+        xs[k], ys[k], zs[k], turns[k] = x, y, z, _nearly_atan2(y, x) * per_radian
+    whole = nearest > _AHEAD
+    if not (whole or zs[m - 1] > _AHEAD):
+        return
+    for k in range(m):
+        if not (whole or zs[k] > _AHEAD):
+            return  # more than a right angle from the centroid: not a target's outline
+        _raise_bins(xs[k - 1], ys[k - 1], turns[k - 1], xs[k], ys[k], turns[k], spokes, maxima)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -145,15 +148,15 @@ def _raise_bins(
         high += bins
     if low > high:
         low, high = high, low
-    first = int(np.ceil(low))
-    last = int(np.floor(high))
-    if first > last:
+    first, end = np.ceil(low), np.floor(high) + 1.0
+    if first >= end:
         return
     dx, dy = x1 - x0, y1 - y0
     cross = x0 * dy - y0 * dx
     farther = np.sqrt(max(x0 * x0 + y0 * y0, x1 * x1 + y1 * y1))
-    for b in range(first, last + 1):
-        k = b % bins
+    for b in range(int(first), int(end)):
+        k = b + bins if b < 0 else b
+        k -= bins if k >= bins else 0
         across = spokes[k, 0] * dy - spokes[k, 1] * dx
         distance = farther
         if abs(across) > _ALONG:
@@ -169,16 +172,11 @@ def _nearly_atan2(y: float, x: float) -> float:
     Minimax polynomial of odd degree 9 for arctan on [0, 1] (Abramowitz & Stegun 4.4.49).
     """
     ax, ay = abs(x), abs(y)
-    large = max(ax, ay)
-    if large == 0.0:
-        return 0.0
-    t = min(ax, ay) / large
+    t = min(ax, ay) / max(ax, ay, _ALONG)
     s = t * t
     angle = t * (0.9998660 + s * (-0.3302995 + s * (0.1801410 + s * (-0.0851330 + s * 0.0208351))))
-    if ay > ax:
-        angle = 0.5 * np.pi - angle
-    if x < 0.0:
-        angle = np.pi - angle
+    angle = 0.5 * np.pi - angle if ay > ax else angle
+    angle = np.pi - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle
 
 
@@ -237,6 +235,16 @@ def rebinning(bins: int, coarse: int) -> npt.NDArray[np.float32]:
     apart = np.abs(apart - coarse * np.rint(apart / coarse))
     cover = np.clip(0.5 * (1.0 + share) - apart, 0.0, min(1.0, share))
     return np.asarray(cover / cover.sum(axis=0), dtype=np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def roll_against(view: Array, node: Array) -> float:
+    """``twist`` of one view (3, 3) against one node (3, 3)."""
+    c, s = 0.0, 0.0
+    for i in range(3):
+        c += view[0, i] * node[0, i] + view[1, i] * node[1, i]
+        s += view[1, i] * node[0, i] - view[0, i] * node[1, i]
+    return np.arctan2(s, c)  # type: ignore[no-any-return]
 
 
 def twist(view_rotations: Array, node_rotation: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -118,9 +120,11 @@ class _Blobs:
     def of(cls, borders: list[Border]) -> _Blobs:
         """Measure the ``MOST_BLOBS`` of the longest borders; at least one border is needed."""
         size = [len(b) for b in borders]
-        longest = np.argsort(-np.array(size), kind="stable")[:MOST_BLOBS]
-        least = _LEAST_BORDER * size[longest[0]]
-        large = sorted(int(k) for k in longest if 4 * size[k] >= least)
+        longest = list(range(len(size)))
+        if len(size) > MOST_BLOBS:
+            longest = sorted(sorted(longest, key=lambda k: -size[k])[:MOST_BLOBS])
+        least = _LEAST_BORDER * max(size)
+        large = [k for k in longest if 4 * size[k] >= least]
         # Pick's theorem: the pixels inside a lattice polygon and on it.
         area = {k: cv2.contourArea(borders[k]) + 0.5 * size[k] + 1.0 for k in large}
         return cls(borders, area, {k: box_of(borders[k]) for k in large})
@@ -129,7 +133,7 @@ class _Blobs:
 def find_silhouette(
     image: Picture,
     options: SilhouetteOptions | None = None,
-    expected_px: npt.ArrayLike | None = None,
+    expected_px: Sequence[float] | Array | None = None,
 ) -> Silhouette | Missing:
     """Threshold the frame, choose the blobs that are the target, trace their outlines.
 
@@ -255,14 +259,14 @@ def outlines_of_mask(mask: Picture, least_px: int = 1) -> list[Array]:
 
 
 def _choose(
-    blobs: _Blobs, options: SilhouetteOptions, expected_px: npt.ArrayLike | None
+    blobs: _Blobs, options: SilhouetteOptions, expected_px: Sequence[float] | Array | None
 ) -> list[int] | Missing:
     """The blobs that are the target: the largest (or the nearest), and those close to it."""
     area, box = blobs.area, blobs.box
     main = max(area, key=lambda k: area[k])
     bodies = [k for k in area if area[k] >= options.rival_fraction * area[main]]
     if len(bodies) > 1 and expected_px is not None:
-        x, y = np.asarray(expected_px, dtype=np.float64)
+        x, y = map(float, expected_px)
         main = min(bodies, key=lambda k: _distance_to_box(x, y, box[k]))
     if area[main] < options.least_area_px:
         return Missing(
@@ -320,12 +324,12 @@ def gap_between(a: Box, b: Box) -> float:
     """Pixels from one box to the next; 0 where they overlap."""
     dx = max(a[0] - b[2], b[0] - a[2], 0)
     dy = max(a[1] - b[3], b[1] - a[3], 0)
-    return float(np.hypot(dx, dy))
+    return math.hypot(dx, dy)
 
 
 def _distance_to_box(x: float, y: float, box: Box) -> float:
     """Pixels from a point to a box; of two boxes around the point the better centred is nearer."""
     dx = max(box[0] - x, x - box[2], 0.0)
     dy = max(box[1] - y, y - box[3], 0.0)
-    off = np.hypot(0.5 * (box[0] + box[2]) - x, 0.5 * (box[1] + box[3]) - y)
-    return float(np.hypot(dx, dy) + 1e-3 * off)
+    off = math.hypot(0.5 * (box[0] + box[2]) - x, 0.5 * (box[1] + box[3]) - y)
+    return math.hypot(dx, dy) + 1e-3 * off

@@ -10,10 +10,11 @@ import numpy.typing as npt
 from numba import njit
 from scipy import fft
 
+from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, minimal_rotation
 from rendezview.geometry.so3 import about_z
 from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.outline.signature import Readings, twist
+from rendezview.sensors.appearance.outline.signature import Readings, roll_against, twist
 
 Indices = npt.NDArray[np.intp]
 
@@ -33,9 +34,11 @@ class ViewSimilarity:
         sphere = model.geodesic
         nodes = len(sphere.nodes)
         self.node_rotations = np.ascontiguousarray(model.views.centred_from_target[:nodes])
-        self._rotations = model.views.centred_from_target
-        self._sphere, self._lattice = sphere, model.lattice
-        self._edge = sphere.mean_edge_rad
+        # Arrays of a file cannot be written to, which would be another type to the compiler.
+        self._rotations = model.views.centred_from_target.copy()
+        self._directions = model.lattice.nodes.copy()
+        self._sphere, self._edge = sphere, sphere.mean_edge_rad
+        self._aligned_cosine = cosine_within(_ALIGNED_EDGES * self._edge)
         self._readings = model.views.readings.astype(np.float32)
         self._group = _COARSE if model.bins % _COARSE == 0 else 1
         self._coarse_nodes = self._coarse(self._readings[:nodes])
@@ -92,13 +95,13 @@ class ViewSimilarity:
         Returns:
             The attitude, and the root mean square difference to that view's readings.
         """
-        near = self._lattice.within(direction, _ALIGNED_EDGES * self._edge)
-        rotations = self._rotations[near]
-        guess = twist(attitude, rotations)
-        best, roll, least = most_similar(readings, self._readings, near, guess, _ROLL_REACH_RAD)
+        best, roll, least = most_similar(
+            readings, self._readings, self._directions, self._rotations, direction,
+            self._aligned_cosine, attitude, _ROLL_REACH_RAD,
+        )  # fmt: skip
         # Turn the target, without rolling, until it is seen from the direction.
-        turn = minimal_rotation(direction, self._lattice.nodes[near[best]])
-        turned = np.asarray(about_z(roll) @ rotations[best] @ turn)
+        turn = minimal_rotation(direction, self._directions[best])
+        turned = np.asarray(about_z(roll) @ self._rotations[best] @ turn)
         return turned, float(np.sqrt(least / len(readings)))
 
     def _coarse(self, readings: Readings) -> Readings:
@@ -175,12 +178,26 @@ def best_shifts(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def most_similar(
-    view: Readings, readings: Readings, candidates: Indices, guesses_rad: Array, reach_rad: float
-) -> tuple[int, float, float]:
-    """The one of some views (K,) nearest to a signature: its place among them, roll, distance."""
+    view: Readings, readings: Readings, directions: Array, rotations: Array, direction: Array,
+    cosine: float, attitude: Array, reach_rad: float,
+) -> tuple[int, float, float]:  # fmt: skip
+    """The view around a direction that is most similar to a signature: which, roll, distance.
+
+    Args:
+        view: (N,) readings of the signature.
+        readings: (V, N) of all views, with their unit ``directions`` (V, 3) and ``rotations``
+            (V, 3, 3), centred_from_target.
+        direction: (3,) unit; cosine: of the angle of the views from it, at most.
+        attitude: (3, 3) centred_from_target of the signature, for the roll, which is right to
+            ``reach_rad``.
+    """
     best, best_roll, least = 0, 0.0, np.inf
-    for k in range(candidates.shape[0]):
-        roll, distance = roll_and_distance(view, readings[candidates[k]], guesses_rad[k], reach_rad)
+    x, y, z = direction[0], direction[1], direction[2]
+    for k in range(directions.shape[0]):
+        if x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2] < cosine:
+            continue
+        guess_rad = roll_against(attitude, rotations[k])
+        roll, distance = roll_and_distance(view, readings[k], guess_rad, reach_rad)
         if distance < least:
             best, best_roll, least = k, roll, distance
     return best, best_roll, least

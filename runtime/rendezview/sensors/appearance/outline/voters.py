@@ -18,7 +18,12 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.shadowed_silhouettes import READING_UNIT, SHADOWED_BINS
-from rendezview.sensors.appearance.outline.signature import Readings, Signature, rebinning
+from rendezview.sensors.appearance.outline.signature import (
+    Readings,
+    Signature,
+    rebinning,
+    roll_against,
+)
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -61,13 +66,22 @@ class Voters:
 
 
 class VoterTables(NamedTuple):
-    """The arrays of ``Voters``, for the compiled loops."""
+    """``Voters`` for the compiled loops: all of an entry in one word, so in one line of memory."""
 
-    roots: npt.NDArray[np.int32]
-    component: Bytes
-    threshold: Bytes
-    right: npt.NDArray[np.uint16]
-    odds: npt.NDArray[np.int8]
+    roots: npt.NDArray[np.int32]  # (nodes, T)
+    # (M,) component, then threshold, or the odds of a leaf, then right: 8, 8 and 16 bits
+    entries: npt.NDArray[np.uint32]
+
+    @classmethod
+    def of(cls, voters: Voters) -> VoterTables:
+        """The tables of the voters."""
+        leaf = voters.component == LEAF
+        middle = np.where(leaf, voters.odds.view(np.uint8), voters.threshold)
+        entries = voters.component.astype(np.uint32)
+        entries |= middle.astype(np.uint32) << 8
+        entries |= voters.right.astype(np.uint32) << 16
+        # Arrays of a file cannot be written to, which would be another type to the compiler.
+        return cls(voters.roots.copy(), entries)
 
 
 class Ballot:
@@ -82,8 +96,7 @@ class Ballot:
             rotations: (N, 3, 3) centred_from_target of their views.
             edge_rad: mean angle between neighbouring nodes.
         """
-        # Arrays of a file cannot be written to, which would be another type to the compiler.
-        self._voters = VoterTables(*(getattr(voters, f).copy() for f in VoterTables._fields))
+        self._voters = VoterTables.of(voters)
         self._nodes = np.ascontiguousarray(nodes)
         self._rotations = np.ascontiguousarray(rotations)
         self._cosine = float(np.cos(_INSIDE_EDGES * edge_rad))
@@ -102,6 +115,24 @@ class Ballot:
             self._rotations, self._cosine, self._voters, out,
         )  # fmt: skip
         return out * ODDS_UNIT
+
+    def near(
+        self, readings: Readings, attitude: Array, cosine: float, least_odds: float
+    ) -> tuple[npt.NDArray[np.intp], Array]:
+        """The nodes (K,) around an attitude whose odds are large enough, ascending, with the odds.
+
+        Args:
+            readings: (N,) of a signature.
+            attitude: (3, 3) of the camera turned to the centroid, from target.
+            cosine: of the angle from the attitude's direction of view.
+            least_odds: mean log odds of the voters must be above.
+        """
+        found, odds = np.empty(len(self._nodes), dtype=np.intp), np.empty(len(self._nodes))
+        count = _ask_near(
+            _coarse(readings), attitude, self._nodes, self._rotations, cosine,
+            least_odds / ODDS_UNIT, self._voters, found, odds,
+        )  # fmt: skip
+        return found[:count].copy(), odds[:count] * ODDS_UNIT
 
     def node_odds(self, readings: Readings, nodes: npt.NDArray[np.intp], rolls_rad: Array) -> Array:
         """(K,) mean log odds of single nodes, each with the view's own roll against it.
@@ -137,16 +168,30 @@ def _score(
             near = -(a[2, 0] * nodes[n, 0] + a[2, 1] * nodes[n, 1] + a[2, 2] * nodes[n, 2])
             if near < cosine:
                 continue
-            b = rotations[n]
-            # a = about_z(roll) b, but for the turn between the lines of sight: ``twist``.
-            c, s = 0.0, 0.0
-            for i in range(3):
-                c += a[0, i] * b[0, i] + a[1, i] * b[1, i]
-                s += a[1, i] * b[0, i] - a[0, i] * b[1, i]
-            roll_readings(readings, np.arctan2(s, c), rolled)
+            roll_readings(readings, roll_against(a, rotations[n]), rolled)
             total += _ask(rolled, n, voters)
             count += 1
         out[k] = total / count if count > 0 else -127.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _ask_near(
+    readings: Readings, a: Array, nodes: Array, rotations: Array, cosine: float, least: float,
+    voters: VoterTables, found: npt.NDArray[np.intp], odds: Array,
+) -> int:  # fmt: skip
+    """Nodes about an attitude (3, 3) with mean odds above the least, in units; how many."""
+    rolled = np.empty(len(readings), dtype=np.float32)
+    count = 0
+    for n in range(len(nodes)):
+        near = -(a[2, 0] * nodes[n, 0] + a[2, 1] * nodes[n, 1] + a[2, 2] * nodes[n, 2])
+        if near < cosine:
+            continue
+        roll_readings(readings, roll_against(a, rotations[n]), rolled)
+        mean = _ask(rolled, n, voters)
+        if mean > least:
+            found[count], odds[count] = n, mean
+            count += 1
+    return count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -167,11 +212,14 @@ def _ask(rolled: Readings, node: int, voters: VoterTables) -> float:
     trees = voters.roots.shape[1]
     total = 0.0
     for t in range(trees):
-        entry = voters.roots[node, t]
-        while voters.component[entry] != LEAF:
-            goes_left = rolled[voters.component[entry]] <= voters.threshold[entry]
-            entry += 1 if goes_left else voters.right[entry]
-        total += voters.odds[entry]
+        at = np.int64(voters.roots[node, t])
+        entry = np.int64(voters.entries[at])
+        while entry & 255 != LEAF:
+            goes_left = rolled[entry & 255] <= entry >> 8 & 255
+            at += 1 if goes_left else entry >> 16
+            entry = np.int64(voters.entries[at])
+        odds = entry >> 8 & 255
+        total += odds - 256 if odds > 127 else odds
     return total / trees  # type: ignore[no-any-return]
 
 

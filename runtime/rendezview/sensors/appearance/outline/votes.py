@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.outline.signature import Readings, Signature, twist
@@ -70,6 +71,7 @@ class Matcher:
         self._views = ViewSimilarity(model)
         self._sphere = model.geodesic
         self._edge = self._sphere.mean_edge_rad
+        self._reach_rad = (self.options.margin_edges + 2.0) * self._edge
         self._usual_residual = model.held_out.residual
         forest, on, off = model.forest, model.leaf_on, model.leaf_off
         # Shrunk, because a pure leaf of one sample is not certain.
@@ -133,14 +135,15 @@ class Matcher:
 
     def _vote(self, readings: Readings, attitude: Array) -> Match | None:
         """Active nodes around an attitude, and the direction on which they agree."""
-        reach = (self.options.margin_edges + 2.0) * self._edge
-        nodes = self._sphere.within(-attitude[2], reach)
-        rolls = twist(attitude, self._views.node_rotations[nodes])
-        trust = self.decided(nodes, readings, rolls)
-        active = trust > 0.0
-        if not active.any():
+        if self.ballot is None:
+            near = self._sphere.within(-attitude[2], self._reach_rad)
+            nodes, trust = self.active_among(near, readings, attitude)
+        else:
+            cosine = cosine_within(self._reach_rad)
+            nodes, odds = self.ballot.near(readings, attitude, cosine, _LEAST_ODDS)
+            trust = _trust_of_odds(odds)
+        if len(nodes) == 0:
             return None
-        nodes, trust = nodes[active], trust[active]
         direction, weights = self.consensus(nodes, trust)
         return Match(nodes, weights, direction, attitude)
 
@@ -152,8 +155,7 @@ class Matcher:
         if self.ballot is None:
             return self.trust_of(self.model.forest.leaves(readings, nodes, rolls_rad))
         odds = self.ballot.node_odds(readings, nodes, rolls_rad)
-        trust = 1.0 / (1.0 + np.exp(-_STEEPNESS * (odds - _EVEN_ODDS)))
-        return np.where(odds > _LEAST_ODDS, trust, 0.0)
+        return np.where(odds > _LEAST_ODDS, _trust_of_odds(odds), 0.0)
 
     def active_among(
         self, nodes: Indices, readings: Readings, centred_from_target: Array
@@ -199,6 +201,11 @@ class Matcher:
                 "outline: give a prior, or look at more frames",
             )
         return None
+
+
+def _trust_of_odds(odds: Array) -> Array:
+    """The trust (K,) in active nodes of some odds."""
+    return np.asarray(1.0 / (1.0 + np.exp(-_STEEPNESS * (odds - _EVEN_ODDS))))
 
 
 def _apart(a: Match, b: Match) -> float:
