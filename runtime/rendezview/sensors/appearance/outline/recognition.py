@@ -150,10 +150,12 @@ class OutlineRecognition:
         match = self.matcher.at(signature, pose)
         reading = OutlineReading(traced.silhouette, signature)
         if match is not None:
-            votes = {"active_nodes": match.active_nodes, "weights": match.weights}
+            points_m = np.zeros((0, 3))
             if self.matcher.refusal(match) is None:
-                votes["points_m"] = node_points(self.model, match, signature)
-            reading = OutlineReading(traced.silhouette, signature, **votes)
+                points_m = node_points(self.model, match, signature)
+            reading = OutlineReading(
+                traced.silhouette, signature, match.active_nodes, match.weights, points_m
+            )
         clock.lap("trees")
         return reading
 
