@@ -194,8 +194,8 @@ OPTIONS = FusionOptions(
     # rates do; along has the braking, which the filter does not know.
     motion=MotionOptions(angular=3.4e-4, linear=6e-4, along=5e-3, pointing=6e-5),
     pose=SensorOptions(
-        # As exact as the recognizer is on the fast simulator's frames: seeds 100 to 103.
-        inflation=0.3, floor_range=2e-5, bias_share=0.8, bias_s=60.0, bias_range=0.25
+        # As exact as the recognizer is on the fast simulator's frames: seeds 100 to 105.
+        inflation=0.4, floor_range=2e-5, bias_share=0.8, bias_s=60.0, bias_range=0.25
     ),
     ring=SensorOptions(
         inflation=4.0, floor_rad=math.radians(0.25), floor_range=5e-4, bias_share=0.8,

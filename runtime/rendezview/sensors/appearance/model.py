@@ -132,7 +132,7 @@ class ViewModel:
 
     @property
     def shape_uncertainty(self) -> Array:
-        """(6, 6) covariance of the strain between model and craft, as ``strain_covariance`` reads
+        """(6, 6) covariance of the strain between model and craft, as ``StrainMoves`` has
         it: shears times √2."""
         known = np.zeros((6, 6)) if self.shape_covariance is None else self.shape_covariance
         factors = np.array([1.0] * 3 + [np.sqrt(2.0)] * 3)

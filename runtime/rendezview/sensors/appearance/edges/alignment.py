@@ -22,7 +22,6 @@ from rendezview.sensors.appearance.edges.edge_search import (
     STATE,
     WEIGHT,
     measure_edges,
-    point_of_slope,
 )
 from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
@@ -66,7 +65,6 @@ NEAREST_RADII = 1.02  # of the target's radius: nearer has diverged. Source: by 
 _NEAREST_SHELL = 0.8  # of the nearest distance of views that show a part. Source: by construction
 _FURTHEST_RADII = 1e9  # of the target's radius: farther too. Source: by construction
 DIVERGED = -9.0  # returned by ``align`` for no pose. Source: by construction
-_HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
@@ -150,7 +148,7 @@ def covariance_of(
     matrix, spread = np.diag(loose), np.diag(loose)
     mean_square = _add_information(edges, cut, matrix, spread)
     residual = float(np.sqrt(mean_square))
-    response = _to_origin(arm) @ np.linalg.inv(matrix)
+    response = to_origin(arm) @ np.linalg.inv(matrix)
     covariance = response @ spread @ response.T
     covariance *= max(residual, least_sigma_px) ** 2
     return 0.5 * (covariance + covariance.T), residual
@@ -175,51 +173,7 @@ def _add_information(edges: Array, cut: float, matrix: Array, spread: Array) -> 
     return squares / weights
 
 
-def strain_covariance(
-    edges: Array, cut: float, loose: Array, rotation: Array, centre: Array, arm: Array,
-    strain: Array,
-) -> Array:  # fmt: skip
-    """(6, 6) of a pose where the craft is the model strained.
-
-    A strain S (symmetric) moves the edge of a point q from the view centre by j S q along its
-    normal, and the pose by (ΣwJJᵀ)⁻¹ Σ w J j S q. Since J = (q × j, j), and j · (q + centre) = 0
-    as for every projection, q follows from J.
-
-    Args:
-        edges, cut, loose, arm: as for ``covariance_of``.
-        rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
-        strain: (6, 6) covariance of the strain's components xx, yy, zz, √2 xy, √2 xz, √2 yz in
-            target axes: with these factors one that is alike in all directions is diagonal.
-    """
-    matrix, moved = np.diag(loose), np.zeros((6, 6))
-    _add_strain_moves(edges, cut, rotation, centre, matrix, moved)
-    response = _to_origin(arm) @ np.linalg.inv(matrix) @ moved
-    return response @ strain @ response.T
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _add_strain_moves(
-    edges: Array, cut: float, rotation: Array, centre: Array, matrix: Array, moved: Array
-) -> None:
-    """Add ΣwJJᵀ to ``matrix`` (6, 6), and Σ w J of what each strain moves to ``moved`` (6, 6)."""
-    strains, q, g = np.empty(6), np.empty(3), np.empty(3)
-    for n in range(edges.shape[0]):
-        w = _weight(edges[n], cut)
-        if w == 0.0:
-            continue
-        point_of_slope(edges[n], rotation, centre, q, g)
-        strains[0], strains[1], strains[2] = g[0] * q[0], g[1] * q[1], g[2] * q[2]
-        strains[3] = (g[0] * q[1] + g[1] * q[0]) * _HALF_ROOT
-        strains[4] = (g[0] * q[2] + g[2] * q[0]) * _HALF_ROOT
-        strains[5] = (g[1] * q[2] + g[2] * q[1]) * _HALF_ROOT
-        for a in range(6):
-            wj = w * edges[n, a]
-            for b in range(6):
-                matrix[a, b] += wj * edges[n, b]
-                moved[a, b] += wj * strains[b]
-
-
-def _to_origin(arm: Array) -> Array:
+def to_origin(arm: Array) -> Array:
     """(6, 6) from errors at the view centre to errors at the target's origin: t = centre − arm."""
     shift = np.eye(6)
     shift[3:, :3] = hat(arm)

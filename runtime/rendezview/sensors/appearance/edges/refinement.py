@@ -27,7 +27,6 @@ from rendezview.sensors.appearance.edges.alignment import (
     align_each,
     covariance_of,
     inlier_ratios,
-    strain_covariance,
 )
 from rendezview.sensors.appearance.edges.articulation import (
     LEAST_SUPPORT,
@@ -40,6 +39,7 @@ from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.near_views import NearSphere
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
+from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.sky import Sky
@@ -77,14 +77,14 @@ _LEAST_SIGMA_PX = 0.1
 # Of the target's size, one σ of a strain: the contour points are those of a view up to 2.5° away,
 # and neighbouring ones err together. Source: docs/notes/refinement.md, size of the target
 _VIEW_STRAIN = 3e-4
-# Where the craft is not its model, a pose absorbs most of the difference and the residuals show the
-# rest: one σ of the strain is so many times what they exceed those of an exact model by, of the
-# target's radius. Source: experiment pose-misfit, hubble, seed 6, strains of 0, 1 and 4 %
+# Where edges are farther off than this, those that a strain moves most do not count any more: one
+# σ of the strain is also so many times the excess, of the target's radius. Source: experiment
+# pose-misfit, hubble and client, seed 6, strains of 0, 1 and 4 %
 _STRAIN_OF_RESIDUAL = 12.0
-_EXACT_RESIDUAL_PX = 0.12  # px, root mean square. Source: experiment pose-misfit
+_FAR_RESIDUAL_PX = 0.2  # px, root mean square. Source: as above; 0.10 to 0.15 with the right mesh
 # Of the inflation, which is fitted to whole targets of 100 to 220 px: the edges of a near part are
-# longer and err together less. Source: experiment close-in, seed 7
-_NEAR_INFLATION = 0.3
+# longer and err together less. Source: experiment close-in, client, seeds 2 and 5 (Mitsuba)
+_NEAR_INFLATION = 0.45
 _JOINT_ROUNDS = 4  # of alignment and a step of the angles. Source: experiment pose-joints
 _TURNED_PX = 0.3  # px; angles whose step moves their edges less are found. Source: its last stage
 
@@ -347,14 +347,15 @@ class Refiner:
             edges, self._cut_px, _LEAST_SIGMA_PX, self._nothing_known, arm
         )
         residual = spread_px
+        moves = StrainMoves.of(edges, self._cut_px, self._nothing_known, rotation, centre)
         strain = self._strain
         if self.model.shape_error == 0.0:
             scale_px = self.camera.fx * self._radius_m / centre[2]
-            more_px2 = max(residual**2 - _EXACT_RESIDUAL_PX**2, 0.0)
-            strain = strain + (_STRAIN_OF_RESIDUAL**2 * more_px2 / scale_px**2) * np.eye(6)
-        strained = strain_covariance(
-            edges, self._cut_px, self._nothing_known, rotation, centre, arm, strain
-        )
+            more_px2 = max(residual**2 - _FAR_RESIDUAL_PX**2, 0.0)
+            variance = moves.likely_variance(max(residual, _LEAST_SIGMA_PX))
+            variance += _STRAIN_OF_RESIDUAL**2 * more_px2 / scale_px**2
+            strain = strain + variance * np.eye(6)
+        strained = moves.covariance(arm, strain)
         if self.model.shape_error > 0.0:
             # As for an exact model: the classifier was fitted to that.
             _, residual = covariance_of(edges, _CUT_PX, _LEAST_SIGMA_PX, self._nothing_known, arm)

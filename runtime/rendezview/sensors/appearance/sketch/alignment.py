@@ -21,7 +21,6 @@ from rendezview.sensors.appearance.edges.alignment import (
     nearest_distance,
     nearest_views,
     normal_equations,
-    strain_covariance,
 )
 from rendezview.sensors.appearance.edges.contours import CREASE, NO_POINT, OUTLINE, POINT_UNIT
 from rendezview.sensors.appearance.edges.edge_search import (
@@ -37,6 +36,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     U,
     V,
 )
+from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.edges.view_tables import (
     Lens,
     ViewTables,
@@ -278,7 +278,7 @@ def pose_covariance(
     Args:
         arm: (3,) from the target's origin to the view centre, camera axes; the covariance is the
             origin's.
-        strain: (6, 6) of the strain, see ``strain_covariance``.
+        strain: (6, 6) of the strain, see ``StrainMoves``.
     """
     edges = np.zeros((views.point.shape[2], WIDTH))
     edges[:, STATE] = OUTSIDE
@@ -289,5 +289,5 @@ def pose_covariance(
     loose = _NOTHING_KNOWN * np.array([1.0] * 3 + [views.radius_m**-2] * 3)
     cut = CUT_SPREADS * spread
     covariance, residual = covariance_of(edges, cut, _LEAST_SIGMA_PX, loose, arm)
-    strained = strain_covariance(edges, cut, loose, rotation, centre, arm, strain)
+    strained = StrainMoves.of(edges, cut, loose, rotation, centre).covariance(arm, strain)
     return covariance, strained, residual
