@@ -62,7 +62,7 @@ class StrainMoves:
         pose, both, strain = np.diag(loose), np.zeros((6, 6)), np.zeros((6, 6))
         rights = np.zeros((2, 6))
         _add_moves(edges, cut, rotation, centre, pose, both, strain, rights)
-        response = np.linalg.solve(pose, both)
+        response: Array = np.asarray(np.linalg.solve(pose, both), dtype=np.float64)
         return cls(response, strain - both.T @ response, rights[1] - response.T @ rights[0])
 
     def covariance(self, arm: Array, strain: Array) -> Array:
