@@ -262,8 +262,9 @@ class Chooser:
         while True:
             sigma = np.maximum(spots.sigma_px[where], 1e-3)
             refined = refine(
-                self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px
-            )
+                self.camera, pattern, spots.table[where, :2], which, pose, sigma, options.blur_px,
+                saturated=bool((spots.saturated_px[where] > 1).all()),
+            )  # fmt: skip
             if refined is None or not refined.converged:
                 return None
             if len(which) == 3:

@@ -21,6 +21,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.so3 import between, hat, orthonormalise, perturb_into
 from rendezview.sensors.reflectors.discs import LAW, camera_numbers, project_disc, turned
 from rendezview.sensors.reflectors.pattern import ReflectorPattern
+from rendezview.sensors.reflectors.spots import SATURATED
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
@@ -36,6 +37,9 @@ _GAIN = 1e-13  # of the cost: the end. Source: by construction, rounding
 # σ of the law of light (1 retro-reflected, 0 even): even light is then 1.7 σ away, which leaves the
 # normalised error of either within 4 to 8. Source: experiment reflector-nees
 _LIGHT_SIGMA = 0.6
+# The law of rims of saturated discs, and its σ: 0 in even light, 0.13 of a retro-reflector near by.
+# Source: experiment reflector-nees, at 0.8 m
+_RIM_LAW, _RIM_SIGMA = 0.07, 0.07
 _EXACT = 1e-18  # χ²: the spots are fitted. Source: by construction, rounding
 
 
@@ -58,6 +62,8 @@ def refine(
     start: Pose,
     sigma_px: npt.ArrayLike = 0.02,
     blur_px: float = 0.75,
+    *,
+    saturated: bool = False,
 ) -> Refined | None:
     """The pose that fits spots (K, 2) of the reflectors numbered ``reflectors`` (K,), K ≥ 3.
 
@@ -69,6 +75,7 @@ def refine(
         start: a pose near the answer.
         sigma_px: error of the centroids, one or (K,), one standard deviation.
         blur_px: σ of the optics and a pixel's width together.
+        saturated: whether all spots are: their places are those of rims.
 
     Returns:
         None where the spots do not determine a pose near ``start``.
@@ -88,8 +95,11 @@ def refine(
     rotation = np.array(start.rotation)
     shift = start.apply(centre)
     covariance, residuals = np.empty((6, 6)), np.empty((len(spots), 2))
+    lens = camera_numbers(camera, blur_px)
+    if saturated:
+        lens[LAW] = _RIM_LAW
     iterations = adjust(
-        camera_numbers(camera, blur_px),
+        lens,
         (pattern.positions_m - centre)[which], pattern.normals[which],
         pattern.diameters_m[which], spots, sigma, np.zeros((6, 6)),
         rotation, shift, covariance, residuals,
@@ -182,6 +192,7 @@ def _doubt_light(
     shift: Array, covariance: Array,
 ) -> None:  # fmt: skip
     """Add what the law of light, which may be even, moves the pose by: one number for all spots."""
+    doubt = _RIM_SIGMA if lens[LAW] < 1.0 else _LIGHT_SIGMA
     law, jacobian, pull, ends = lens.copy(), np.empty((2, 6)), np.zeros(6), np.empty((2, 2))
     for i in range(arms.shape[0]):
         x, y, z = turned(rotation, arms, i)
@@ -192,7 +203,7 @@ def _doubt_light(
             u, v = project_disc(law, x, y, z, nx, ny, nz, 0.5 * diameters[i])
             ends[k, 0], ends[k, 1] = u, v
         _jacobian(lens, arms, normals, diameters, rotation, shift, i, jacobian)
-        weight = _LIGHT_SIGMA / (sigma[i] * sigma[i])
+        weight = doubt / (sigma[i] * sigma[i])
         for a in range(6):
             for k in range(2):
                 pull[a] += weight * jacobian[k, a] * (ends[1, k] - ends[0, k])
@@ -258,8 +269,10 @@ def solve_spots(
     count = seen.shape[0]
     some_arms, some_normals = np.empty((count, 3)), np.empty((count, 3))
     some_diameters, spots, sigma = np.empty(count), np.empty((count, 2)), np.empty(count)
+    lens, clipped = lens.copy(), True
     for i in range(count):
         k = seen[i]
+        clipped = clipped and table[k, SATURATED] > 1.0
         some_diameters[i] = diameters[k]
         for a in range(3):
             some_arms[i, a], some_normals[i, a] = arms[k, a], normals[k, a]
@@ -267,6 +280,8 @@ def solve_spots(
         sigma[i] = math.sqrt(table[k, 7] ** 2 + floor_px**2)
     if not _spans(some_arms):
         return -1
+    if clipped:  # their middles are those of their rims
+        lens[LAW] = _RIM_LAW
     x, y, z = turned(rotation, centre.reshape(1, 3), 0)
     shift = np.empty(3)
     shift[0], shift[1] = translation_before[0] + x, translation_before[1] + y

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from rendezview.estimation.saturated_spot import Plane, fit_rim
 from rendezview.estimation.spot_centroid import (
     centre_spot,
     overlap_error,
@@ -34,6 +35,7 @@ from rendezview.sensors.reflectors.difference import (
     spot_mask,
     threshold_of,
 )
+from rendezview.sensors.reflectors.triplets import expected_size
 
 SATURATED_GREY = 255  # grey. Source: by construction, 8 bits
 _FEWEST = 3  # spots that can be a target. Source: by construction
@@ -42,6 +44,15 @@ _RISES = 10  # of the threshold, each by a half: up to 38 times. Source: by cons
 _OVERLAP = 4.0
 # share of a spot's size: moved further, it may not be the spot. Source: reflector-nees --seed 101
 _DOMINATED = 0.1
+# px by which a saturated spot's light passes the threshold beyond its disc. Source: by
+# construction, one σ of the blur; a start only
+_SKIRT_PX = 0.7
+# share of a saturated spot's size: an error where its rim is not that of a disc. Source: by
+# construction, charge over a quarter of a flat disc's diameter at one end
+_RAN_OVER = 0.4
+# share of a saturated spot's size: an error up to which its rim tells it. Source: by construction,
+# less than AcquisitionOptions.size_limit
+_SIZE_KNOWN = 0.1
 # In a crowd of more, chance fits dots of another size, or fainter ones. Source: experiments
 # reflector-tolerance and reflector-nees
 CROWD = 20
@@ -251,10 +262,19 @@ def gather(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place(lit: Grey, dark: Grey, table: Array, noise: float) -> None:
-    """Fill place, size and error of every spot by its window."""
+    """Fill place, size and error of every spot by its window.
+
+    Sizes are compared, and the window of a saturated spot sees a flat top. So the sizes of all
+    saturated spots are those of their rims, or of none.
+    """
     columns, rows = np.empty(lit.shape[1]), np.empty(lit.shape[0])
+    sizes, known = np.zeros(table.shape[0]), True
     for i in range(table.shape[0]):
-        window_centroid(lit, dark, table[i], noise, columns, rows)
+        sizes[i] = window_centroid(lit, dark, table[i], noise, columns, rows)
+        known = known and (sizes[i] > 0.0 or table[i, SATURATED] <= 1.0)
+    for i in range(table.shape[0]):
+        if known and sizes[i] > 0.0:
+            table[i, SIZE] = sizes[i]
 
 
 def recentre(table: Array, noise: float, centroid: Centroid) -> None:
@@ -273,15 +293,19 @@ def recentre(table: Array, noise: float, centroid: Centroid) -> None:
 @njit(cache=True, nogil=True, error_model="numpy")
 def window_centroid(
     lit: Grey, dark: Grey, row: Array, noise: float, columns: Array, rows: Array
-) -> None:
-    """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size."""
+) -> float:
+    """Fill place, size, amplitude and error of a spot by a Gaussian window of its own size.
+
+    The place of a saturated spot is that of its rim, whose size is returned; 0 where it is unknown.
+    """
     x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
     box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
     level, slope_x, slope_y, rough, doubt = ring_plane(lit, dark, box, noise)
-    level += slope_x * (x - 0.5 * (box[0] + box[1])) + slope_y * (y - 0.5 * (box[2] + box[3]))
+    at_x, at_y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
+    here = level + slope_x * (x - at_x) + slope_y * (y - at_y)
     # The rows above the threshold are the top of the spot: its true width is larger.
     x, y, size, amplitude, error = centre_spot(
-        lit, dark, (level, slope_x, slope_y, doubt), (x, y, 1.2 * row[SIZE]), rough, columns, rows
+        lit, dark, (here, slope_x, slope_y, doubt), (x, y, 1.2 * row[SIZE]), rough, columns, rows
     )
     # A window that ran away from its spot is no measurement of it.
     away = 0.5 * max(row[RIGHT] - row[LEFT], row[BOTTOM] - row[TOP], 2.0)
@@ -305,7 +329,28 @@ def window_centroid(
                 beside = math.hypot(beside, gap)
         # So bright a light may be what the window is centred on, and the spot what moves it.
         error = math.hypot(error, beside if beside < _DOMINATED * size else size)
-    row[X], row[Y], row[SIZE] = x, y, size
-    row[SIGMA] = saturated_error(error, int(row[SATURATED]), size)
+    error = saturated_error(error, int(row[SATURATED]), size)
+    row[X], row[Y], row[SIZE], row[SIGMA] = x, y, size, error
     if amplitude > 0.0:
         row[AMPLITUDE] = amplitude
+    if row[SATURATED] <= 1.0:
+        return 0.0
+    x, y = row[WEIGHTED_X], row[WEIGHTED_Y]
+    here = level + slope_x * (x - at_x) + slope_y * (y - at_y)
+    return _use_rim(lit, dark, row, (x, y, here, slope_x, slope_y), max(rough, noise), away)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _use_rim(
+    lit: Grey, dark: Grey, row: Array, plane: Plane, noise: float, away: float
+) -> float:  # fmt: skip
+    """Take place and error of a saturated spot from its rim, if that is one of a disc; its size."""
+    box = (int(row[LEFT]), int(row[RIGHT]), int(row[TOP]), int(row[BOTTOM]))
+    radius = max(math.sqrt(row[AREA] / math.pi) - _SKIRT_PX, _SKIRT_PX)
+    x, y, error, radius, blur, size_error = fit_rim(lit, dark, plane, radius, noise, box)
+    if not error > 0.0 or max(abs(x - plane[0]), abs(y - plane[1])) > away:
+        row[SIGMA] = math.hypot(row[SIGMA], _RAN_OVER * row[SIZE])
+        return 0.0
+    row[X], row[Y], row[SIGMA] = x, y, error
+    size = expected_size(blur, radius)
+    return size if size_error < _SIZE_KNOWN * size else 0.0

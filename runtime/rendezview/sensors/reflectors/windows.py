@@ -110,7 +110,9 @@ def _search_window(
             for k in (8, 10, 12, 14):  # from window to picture
                 row[k] += x0
                 row[k + 1] += y0
-            window_centroid(lit, dark, row, noise, columns, rows)
+            rim_size = window_centroid(lit, dark, row, noise, columns, rows)
+            if rim_size > 0.0:
+                row[SIZE] = rim_size
             ratio = math.log(row[SIZE] / expected[2])
             off = math.hypot(row[X] - expected[0], row[Y] - expected[1]) / half
             if abs(ratio) > size_limit or off > 1.0 or (attempt and row[AMPLITUDE] < level):
