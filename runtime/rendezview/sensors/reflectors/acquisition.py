@@ -93,24 +93,35 @@ class Acquirer:
                 poses that look the same the one with its roll is taken.
         """
         found = self._acquire(spots, prior)
-        if prior is not None or found.status not in (Status.OK, Status.NOT_FOUND):
+        if found.status not in (Status.OK, Status.NOT_FOUND):
             return found
+        return self._against_left_out(found, spots)
+
+    def _against_left_out(self, found: Acquisition, spots: SpotTable) -> Acquisition:
+        """What was found, unless the spots are those of a group that is said not to be there.
+
+        The last pose is no witness: it is as wrong as the group is. So these groups are looked for
+        at any range. They count even where several of their poses show the spots.
+        """
+        notes, margin = [], self.options.rival_margin
         for other in self._left_out:
             theirs = other.acquire(spots)
-            if theirs.refined is None or not (found.refined is None or found.shares(theirs)):
+            if not (theirs.explains_more(found) or theirs.shares(found)):
                 continue
-            if found.score > theirs.score + self.options.rival_margin:
+            name = f"the group {theirs.group!r}, which is left out"
+            if theirs.explains_more(found) or found.score > theirs.score + margin:
                 return Acquisition(
                     Status.AMBIGUOUS,
-                    f"the spots are those of the group {theirs.group!r}, which is left out: "
-                    "name it with --group, or leave --group out",
+                    f"the spots are those of {name}: name it with --group, or leave --group out",
                     left_out=True,
                 )
-            if found.score + self.options.rival_margin > theirs.score:
-                away_m = np.linalg.norm(theirs.refined.camera_from_target.translation_m)
-                fits = f"the group {theirs.group!r}, which is left out, fits these spots as well"
-                found = replace(found, note=f"{fits}, {away_m:.3g} m away")
-        return found
+            if found.score + margin > theirs.score:
+                where = "in several poses"
+                if theirs.refined is not None:
+                    away_m = np.linalg.norm(theirs.refined.camera_from_target.translation_m)
+                    where = f"{away_m:.3g} m away"
+                notes.append(f"{name}, fits these spots as well, {where}")
+        return replace(found, note="; ".join(notes)) if notes else found
 
     def _acquire(self, spots: SpotTable, prior: Pose | None) -> Acquisition:
         if spots.overfull:

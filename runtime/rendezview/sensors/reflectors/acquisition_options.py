@@ -98,7 +98,10 @@ class AcquisitionOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Acquisition:
-    """The result of one picture; no pose without ``Status.OK``."""
+    """The result of one picture; no pose without ``Status.OK``.
+
+    An ambiguous one may name the best group and its spots, but no reflectors.
+    """
 
     status: Status
     reason: str | None
@@ -119,6 +122,13 @@ class Acquisition:
         if self.spot_indices is None or other.spot_indices is None:
             return False
         return set(self.spot_indices.tolist()) == set(other.spot_indices.tolist())
+
+    def explains_more(self, other: Acquisition) -> bool:
+        """Whether it has a pose that shows all spots of the other and more."""
+        if self.refined is None or self.spot_indices is None:
+            return False
+        theirs = () if other.spot_indices is None else other.spot_indices.tolist()
+        return set(theirs) < set(self.spot_indices.tolist())
 
     def is_near(self, pose: Pose, centre_m: Array) -> bool:
         """Whether it has a pose near another: a tenth of the range, half a radian."""

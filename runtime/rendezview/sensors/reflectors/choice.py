@@ -112,12 +112,16 @@ class Chooser:
         if not redundant and others.any():
             rival = float(scores[others].min())
             if rival - best.score < options.rival_margin:
-                return _ambiguous(best.score, rival)
+                return self._ambiguous(
+                    best,
+                    f"two sets of spots pass for the target (χ² {best.score:.1f} and {rival:.1f}): "
+                    "give a prior, or look again",
+                )
         if most == 3 and (
             float(others.sum()) * (best.score / options.score_limit) ** 2.5 > options.chance
         ):
-            return Acquisition(
-                Status.AMBIGUOUS,
+            return self._ambiguous(
+                best,
                 f"{int(others.sum())} other sets of spots pass for the target too, so that the "
                 f"best (χ² {best.score:.1f}) may be chance: give a prior, or look again",
             )
@@ -125,8 +129,8 @@ class Chooser:
             # Only three of more: a false spot may stand for a hidden reflector.
             strangers = self._strangers(spots, usable, best)
             if strangers or best.score > options.sparse_limit:
-                return Acquisition(
-                    Status.AMBIGUOUS,
+                return self._ambiguous(
+                    best,
                     f"three spots pass for {len(self.constellation)} reflectors (χ² "
                     f"{best.score:.1f}), {strangers} spots like them do not fit: uncover more "
                     "reflectors, give a prior, or look again",
@@ -135,16 +139,16 @@ class Chooser:
         chosen = self._one_of(near, prior)
         if chosen is None:
             count = sum(not self._alike(h, best) for h in near)
-            return Acquisition(
-                Status.AMBIGUOUS,
+            return self._ambiguous(
+                best,
                 f"{count + 1} poses show the same {most} spots as well (χ² {best.total:.1f} and "
                 f"{next(h.total for h in near if not self._alike(h, best)):.1f}): uncover more "
                 "reflectors, give a prior, or look again",
             )
         if chosen.dropped and most <= FEW:
             # Neighbours that are named wrongly fit too, if another spot gives way.
-            return Acquisition(
-                Status.AMBIGUOUS,
+            return self._ambiguous(
+                best,
                 f"{most} spots fit, {chosen.dropped} beside them do not: names or spots may be "
                 "wrong; uncover more reflectors, or look again",
             )
@@ -153,6 +157,13 @@ class Chooser:
         return Acquisition(
             Status.OK, None, chosen.refined, self._names[chosen.group], chosen.which,
             chosen.where, chosen.score, ambiguous,
+        )  # fmt: skip
+
+    def _ambiguous(self, best: _Hypothesis, reason: str) -> Acquisition:
+        """No pose, but the spots and the group of the best one: see `Acquirer.acquire`."""
+        return Acquisition(
+            Status.AMBIGUOUS, reason, group=self._names[best.group], spot_indices=best.where,
+            score=best.score,
         )  # fmt: skip
 
     def _strangers(self, spots: SpotTable, usable: Ints, best: _Hypothesis) -> int:
@@ -334,14 +345,6 @@ def mirror_into(
         for i in range(3):
             out[i, j] = rotation[i, j] - 2.0 * turned[i] * normal[j] - 2.0 * sight[i] * row
             moved[i] -= out[i, j] * middle[j]
-
-
-def _ambiguous(best: float, rival: float) -> Acquisition:
-    return Acquisition(
-        Status.AMBIGUOUS,
-        f"two sets of spots pass for the target (χ² {best:.1f} and {rival:.1f}): "
-        "give a prior, or look again",
-    )
 
 
 def _turns(pattern: ReflectorPattern) -> list[Pose]:

@@ -150,10 +150,10 @@ class ReflectorSensor:
             if self._track is not None:
                 self._track.misses += 1
             self._unconfirmed = None
+            if found.left_out:  # the last pose was that of another group
+                self._track = None
             return refused(found, time_s, spots, stage_ms)
-        if prior is None:
-            self._note = found.note
-            self._noted_m = self._range_m(found.refined.camera_from_target)
+        self._note, self._noted_m = found.note, self._range_m(found.refined.camera_from_target)
         names = found.names(self.constellation, len(spots))
         pose = found.refined.camera_from_target
         if self.tracking.confirm and prior is None and not self._agrees(found):
