@@ -14,16 +14,22 @@ too: the covariance's part of second order is added to the jerks' density.
 Each filter counts as much as it foretold the readings of the last seconds (a multiple-model
 estimator; Bar-Shalom, Li & Kirubarajan, *Estimation with applications to tracking and navigation*,
 2001, section 11.6). One that falls far behind restarts from the best.
+
+A camera's pointing jitter is noise of the poses that their covariances do not hold. It is estimated
+(`rendezview.estimation.pointing_jitter`) and added. Where the estimate grows, filters that trusted
+the first readings too much go through the last ones again.
 Frames and perturbations are those of `rendezview.estimation.motion`.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
+from rendezview.estimation.pointing_jitter import PointingJitter, jitter_covariance
 from rendezview.estimation.rate_filters import (
     FIRST_CHANGE,
     FIRST_MEAN,
@@ -35,6 +41,10 @@ from rendezview.estimation.rate_filters import (
     step_bank,
 )
 from rendezview.geometry.pose import Array, Pose
+
+# Readings that are kept to go through again: 7 s at 30 Hz. Source: by construction, a bound of time
+_KEPT = 200
+_CHANGED = 1.5  # × the variance of the jitter: again. Source: by construction, a fifth of its σ
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,13 +112,32 @@ class RateBank:
         self._covariances = np.zeros((2, count, STATES, STATES))
         self._scores = np.zeros((2, count))  # logarithms of likelihoods
         self._time_s: float | None = None
+        self._jitter, self._trusted = PointingJitter(), 0.0  # rad² of the jitter held for true
+        self._readings: deque[tuple[float, Pose, Array]] = deque(maxlen=_KEPT)
 
     def clear(self) -> None:
-        """Forget all readings."""
+        """Forget all readings, but not the camera's jitter."""
         self._time_s = None
+        self._jitter.clear()
+        self._readings.clear()
 
     def add(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:
         """Take a reading in; None for the first."""
+        self._jitter.add(time_s, pose, covariance)
+        self._readings.append((time_s, pose, covariance))
+        across = self._jitter.variances[0]
+        if self._trusted <= _CHANGED * across and across <= _CHANGED * self._trusted:
+            return self._step(time_s, pose, covariance)
+        self._trusted, self._time_s, found = across, None, None
+        for reading in self._readings:
+            found = self._step(*reading)
+        return found
+
+    def _step(self, time_s: float, pose: Pose, covariance: Array) -> MotionRates | None:
+        """Predict and update with one reading."""
+        variances = self._jitter.variances
+        if variances[0] > 0.0:
+            covariance = covariance + jitter_covariance(variances, pose.translation_m)
         if self._time_s is None:
             self._begin(time_s, pose, covariance)
             return None

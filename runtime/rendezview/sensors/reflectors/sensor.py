@@ -92,7 +92,7 @@ class ReflectorSensor:
         """Begin anew: the next reading knows nothing of those before."""
         with self._lock:
             self._track, self._unconfirmed, self._note, self._last_s = None, None, None, -np.inf
-            self._rates.clear()
+            self._rates = RateEstimator(self.tracking.rates)
             self._dots.clear()
             if self.patterns is not self._given[0]:
                 self._expect(*self._given)
