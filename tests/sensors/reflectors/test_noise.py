@@ -8,6 +8,7 @@ import pytest
 from tests import plain_pictures as plain
 
 from rendezview.sensors.reflectors import LitDark, find_spots
+from rendezview.sensors.reflectors.difference import registered
 from rendezview.sensors.reflectors.hidden_noise import HiddenNoise, quantisation_step
 from rendezview.sensors.reflectors.registration import background_motion, register
 
@@ -41,6 +42,18 @@ def test_the_motion_of_a_background_is_found_and_taken_out(shift):
     still = register(frames)
     off = still.lit[20:-20, 20:-20].astype(int) - still.dark[20:-20, 20:-20]
     assert 1.4826 * np.median(np.abs(off - np.median(off))) < 3.5
+
+
+@pytest.mark.parametrize("shift", [0.3, 0.5])
+def test_a_picture_that_is_moved_keeps_its_noise_white(shift):
+    """The noise of a mean of 16 pixels is that of one over four: neighbours tell the whole."""
+    rng = np.random.default_rng(4)
+    noise = np.clip(np.rint(rng.normal(60.0, 3.0, (384, 512))), 0, 255).astype(np.uint8)
+    moved = registered(noise, np.array([[1.0, 0.0, shift], [0.0, 1.0, 0.0]]))[8:-8, 8:-8]
+    means = moved.reshape(92, 4, 124, 4).mean(axis=(1, 3))
+    steps = np.diff(moved.astype(float), axis=1).std() / np.sqrt(2.0)
+    assert 4.0 * means.std() == pytest.approx(3.0, rel=0.05)
+    assert steps == pytest.approx(3.0, rel=0.2)  # linear interpolation gives 1.9 and 1.5
 
 
 def test_a_background_without_texture_is_left_alone():

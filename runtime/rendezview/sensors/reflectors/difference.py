@@ -161,8 +161,15 @@ def registered(dark: Grey, lit_from_dark: npt.ArrayLike) -> Grey:
     if np.array_equal(affine, np.eye(2, 3)):
         return dark
     height, width = dark.shape
+    # A narrower kernel would smooth the noise, whose error neighbouring pixels would then hide.
     return np.asarray(
-        cv2.warpAffine(dark, affine, (width, height), borderMode=cv2.BORDER_REPLICATE),
+        cv2.warpAffine(
+            dark,
+            affine,
+            (width, height),
+            flags=cv2.INTER_LANCZOS4,
+            borderMode=cv2.BORDER_REPLICATE,
+        ),
         dtype=np.uint8,
     )
 
