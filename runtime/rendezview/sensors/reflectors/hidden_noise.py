@@ -21,16 +21,18 @@ from rendezview.sensors.reflectors.difference import (
     background_of,
     noise_grey,
 )
-from rendezview.sensors.reflectors.spots import AMPLITUDE, SIGMA, SIZE
+from rendezview.sensors.reflectors.spots import AMPLITUDE, ROUGH, SIGMA, SIZE
 
 _CELLS_PX = (4, 8, 16, 32)  # Source: by construction, the extents of spots of σ 1 to 8 px
 _CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment reflector-nees
 _CHANCE = 1.15  # of the variance of cells. Source: by construction, 3 σ of 1500 cells
 _DIFFERENCE_CELLS = 3  # of a difference: spots reach into most wider cells. Source: by construction
 _EVERY = 4  # rows. Source: by construction, a bound of time
-# Of a spot's size: the Gaussian that stands for the ring around it, in a single picture and in a
-# difference, whose spots are the smaller ones. Source: experiment reflector-nees, seed 7
-_RING, _DIFFERENCE_RING = 1.6, 2.6
+# × a spot's size, and px: the Gaussian with the slope of the plane through the ring about the spot.
+# A ring of radius ρ has that of ρ / 2; this one lies 3 px beyond 2.25 half widths of the spot,
+# which is 1.6 sizes wide. Source: by construction, `ring_plane`
+_RING, _RING_PX = 1.8, 2.0
+_LEAST_LEFT = 0.02  # of a variance whose texture is taken out. Source: by construction, white noise
 _MOST, _MOST_SIGMA = 0.8, 1.2816  # share of the slopes, σ. Source: normal distribution
 _BLOCK = 8  # px. Source: ITU-T T.81
 _ROWS = 3  # of blocks: one row in so many is looked at. Source: by construction, 0.1 ms
@@ -51,6 +53,7 @@ class HiddenNoise:
 
     of_cells: Array  # (4,) as white noise of a pixel that gives cells of 4 to 32 px their scatter
     of_compression: float
+    single: bool = False  # of a single picture: it is all texture that is in the picture
 
     @classmethod
     def none(cls) -> HiddenNoise:
@@ -63,13 +66,13 @@ class HiddenNoise:
         compression = _STEP_VARIANCE * quantisation_step(frames.lit) ** 2
         if frames.dark is None:
             difference = cv2.subtract(frames.lit, background_of(frames.lit), dtype=cv2.CV_32F)
-            return cls(_slopes(difference, noise_grey(frames), len(_CELLS_PX), _RING), compression)
+            return cls(_slopes(difference, noise_grey(frames), len(_CELLS_PX)), compression, True)
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
         difference = cv2.subtract(frames.lit, frames.dark, dtype=cv2.CV_32F)
         noise = noise_grey(frames)
         slow = _slow(difference, noise)
         if slow.any():  # behind small spots, most of a smooth pattern goes with their ring's plane
-            slopes = _slopes(difference, noise, _DIFFERENCE_CELLS, _DIFFERENCE_RING)
+            slopes = _slopes(difference, noise, _DIFFERENCE_CELLS)
             slow = np.minimum(slow, slopes)
         return cls(slow, compression)
 
@@ -81,9 +84,14 @@ class HiddenNoise:
         if not (self.of_compression or self.of_cells.any()):
             return
         cell = np.log2(np.clip(_CELLS_A_SIZE * table[:, SIZE], _CELLS_PX[0], _CELLS_PX[-1]))
-        hidden = np.interp(cell, np.log2(_CELLS_PX), self.of_cells) + self.of_compression
+        # It grows with a power of the size.
+        slow = np.exp(np.interp(cell, np.log2(_CELLS_PX), np.log(np.maximum(self.of_cells, 1e-3))))
+        hidden = slow + self.of_compression
+        if self.single:  # the ring around each spot shows the same texture, but not at its scale
+            hidden -= table[:, ROUGH]
         moved = math.sqrt(2.0 / math.pi) / np.maximum(table[:, AMPLITUDE], 1.0)
-        table[:, SIGMA] = np.sqrt(table[:, SIGMA] ** 2 + hidden * moved**2)
+        least = _LEAST_LEFT * table[:, SIGMA] ** 2
+        table[:, SIGMA] = np.sqrt(np.maximum(table[:, SIGMA] ** 2 + hidden * moved**2, least))
 
 
 def _slow(difference: cv2.typing.MatLike, noise: float) -> Array:
@@ -105,7 +113,7 @@ def _slow(difference: cv2.typing.MatLike, noise: float) -> Array:
     return found
 
 
-def _slopes(difference: cv2.typing.MatLike, noise: float, cells: int, ring: float) -> Array:
+def _slopes(difference: cv2.typing.MatLike, noise: float, cells: int) -> Array:
     """(4,) noise of a pixel beyond the white, as a centroid's window sees it behind a spot.
 
     A first moment under a Gaussian window is the slope of the smoothed picture, less that of the
@@ -113,9 +121,10 @@ def _slopes(difference: cv2.typing.MatLike, noise: float, cells: int, ring: floa
     after a Gaussian of s px.
     """
     found = np.zeros(len(_CELLS_PX))
-    left = 1.0 + ring**-4 - 2.0 * (2.0 / (1.0 + ring**2)) ** 2  # of the variance of white noise
     for k, cell in enumerate(_CELLS_PX[:cells]):
         size = cell / _CELLS_A_SIZE
+        ring = _RING + _RING_PX / size
+        left = 1.0 + ring**-4 - 2.0 * (2.0 / (1.0 + ring**2)) ** 2  # of the variance of white noise
         soft = cv2.GaussianBlur(difference, (0, 0), size)
         soft = (soft - cv2.GaussianBlur(difference, (0, 0), ring * size))[::_EVERY]
         slopes = np.abs(np.diff(soft, axis=1)).ravel()

@@ -63,12 +63,14 @@ X, Y, AREA, AMPLITUDE, PEAK, SIZE, SATURATED, SIGMA = range(8)
 BINARY_X, BINARY_Y, WEIGHTED_X, WEIGHTED_Y, LEFT, TOP, RIGHT, BOTTOM, SHAPE, DARK, ABOVE = range(
     8, 19
 )
-COLUMNS = 19  # Source: by construction
+# grey²: texture of the ring about it, as white noise of a pixel. Source: by construction
+ROUGH = 19
+COLUMNS = 20  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpotTable:
-    """Spots of one picture; ``table`` (N, 19) as the compiled loops use it."""
+    """Spots of one picture; ``table`` (N, 20) as the compiled loops use it."""
 
     table: Array
     overfull: bool = False  # more than MOST_SPOTS were found, and dropped
@@ -331,6 +333,7 @@ def window_centroid(
         error = math.hypot(error, beside if beside < _DOMINATED * size else size)
     error = saturated_error(error, int(row[SATURATED]), size)
     row[X], row[Y], row[SIZE], row[SIGMA] = x, y, size, error
+    row[ROUGH] = max(rough * rough - noise * noise, 0.0)
     if amplitude > 0.0:
         row[AMPLITUDE] = amplitude
     if row[SATURATED] <= 1.0:
@@ -351,6 +354,6 @@ def _use_rim(
     if not error > 0.0 or max(abs(x - plane[0]), abs(y - plane[1])) > away:
         row[SIGMA] = math.hypot(row[SIGMA], _RAN_OVER * row[SIZE])
         return 0.0
-    row[X], row[Y], row[SIGMA] = x, y, error
+    row[X], row[Y], row[SIGMA], row[ROUGH] = x, y, error, 0.0
     size = expected_size(blur, radius)
     return size if size_error < _SIZE_KNOWN * size else 0.0

@@ -52,7 +52,7 @@ def read_windows(
         level: (N,) threshold of the difference, grey.
         noise: of one pixel of the difference, grey.
         limits: largest |ln| of size over expected size, least shape (small over large axis).
-        table: (N, 19) rows of the spot table, filled where a spot is found.
+        table: (N, 20) rows of the spot table, filled where a spot is found.
         outcome: (N,) 0 window outside the picture, 1 nothing in it, 2 spots that are not a
             reflector, 3 visible.
     """
