@@ -86,6 +86,20 @@ def test_texture_that_moved_counts_in_wide_spots_most():
     assert 0.01 < table[0, 7] < table[1, 7]
 
 
+def test_false_lights_are_no_texture_and_hide_none():
+    rng = np.random.default_rng(5)
+    places = rng.uniform(0.0, (512.0, 384.0), (40, 2))
+    false = np.column_stack([places, rng.uniform(0.6, 6.0, 40), rng.uniform(20.0, 240.0, 40)])
+    for shift in (0.0, 0.3):
+        still = pair((shift, 0.0), 60.0)
+        light = np.rint(plain.lights(CAMERA, false))
+        lit = np.minimum(still.lit + light, 255.0).astype(np.uint8)
+        frames = LitDark(lit, still.dark)
+        found = HiddenNoise.of(frames, find_spots(frames).table).of_cells
+        assert found == pytest.approx(HiddenNoise.of(still).of_cells, rel=0.3, abs=2.5)
+        assert HiddenNoise.of(frames).of_cells[2] > found[2] + 3.0
+
+
 @pytest.mark.parametrize("grain_px", [1.5, 3.0, 6.0])
 @pytest.mark.parametrize("sigma", [1.1, 2.0, 4.0])
 def test_texture_behind_a_light_counts_at_the_lights_own_scale(sigma, grain_px):

@@ -21,12 +21,21 @@ from rendezview.sensors.reflectors.difference import (
     background_of,
     noise_grey,
 )
-from rendezview.sensors.reflectors.spots import AMPLITUDE, ROUGH, SIGMA, SIZE
+from rendezview.sensors.reflectors.spots import (
+    AMPLITUDE,
+    BOTTOM,
+    COLUMNS,
+    LEFT,
+    ROUGH,
+    SIGMA,
+    SIZE,
+)
 
 _CELLS_PX = (4, 8, 16, 32)  # Source: by construction, the extents of spots of σ 1 to 8 px
 _CELLS_A_SIZE = 4.0  # px of a cell for each of a spot's σ. Source: experiment reflector-nees
 _CHANCE = 1.15  # of the variance of cells. Source: by construction, 3 σ of 1500 cells
 _DIFFERENCE_CELLS = 3  # of a difference: spots reach into most wider cells. Source: by construction
+_FEWEST_STEPS = 50  # between cells. Source: by construction, their median is within 20 %
 _EVERY = 4  # rows. Source: by construction, a bound of time
 # × a spot's size, and px: the Gaussian with the slope of the plane through the ring about the spot.
 # A ring of radius ρ has that of ρ / 2; this one lies 3 px beyond 2.25 half widths of the spot,
@@ -61,8 +70,11 @@ class HiddenNoise:
         return cls(np.zeros(len(_CELLS_PX)), 0.0)
 
     @classmethod
-    def of(cls, frames: LitDark) -> HiddenNoise:
-        """Measured in whole pictures."""
+    def of(cls, frames: LitDark, table: Array | None = None) -> HiddenNoise:
+        """Measured in whole pictures.
+
+        ``table``: of the spots in a difference, whose light is no noise.
+        """
         compression = _STEP_VARIANCE * quantisation_step(frames.lit) ** 2
         if frames.dark is None:
             difference = cv2.subtract(frames.lit, background_of(frames.lit), dtype=cv2.CV_32F)
@@ -70,9 +82,11 @@ class HiddenNoise:
         compression += _STEP_VARIANCE * quantisation_step(frames.dark) ** 2
         difference = cv2.subtract(frames.lit, frames.dark, dtype=cv2.CV_32F)
         noise = noise_grey(frames)
-        slow = _slow(difference, noise)
+        lights = _lights(difference.shape, np.zeros((0, COLUMNS)) if table is None else table)
+        slow = _slow(difference, noise, lights)
         if slow.any():  # behind small spots, most of a smooth pattern goes with their ring's plane
-            slopes = _slopes(difference, noise, _DIFFERENCE_CELLS)
+            difference[lights > 0] = np.median(difference[::_EVERY, ::_EVERY])
+            slopes = _slopes(difference, noise, _DIFFERENCE_CELLS, lights)
             slow = np.minimum(slow, slopes)
         return cls(slow, compression)
 
@@ -94,7 +108,16 @@ class HiddenNoise:
         table[:, SIGMA] = np.sqrt(np.maximum(table[:, SIGMA] ** 2 + hidden * moved**2, least))
 
 
-def _slow(difference: cv2.typing.MatLike, noise: float) -> Array:
+def _lights(shape: tuple[int, ...], table: Array) -> Grey:
+    """(H, W) 1 where a spot's light is: in its box and half as far again, as far as its ring."""
+    mask = np.zeros(shape, np.uint8)
+    for left, top, right, bottom in table[:, LEFT : BOTTOM + 1].astype(int):
+        grow = 3 + (max(right - left, bottom - top) + 1) // 2
+        mask[max(top - grow, 0) : bottom + grow + 1, max(left - grow, 0) : right + grow + 1] = 1
+    return mask
+
+
+def _slow(difference: cv2.typing.MatLike, noise: float, lights: Grey) -> Array:
     """(4,) variance of cells of the difference beyond that of white noise, as noise of a pixel."""
     height, width = difference.shape
     found = np.zeros(len(_CELLS_PX))
@@ -105,7 +128,14 @@ def _slow(difference: cv2.typing.MatLike, noise: float) -> Array:
         cells = cv2.resize(
             difference[: size[1] * cell, : size[0] * cell], size, interpolation=cv2.INTER_AREA
         )
-        steps = np.concatenate([np.diff(cells, axis=1).ravel(), np.diff(cells, axis=0).ravel()])
+        lit = cv2.resize(
+            lights[: size[1] * cell, : size[0] * cell], size, interpolation=cv2.INTER_AREA
+        )
+        dark = np.where(lit > 0, np.nan, cells)
+        steps = np.concatenate([np.diff(dark, axis=1).ravel(), np.diff(dark, axis=0).ravel()])
+        steps = steps[np.isfinite(steps)]
+        if len(steps) < _FEWEST_STEPS:
+            break
         # Spots and edges are few: the median of |steps| is 0.6745 √2 σ of a normal distribution.
         sigma = float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(2.0))
         variance = (cell * sigma) ** 2
@@ -113,7 +143,9 @@ def _slow(difference: cv2.typing.MatLike, noise: float) -> Array:
     return found
 
 
-def _slopes(difference: cv2.typing.MatLike, noise: float, cells: int) -> Array:
+def _slopes(
+    difference: cv2.typing.MatLike, noise: float, cells: int, lights: Grey | None = None
+) -> Array:
     """(4,) noise of a pixel beyond the white, as a centroid's window sees it behind a spot.
 
     A first moment under a Gaussian window is the slope of the smoothed picture, less that of the
@@ -127,7 +159,10 @@ def _slopes(difference: cv2.typing.MatLike, noise: float, cells: int) -> Array:
         left = 1.0 + ring**-4 - 2.0 * (2.0 / (1.0 + ring**2)) ** 2  # of the variance of white noise
         soft = cv2.GaussianBlur(difference, (0, 0), size)
         soft = (soft - cv2.GaussianBlur(difference, (0, 0), ring * size))[::_EVERY]
-        slopes = np.abs(np.diff(soft, axis=1)).ravel()
+        slopes = np.abs(np.diff(soft, axis=1))
+        slopes = slopes[lights[::_EVERY, 1:] == 0] if lights is not None else slopes.ravel()
+        if not len(slopes):
+            break
         rank = int(_MOST * (len(slopes) - 1))  # spots and edges are few
         sigma = float(np.partition(slopes, rank)[rank]) / _MOST_SIGMA
         variance = (sigma * math.sqrt(8.0 * math.pi) * size * size) ** 2 / left

@@ -172,7 +172,7 @@ class ReflectorSensor:
         """The spots of the whole picture; the noise that pixels do not show is in their errors."""
         spots = find_spots(frames, self.threshold, faint=faint)
         if len(spots) >= 3 and not spots.overfull:
-            self._fit.hidden = HiddenNoise.of(frames)
+            self._fit.hidden = HiddenNoise.of(frames, spots.table)
             self._fit.hidden.widen(spots.table)
         return spots
 
