@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from onnxruntime.quantization import CalibrationDataReader, quantize_static
+from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 from torch import nn
 from torch.nn import functional
 
@@ -205,7 +205,10 @@ def write(network, path: Path, pictures: np.ndarray) -> None:
             dynamic_axes={"squares": sides, "y": sides}, dynamo=False, opset_version=17,
         )  # fmt: skip
         # Weights of 7 bits: with 8, sums overflow on processors without VNNI.
-        quantize_static(exact, path, _Pictures(pictures), per_channel=True, reduce_range=True)
+        quantize_static(
+            exact, path, _Pictures(pictures), per_channel=True, reduce_range=True,
+            activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
+        )  # fmt: skip
 
 
 class _Pictures(CalibrationDataReader):

@@ -29,7 +29,7 @@ MAPS = 3  # Source: by construction
 SIDE_PX = 256  # sketch px; the network is trained at this size. Source: experiment sketch-network
 # Px a side: the pixels of a square become channels. Source: experiment sketch-network
 SQUARE_PX = 4
-_MULTIPLE_PX = 32  # px; a side must allow three halvings of the squares. Source: by construction
+_MULTIPLE_PX = 64  # px; a side must allow four halvings of the squares. Source: by construction
 _FAINT_GREY = 8.0  # grey levels; the second channel saturates there. Source: as trained
 _GLANCE_PX = (320, 240)  # sketch px; at most, of the look at the whole frame. Source: as trained
 _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. Source: as trained
@@ -135,9 +135,7 @@ class Sketcher:
         rows = max(1, round(scale * (bottom - top)))
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
         grey = cv2.resize(part, (columns, rows), interpolation=how).astype(np.float32, copy=False)
-        odds = self._log_odds(grey)
-        likely = 1.0 / (1.0 + np.exp(-np.clip(odds, -30.0, 30.0)))
-        maps = np.ascontiguousarray(likely, dtype=np.float32)
+        maps = _probabilities(self._log_odds(grey))
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
         cover = maps[COVER] > _COVERED
@@ -156,7 +154,7 @@ class Sketcher:
             if self._session is None:
                 self._session = _session()
             drawn = self._session.run(None, {"squares": to_squares(padded)[None]})[0][0]
-        return from_squares(np.asarray(drawn))[:, :rows, :columns]
+        return np.ascontiguousarray(from_squares(np.asarray(drawn))[:, :rows, :columns])
 
 
 def _session() -> InferenceSession:
@@ -166,6 +164,15 @@ def _session() -> InferenceSession:
     options.intra_op_num_threads = 1  # frames, not the parts of one, are the parallelism
     options.log_severity_level = 3
     return ort.InferenceSession(str(NETWORK), options, providers=["CPUExecutionProvider"])
+
+
+def _probabilities(odds: Float32s) -> Float32s:
+    """1 / (1 + exp(−odds)), in place."""
+    np.negative(odds, out=odds)
+    np.clip(odds, None, 60.0, out=odds)  # exp stays finite
+    np.exp(odds, out=odds)
+    odds += np.float32(1.0)
+    return np.asarray(np.reciprocal(odds, out=odds))
 
 
 def channels_of(grey: Float32s) -> Float32s:
