@@ -142,7 +142,7 @@ class SketchRetrieval:
 
     def _ray(self, sketch: Sketch, place_px: Array) -> Array:
         """Unit direction (3,) to a place of the sketch."""
-        return self._rays(sketch, place_px[None])[0]
+        return np.asarray(self._rays(sketch, place_px[None])[0])
 
     def _rays(self, sketch: Sketch, places_px: Array) -> Array:
         """Unit directions (K, 3) to places (K, 2) of the sketch."""
@@ -201,7 +201,7 @@ def towards(bearing: Array) -> Array:
 
 
 def _distinct(
-    alike: Float32s, spins: Array, views: Float32s, most: int, apart_rad: float
+    alike: Array, spins: Array, views: Float32s, most: int, apart_rad: float
 ) -> list[int]:
     """Flat places of the likeliest of ``alike`` (P, R, V) whose attitudes are some angle apart.
 
