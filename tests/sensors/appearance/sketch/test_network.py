@@ -38,6 +38,14 @@ def test_squares_there_and_back_are_the_same_pixels():
     assert np.array_equal(from_squares(squares), planes)
 
 
+@pytest.mark.parametrize("left", [200.0, -100.0])
+def test_a_closer_look_is_as_fine_where_the_frame_cuts_it(sketcher, left):
+    frame = np.full((400, 600), 20, np.uint8)
+    box = (left, 100.0, left + 150.0, 250.0)
+    first, closer = sketcher.near(frame, box), sketcher.near(frame, box, 2 * SIDE_PX)
+    assert (first.fineness, closer.fineness) == (1.0, 2.0)
+
+
 @pytest.mark.parametrize(("x", "y", "radius"), [(300.0, 200.0, 60.0), (900.0, 500.0, 150.0)])
 def test_the_cover_lies_where_the_frame_shows_the_body(sketcher, x, y, radius):
     """Half a pixel of shift or scale would show: the border of the disc is known exactly."""

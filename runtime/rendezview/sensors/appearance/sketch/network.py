@@ -58,6 +58,7 @@ class Sketch:
     left_px: float  # sketch px
     top_px: float  # sketch px
     crossed: Bools  # (2, 2) the target leaves the frame: to the left, the right; above, below
+    fineness: float  # how many times as fine as a first look, whose square is SIDE_PX large
 
     @property
     def is_cut(self) -> bool:
@@ -143,7 +144,8 @@ class Sketcher:
         down = top == 0 and cover[0].any(), bottom == height and cover[-1].any()
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
         shift_x, shift_y = scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5
-        return Sketch(maps, scale, shift_x, shift_y, np.array([across, down]))
+        fineness = max(most_px) / SIDE_PX
+        return Sketch(maps, scale, shift_x, shift_y, np.array([across, down]), fineness)
 
     def _log_odds(self, grey: Float32s) -> Float32s:
         """(MAPS, h, w) of a picture (h, w) of grey levels."""

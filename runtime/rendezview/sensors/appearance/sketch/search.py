@@ -60,9 +60,10 @@ _COARSE = np.array(
 # In the finer sketch all edges within 3 % of the target's size count: where the mesh is wrong, the
 # mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
 _FINE = np.array([[18.0, 8.0, 10.0, 1.0, 1.0]])
-# The pose that is given has converged: edges hold it where it is, so it takes more steps. From 2.5°
-# off, 10 steps lead to 2.0° in the median, 40 to 1.6°. Source: the same
-_LAST = np.array([[18.0, 8.0, 40.0, 1.0, 1.0]])
+# The pose that is given has converged: edges hold it where it is, so it takes more steps. Lengths
+# are of a first look, and grow with its fineness: the mesh's errors do. Source: frames of
+# sketch-confidence and photo-accuracy (docs/notes/photographs.md)
+_LAST = np.array([[10.0, 4.5, 40.0, 1.0, 0.7]])
 _FINER = 2  # times SIDE_PX. Source: experiment photo-accuracy
 _FINEST = 3  # times SIDE_PX, for the last mean only. Source: experiment photo-accuracy
 # Source: experiment photo-accuracy
@@ -141,9 +142,10 @@ class SketchSearch:
         """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
         maps, edges = _maps(sketch), np.zeros((self._views.point.shape[2], WIDTH))
         rotation, centre = start.rotation.copy(), start.apply(self.model.centre_m)
-        if not align_to_sketch(maps, self._lens, self._views, _LAST, rotation, centre, edges):
+        last = _last(sketch)
+        if not align_to_sketch(maps, self._lens, self._views, last, rotation, centre, edges):
             return None
-        return MeasuredEdges.of(edges, CUT_SPREADS * _LAST[-1, 1], rotation, centre)
+        return MeasuredEdges.of(edges, CUT_SPREADS * last[-1, 1], rotation, centre)
 
     def aligned(self, sketch: Sketch, rotations: Array, centres: Array) -> list[SketchPose]:
         """Poses (K, 3, 3) and view centres (K, 3), changed in place, moved onto a sketch.
@@ -197,7 +199,7 @@ class SketchSearch:
         pose, spread_deg, scatter = self._mean(choice.best.pose, sketches)
         choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
         covariance, strained, residual_px = pose_covariance(
-            maps, self._lens, self._views, _LAST[-1], pose.rotation.copy(),
+            maps, self._lens, self._views, _last(sketch)[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
@@ -253,6 +255,11 @@ class SketchSearch:
             return -1.0, -1.0, -1.0, -1.0  # nothing of it is ahead: outside the frame
         left, top, right, bottom = (float(v) for v in (*px.min(0), *px.max(0)))
         return left, top, right, bottom
+
+
+def _last(sketch: Sketch) -> Array:
+    """(1, 5) the last stage of alignment, its lengths in pixels of this sketch."""
+    return _LAST * np.array([sketch.fineness, sketch.fineness, 1.0, 1.0, 1.0])
 
 
 def _maps(sketch: Sketch) -> Maps:
