@@ -259,7 +259,8 @@ class SketchSearch:
 
 def _last(sketch: Sketch) -> Array:
     """(1, 5) the last stage of alignment, its lengths in pixels of this sketch."""
-    return _LAST * np.array([sketch.fineness, sketch.fineness, 1.0, 1.0, 1.0])
+    finer = np.array([sketch.fineness, sketch.fineness, 1.0, 1.0, 1.0])
+    return np.asarray(_LAST * finer, dtype=np.float64)
 
 
 def _maps(sketch: Sketch) -> Maps:
