@@ -152,7 +152,7 @@ def run(
     for shard in range(first, last + 1):
         for c, (name, condition) in enumerate(CONDITIONS.items()):
             kind = name.replace(" ", "_").replace("_%", "") + "-misled" * mislead
-            path = output / f"{kind}-{shard:03d}.jsonl"
+            path = output / f"{kind}-{seed}-{shard:03d}.jsonl"
             if path.exists() or (only is not None and name != only):
                 continue
             if mislead and condition.other:
