@@ -198,6 +198,25 @@ def prism(outline: ArrayLike, low: float, high: float, centre: Vector) -> trimes
     return _solid(vertices, faces)
 
 
+def loft(sections: ArrayLike) -> trimesh.Trimesh:
+    """Skin over cross-sections (S, n, 3), corner by corner, closed by a fan at each end.
+
+    The end sections are star-shaped about their means.
+    """
+    rings = np.asarray(sections, float)
+    count, n = rings.shape[:2]
+    vertices = [*rings.reshape(-1, 3), rings[0].mean(axis=0), rings[-1].mean(axis=0)]
+    first, last = count * n, count * n + 1
+    faces = []
+    for i in range(n):
+        j = (i + 1) % n
+        for k in range(0, (count - 1) * n, n):
+            faces += [(k + i, k + j, k + n + j), (k + i, k + n + j, k + n + i)]
+        end = (count - 1) * n
+        faces += [(first, j, i), (last, end + i, end + j)]
+    return _solid(vertices, faces)
+
+
 def dish(
     vertex: Vector,
     axis: Vector,

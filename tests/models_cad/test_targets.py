@@ -17,8 +17,12 @@ import pytest
 import trimesh
 from PIL import Image
 
+from rendezview.io.target import Target
+from rendezview.training.joints import posed, with_parts
+from rendezview.training.mesh import load_mesh
+
 MODELS = Path(__file__).resolve().parents[2] / "models_cad"
-VEHICLES = ("hubble", "client", "scole")
+VEHICLES = ("hubble", "client", "scole", "shuttle")
 INCH = 0.0254
 KEYS = {
     "mesh": {"path", "unit"},
@@ -258,3 +262,28 @@ def test_scole_leds_sit_on_the_plate_in_one_plane_and_in_the_open() -> None:
     assert distance(part("scole", "platform"), feet).max() < 0.001
     for position, normal in zip(positions, normals, strict=True):
         assert not is_hidden(everything, position + 0.001 * normal, normal)
+
+
+def test_shuttle_has_its_published_length_span_and_fin() -> None:
+    low, high = scene("shuttle").bounds
+    assert high[0] - low[0] == pytest.approx(37.24, abs=0.02)
+    assert high[1] - low[1] == pytest.approx(23.79, abs=0.01)
+    assert low[2] == pytest.approx(-(816.0 - 400.0) * INCH, abs=0.2)
+
+
+def test_shuttle_doors_close_the_bay() -> None:
+    """Both doors, turned by the angle of the file, meet above the bay and hide its floor."""
+    shuttle = Target.load(MODELS / "shuttle" / "doors.toml")
+    (doors,) = (one.joint for one in shuttle.joints)
+    mesh = with_parts(load_mesh(shuttle.mesh_path, shuttle.unit), shuttle)
+    inside, up = np.array([0.3, 0.2, 1.9]), np.array([0.0, 0.0, -1.0])
+    for angle_rad, hidden in ((doors.lowest_rad, False), (doors.highest_rad, True)):
+        turned = posed(mesh, [doors], [angle_rad])
+        surface = trimesh.Trimesh(turned.vertices_m, turned.faces, process=False)
+        assert is_hidden(surface, inside, up) == hidden
+        own = turned.vertices_m[turned.faces[turned.face_part == 1]].reshape(-1, 3)
+        other = turned.vertices_m[turned.faces[turned.face_part == 2]].reshape(-1, 3)
+        assert len(own) == len(other) > 0
+        assert own[:, 1].max() == pytest.approx(-other[:, 1].min(), abs=1e-4)
+    assert own[:, 1].min() == pytest.approx(0.0, abs=0.01), "they meet in the middle"
+    assert own[:, 2].min() == pytest.approx(-2.62, abs=0.01)

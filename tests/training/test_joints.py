@@ -85,6 +85,67 @@ def test_the_faces_in_the_box_are_the_part_and_turn(target: Target) -> None:
     assert wing[..., 1].min() == pytest.approx(0.8)
 
 
+def test_a_pair_shares_an_angle_about_hinges_of_its_own(tmp_path: Path) -> None:
+    other = """
+[[joints.others]]
+boxes_m = [[[0.6, 0.0, 0.0], [1.2, 0.6, 1.0]]]
+axis = [0.0, -1.0, 0.0]
+origin_m = [0.9, 0.3, 0.0]
+"""
+    pair = winged_target(tmp_path, JOINT + other)
+    mesh = whole_mesh(pair)
+    assert mesh.face_part is not None
+    assert np.bincount(mesh.face_part).tolist() == [12, 12, 12]
+    joints = [parts.joint for parts in pair.joints]
+    assert sheet_angles(joints).shape == (2, 1)
+    turned = posed(mesh, joints, [0.2])
+    for part, hinge in enumerate(joints[0].hinges, 1):
+        before = mesh.vertices_m[mesh.faces[mesh.face_part == part]].reshape(-1, 3)
+        after = turned.vertices_m[turned.faces[mesh.face_part == part]].reshape(-1, 3)
+        assert after == pytest.approx(hinge.moved(before, 0.2))
+    assert joints[0].hinges[1].axis == pytest.approx([0.0, -1.0, 0.0])
+    both = other.replace("0.6, 0.0, 0.0", "-1.0, 0.7, -1.0").replace("1.2, 0.6", "1.0, 3.0")
+    with pytest.raises(RendezviewError, match="shares faces"):
+        whole_mesh(winged_target(tmp_path, JOINT + both))
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Target, ViewModel]:
+    """The wing, and another on the other side that turns the other way."""
+    other = """
+[[joints.others]]
+meshes = ["other.obj"]
+axis = [0.0, -1.0, 0.0]
+origin_m = [-0.2, 0.0, 0.0]
+"""
+    folder = tmp_path_factory.mktemp("pair")
+    folder.mkdir(exist_ok=True)
+    wing = trimesh.creation.box((1.0, 1.6, 0.05))
+    wing.apply_translation([-0.2, -1.5, 0.0])
+    wing.export(folder / "other.obj")
+    target = winged_target(folder, JOINT + other)
+    mesh = load_mesh(target.mesh_path, target.unit)
+    train_target(target, mesh, folder / "pair.rvm", options=REFINING, jobs=1)
+    return target, ViewModel.load(folder / "pair.rvm")
+
+
+def test_the_angle_of_a_pair_comes_with_the_pose(
+    pair: tuple[Target, ViewModel], camera: Camera
+) -> None:
+    target, model = pair
+    assert len(model.joints) == 1
+    assert len(model.joints[0].hinges) == 2
+    pose, angle = some_pose(model), np.deg2rad(12.0)
+    seen = Recognizer(model, camera, least_confidence=0.3).recognize(
+        frame_at(target, camera, pose, angle)
+    )
+    assert seen.pose is not None, seen.reason
+    assert seen.joints is not None
+    assert np.rad2deg(seen.pose.angle_to(pose)) < 0.5
+    assert np.rad2deg(seen.joints.angles_rad) == pytest.approx([12.0], abs=1.0)
+    assert seen.joints.covariance.shape == (7, 7)
+
+
 def test_a_model_has_a_sheet_for_each_angle_and_survives_its_file(model: ViewModel) -> None:
     sheets = (model, *model.sheets)
     assert np.rad2deg([s.angles_rad[0] for s in sheets]) == pytest.approx([7.5, 22.5])
@@ -226,7 +287,7 @@ def test_the_slope_of_an_edge_with_the_angle_is_that_of_the_projection(model: Vi
         point_of_slope(edge, pose.rotation, centre, q, g)
         assert q == pytest.approx(point, abs=1e-9)
         assert np.array_equal(points_of_slopes(edge[None], pose.rotation, centre), q[None])
-        joint = model.joints[0]
-        turned = joint.moved([point + model.centre_m], 1e-6)[0] - model.centre_m
-        slope = g @ np.cross(joint.axis, point + model.centre_m - joint.origin_m)
+        (hinge,) = model.joints[0].hinges
+        turned = hinge.moved([point + model.centre_m], 1e-6)[0] - model.centre_m
+        slope = g @ np.cross(hinge.axis, point + model.centre_m - hinge.origin_m)
         assert slope == pytest.approx((place(turned) - place(point)) / 1e-6, rel=1e-4, abs=1e-3)

@@ -15,18 +15,11 @@ from rendezview.geometry.pose import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Joint:
-    """One degree of freedom: a turn of some parts of the mesh, positive about the axis.
+class Hinge:
+    """An axis about which some parts of the mesh turn, positive by the right-hand rule."""
 
-    At the angle 0 the parts are where the mesh has them.
-    """
-
-    name: str
     axis: Array  # (3,) unit, target frame
     origin_m: Array  # (3,) a point on the axis, target frame
-    lowest_rad: float
-    highest_rad: float
-    period_rad: float | None = None  # turns by this change nothing; None: the range has two ends
 
     def turn(self, angle_rad: float) -> Array:
         """(3, 3) rotation of the parts at an angle."""
@@ -36,6 +29,32 @@ class Joint:
         """Points (N, 3) of the parts, target frame, turned by an angle."""
         points = np.asarray(points_m, dtype=np.float64)
         return (points - self.origin_m) @ self.turn(angle_rad).T + self.origin_m
+
+    def record(self) -> dict[str, Any]:
+        """The hinge as model files keep it."""
+        return {"axis": self.axis.tolist(), "origin_m": self.origin_m.tolist()}
+
+    @classmethod
+    def of_record(cls, record: dict[str, Any]) -> Hinge:
+        """The hinge of ``record``."""
+        axis, origin_m = (np.array(record[k], dtype=np.float64) for k in ("axis", "origin_m"))
+        if axis.shape != (3,) or origin_m.shape != (3,):
+            raise ValueError("a joint's axis and origin must be of three numbers")
+        return cls(axis, origin_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """One degree of freedom: some parts of the mesh turn by the same angle, each about its hinge.
+
+    At the angle 0 the parts are where the mesh has them.
+    """
+
+    name: str
+    hinges: tuple[Hinge, ...]  # one, or such as those of a pair of doors
+    lowest_rad: float
+    highest_rad: float
+    period_rad: float | None = None  # turns by this change nothing; None: the range has two ends
 
     def within(self, angle_rad: float) -> float:
         """The angle in the joint's range: wrapped by the period, or held at the nearer end."""
@@ -65,8 +84,8 @@ class Joint:
         """The joint as model files keep it."""
         return {
             "name": self.name,
-            "axis": self.axis.tolist(),
-            "origin_m": self.origin_m.tolist(),
+            **self.hinges[0].record(),
+            "others": [hinge.record() for hinge in self.hinges[1:]],
             "limits_rad": [self.lowest_rad, self.highest_rad],
             "period_rad": self.period_rad,
         }
@@ -74,11 +93,14 @@ class Joint:
     @classmethod
     def of_record(cls, record: dict[str, Any]) -> Joint:
         """The joint of ``record``."""
-        axis, origin_m = (np.array(record[k], dtype=np.float64) for k in ("axis", "origin_m"))
-        if axis.shape != (3,) or origin_m.shape != (3,):
-            raise ValueError("a joint's axis and origin must be of three numbers")
+        hinges = tuple(Hinge.of_record(one) for one in (record, *record.get("others", [])))
         low, high = record["limits_rad"]
-        return cls(record["name"], axis, origin_m, low, high, record["period_rad"])
+        return cls(record["name"], hinges, low, high, record["period_rad"])
+
+
+def hinges_of(joints: Sequence[Joint]) -> list[tuple[int, Hinge]]:
+    """Each hinge with the number of its joint, in the order of the mesh's parts: 1, 2 and so on."""
+    return [(k, hinge) for k, joint in enumerate(joints) for hinge in joint.hinges]
 
 
 def apart(joints: Sequence[Joint], angles_rad: Array, others_rad: Array) -> Array:

@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from rendezview.errors import RendezviewError
-from rendezview.geometry.joint import Joint
+from rendezview.geometry.joint import Hinge, Joint
 from rendezview.geometry.pose import Array
 
 # Of a turn; a range this near to the period covers it.
@@ -17,20 +15,26 @@ _WHOLE = 1e-6  # Source: by construction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointedParts:
-    """A joint, and the parts of the mesh that turn with it."""
+class HingedParts:
+    """The parts of the mesh that turn about one hinge."""
 
-    joint: Joint
     nodes: tuple[str, ...] = ()  # names of nodes of the mesh file's scene; * and ? as in file names
     boxes_m: tuple[Array, ...] = ()  # (2, 3) each, target frame: faces that lie wholly within
     meshes: tuple[Path, ...] = ()  # files of their own, in the target's frame and unit
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class JointedParts:
+    """A joint, and the parts of the mesh that turn with it."""
+
+    joint: Joint
+    parts: tuple[HingedParts, ...]  # of each of its hinges
+
+
 def joint_of(
     where: str,
     name: str,
-    axis: list[float],
-    origin_m: list[float],
+    hinges: tuple[Hinge, ...],
     limits_deg: list[float],
     symmetry_deg: float | None,
 ) -> Joint:
@@ -58,8 +62,7 @@ def joint_of(
         high = low + period_deg
     return Joint(
         name,
-        np.array(axis, dtype=np.float64),
-        np.array(origin_m, dtype=np.float64),
+        hinges,
         math.radians(low),
         math.radians(high),
         math.radians(period_deg) if whole else None,

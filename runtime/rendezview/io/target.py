@@ -25,9 +25,10 @@ from pydantic import (
 )
 
 from rendezview.errors import RendezviewError
+from rendezview.geometry.joint import Hinge
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.io.files import StrPath, checked, read_text
-from rendezview.io.joints import JointedParts, joint_of
+from rendezview.io.joints import HingedParts, JointedParts, joint_of
 from rendezview.io.parts import TrustedPart
 
 Array = npt.NDArray[np.float64]
@@ -226,15 +227,19 @@ class _LedTable(_Table):
     normal: _Direction
 
 
-class _JointTable(_Table):
-    name: _Name
+class _HingeTable(_Table):
     axis: _Direction
     origin_m: _Vector
-    limits_deg: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
-    symmetry_deg: Annotated[FiniteFloat, Field(gt=0.0, le=360.0)] | None = None
     nodes: list[_Name] = []
     boxes_m: _Boxes = []
     meshes: list[_Name] = []
+
+
+class _JointTable(_HingeTable):
+    name: _Name
+    limits_deg: Annotated[list[FiniteFloat], Field(min_length=2, max_length=2)]
+    symmetry_deg: Annotated[FiniteFloat, Field(gt=0.0, le=360.0)] | None = None
+    others: list[_HingeTable] = []
 
 
 class _PartTable(_Table):
@@ -319,19 +324,21 @@ def _read_target(path: Path) -> Target:
 
 
 def _joint(path: Path, table: _JointTable) -> JointedParts:
+    tables = [table, *table.others]
+    hinges = tuple(Hinge(np.array(t.axis), np.array(t.origin_m)) for t in tables)
+    joint = joint_of(str(path), table.name, hinges, table.limits_deg, table.symmetry_deg)
+    where = f"{path}: joint {table.name!r}"
+    return JointedParts(joint, tuple(_hinged(where, path.parent, t) for t in tables))
+
+
+def _hinged(where: str, folder: Path, table: _HingeTable) -> HingedParts:
     if not (table.nodes or table.boxes_m or table.meshes):
-        raise RendezviewError(
-            f"{path}: joint {table.name!r} has no parts: give nodes, boxes_m or meshes"
-        )
-    joint = joint_of(
-        str(path), table.name, table.axis, table.origin_m, table.limits_deg, table.symmetry_deg
-    )
-    meshes = tuple(Path(os.path.normpath(path.parent / name)) for name in table.meshes)
+        raise RendezviewError(f"{where} has no parts: give nodes, boxes_m or meshes")
+    meshes = tuple(Path(os.path.normpath(folder / name)) for name in table.meshes)
     for mesh in meshes:
         if not split_node(mesh)[0].is_file():
-            raise RendezviewError(f"{path}: joint {table.name!r}: there is no file {mesh}")
-    boxes = _boxes(f"{path}: joint {table.name!r}", table.boxes_m)
-    return JointedParts(joint, tuple(table.nodes), boxes, meshes)
+            raise RendezviewError(f"{where}: there is no file {mesh}")
+    return HingedParts(tuple(table.nodes), _boxes(where, table.boxes_m), meshes)
 
 
 def _part(path: Path, table: _PartTable) -> TrustedPart:

@@ -25,7 +25,7 @@ def doctor(
         str,
         typer.Argument(
             help="Mesh, FILE#NODE for a node of a scene, target.toml or its folder, or hubble, "
-            "client, scole."
+            "client, scole, shuttle."
         ),
     ],
     output: Annotated[

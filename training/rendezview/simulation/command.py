@@ -56,7 +56,8 @@ class Kind(StrEnum):
 
 def simulate(
     target: Annotated[
-        str, typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole.")
+        str,
+        typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole, shuttle."),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder of the BOP scene.")],
     kind: Annotated[Kind, typer.Option("--trajectory", help="Motion of camera and target.")],

@@ -32,7 +32,8 @@ _SHELLS = ",".join(f"{shell:g}" for shell in _DEFAULT.contour_radii)
 
 def train(
     target: Annotated[
-        str, typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole.")
+        str,
+        typer.Argument(help="Mesh, target.toml or its folder, or hubble, client, scole, shuttle."),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Model file to write (*.rvm).")],
     unit: Annotated[

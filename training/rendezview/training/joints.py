@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from rendezview.errors import RendezviewError
-from rendezview.geometry.joint import Joint
+from rendezview.geometry.joint import Hinge, Joint, hinges_of
 from rendezview.geometry.pose import Array
 from rendezview.io.target import Target
 from rendezview.sensors.appearance.model import ViewModel
@@ -40,16 +40,18 @@ def with_parts(mesh: Mesh, target: Target, unit: str | None = None) -> Mesh:
     """
     if not target.joints:
         return mesh
-    for k, parts in enumerate(target.joints):
+    joints = [one.joint for one in target.joints]
+    hinges, groups = hinges_of(joints), [parts for one in target.joints for parts in one.parts]
+    for k, parts in enumerate(groups):
         for path in parts.meshes:
             mesh = _joined(mesh, load_mesh(path, unit or target.unit), k + 1)
     part = np.zeros(len(mesh.faces), np.uint8) if mesh.face_part is None else mesh.face_part.copy()
-    for k, parts in enumerate(target.joints):
+    for k, ((j, hinge), parts) in enumerate(zip(hinges, groups, strict=True)):
         chosen = faces_of(mesh, target, parts.nodes, parts.boxes_m, unit)
         if (chosen & (part > 0) & (part != k + 1)).any():
-            raise RendezviewError(f"joint {parts.joint.name!r} shares faces with another joint")
+            raise RendezviewError(f"joint {joints[j].name!r} shares faces with another one")
         part[chosen] = k + 1
-        _check(mesh, parts.joint, part == k + 1)
+        _check(mesh, joints[j], hinge, part == k + 1)
     return replace(mesh, face_part=part)
 
 
@@ -59,11 +61,11 @@ def posed(mesh: Mesh, joints: Sequence[Joint], angles_rad: npt.ArrayLike) -> Mes
     if mesh.face_part is None or not angles.any():
         return mesh
     vertices, faces = mesh.vertices_m, mesh.faces.copy()
-    for k, joint in enumerate(joints):
+    for k, (j, hinge) in enumerate(hinges_of(joints)):
         turning = mesh.face_part == k + 1
         own, number = np.unique(faces[turning], return_inverse=True)
         faces[turning] = (number.reshape(-1, 3) + len(vertices)).astype(faces.dtype)
-        vertices = np.vstack([vertices, joint.moved(mesh.vertices_m[own], float(angles[k]))])
+        vertices = np.vstack([vertices, hinge.moved(mesh.vertices_m[own], float(angles[j]))])
     return replace(mesh, vertices_m=vertices, faces=faces)
 
 
@@ -71,10 +73,10 @@ def common_sphere(mesh: Mesh, joints: Sequence[Joint]) -> tuple[Array, float]:
     """Centre (3,) and radius (m) of a sphere around the mesh at all angles of its joints."""
     assert mesh.face_part is not None
     points = [mesh.vertices_m[np.unique(mesh.faces[mesh.face_part == 0])]]
-    for k, joint in enumerate(joints):
+    for k, (j, hinge) in enumerate(hinges_of(joints)):
         own = mesh.vertices_m[np.unique(mesh.faces[mesh.face_part == k + 1])]
-        angles = np.linspace(joint.lowest_rad, joint.highest_rad, _SPHERE_STEPS + 1)
-        points += [joint.moved(own, float(angle)) for angle in angles]
+        angles = np.linspace(joints[j].lowest_rad, joints[j].highest_rad, _SPHERE_STEPS + 1)
+        points += [hinge.moved(own, float(angle)) for angle in angles]
     centre, radius = smallest_enclosing_sphere(np.vstack(points))
     # Between the angles a point swings out by the sagitta of its arc.
     widest = max((j.highest_rad - j.lowest_rad for j in joints), default=0.0) / _SPHERE_STEPS
@@ -120,8 +122,8 @@ def _joined(mesh: Mesh, other: Mesh, part: int) -> Mesh:
     )
 
 
-def _check(mesh: Mesh, joint: Joint, turning: npt.NDArray[np.bool_]) -> None:
-    """The joint has faces, its axis is near the target, and its turn can be seen.
+def _check(mesh: Mesh, joint: Joint, hinge: Hinge, turning: npt.NDArray[np.bool_]) -> None:
+    """A hinge of a joint has faces, its axis is near the target, and its turn can be seen.
 
     Raises:
         RendezviewError: one of these does not hold.
@@ -131,7 +133,7 @@ def _check(mesh: Mesh, joint: Joint, turning: npt.NDArray[np.bool_]) -> None:
         raise RendezviewError(f"joint {joint.name!r}: no face of the mesh is one of its parts")
     if turning.all():
         raise RendezviewError(f"joint {joint.name!r}: all faces turn: that is the pose, no joint")
-    aside = np.cross(joint.axis, centre_m - joint.origin_m)
+    aside = np.cross(hinge.axis, centre_m - hinge.origin_m)
     if np.linalg.norm(aside) > _FAR_RADII * radius_m:
         raise RendezviewError(
             f"joint {joint.name!r}: its axis passes {np.linalg.norm(aside):.3g} m from the middle "
@@ -139,7 +141,7 @@ def _check(mesh: Mesh, joint: Joint, turning: npt.NDArray[np.bool_]) -> None:
         )
     surface, samples = cKDTree(points_on(mesh, turning)), points_on(mesh, turning, seed=1)
     span = (joint.period_rad or joint.highest_rad - joint.lowest_rad) / 2.0
-    moved = joint.moved(samples, min(span, math.radians(40.0)))
+    moved = hinge.moved(samples, min(span, math.radians(40.0)))
     sampled = float(surface.query(samples)[0].max())  # two samplings of the same surface
     farthest = float(surface.query(moved)[0].max()) - sampled
     if farthest < _UNSEEN_RADII * radius_m:

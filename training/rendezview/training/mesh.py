@@ -40,7 +40,7 @@ class Mesh:
     faces: NDArray[np.int32]  # (F, 3)
     face_rgb: NDArray[np.float32]  # (F, 3) in [0, 1]; 0.6 grey without a colour in the file
     notes: tuple[str, ...]  # one sentence for everything found, guessed or ignored
-    # (F,) 0: the body, k: the parts of joint k − 1; None: nothing turns
+    # (F,) 0: the body, k: the parts of hinge k − 1; None: nothing turns
     face_part: NDArray[np.uint8] | None = None
     # (F,) how far the craft is as the mesh has it, 0 to 1; None: all of it
     face_trust: NDArray[np.float32] | None = None

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from rendezview.geometry.joint import apart, within
+from rendezview.geometry.joint import apart, hinges_of, within
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.alignment import nearest_views
@@ -61,8 +61,10 @@ class Articulation:
         self.joints = model.joints
         self._model, self._views = model, views
         self._part, self._point, self._tangent = contours.part, contours.point, contours.tangent
-        self._axes = np.stack([joint.axis for joint in model.joints])
-        self._origins_m = np.stack([j.origin_m - model.centre_m for j in model.joints])
+        numbered = hinges_of(model.joints)
+        self._joint = np.array([k for k, _ in numbered])
+        self._axes = np.stack([hinge.axis for _, hinge in numbered])
+        self._origins_m = np.stack([hinge.origin_m - model.centre_m for _, hinge in numbered])
         self._turned_to = np.tile(model.angles_rad, (len(views.directions), 1))
         self.start_rad = model.angles_rad.copy()  # of the next refinement
         self.tracked = False  # whether these are known to a few degrees
@@ -76,7 +78,7 @@ class Articulation:
         chosen = np.flatnonzero(stale)
         if not len(chosen):
             return
-        off = apart(self.joints, angles_rad, self._model.angles_rad)
+        off = apart(self.joints, angles_rad, self._model.angles_rad)[self._joint]
         turns = np.stack([exp(axis * angle) for axis, angle in zip(self._axes, off, strict=True)])
         shifts = self._origins_m - np.einsum("kij,kj->ki", turns, self._origins_m)
         unit_m = views.radius_m * POINT_UNIT
@@ -145,7 +147,7 @@ class Articulation:
         counted, support = np.empty(len(edges), dtype=np.int64), np.empty(len(self.joints))
         count = _joint_slopes(
             edges, cut_px, self._part[shell], views.point[shell], chosen, rotation, centre_m,
-            self._axes, self._origins_m, views.radius_m, counted, slopes, support,
+            self._joint, self._axes, self._origins_m, views.radius_m, counted, slopes, support,
         )  # fmt: skip
         return edges[counted[:count]], slopes[:count], support
 
@@ -153,8 +155,9 @@ class Articulation:
 @njit(cache=True, nogil=True, error_model="numpy")
 def _joint_slopes(
     edges: Array, cut_px: float, part: npt.NDArray[np.uint8], point: npt.NDArray[np.int16],
-    chosen: npt.NDArray[np.int64], rotation: Array, centre_m: Array, axes: Array, origins_m: Array,
-    radius_m: float, counted: npt.NDArray[np.int64], slopes: Array, support: Array,
+    chosen: npt.NDArray[np.int64], rotation: Array, centre_m: Array, joint: npt.NDArray[np.int64],
+    axes: Array, origins_m: Array, radius_m: float, counted: npt.NDArray[np.int64], slopes: Array,
+    support: Array,
 ) -> int:  # fmt: skip
     """Fill the slopes of the edges with |r| < cut with pose and angles; how many there are.
 
@@ -163,11 +166,12 @@ def _joint_slopes(
     Args:
         edges: (N, COLUMNS) of the ``chosen`` views (K,), one after the other.
         part, point: (V, P) and (V, P, 3) of their shell.
-        axes: (J, 3), and ``origins_m``: (J, 3) from the view centre, target frame.
+        joint: (H,) of each hinge.
+        axes: (H, 3) of the hinges, and ``origins_m``: (H, 3) from the view centre, target frame.
         counted: (N,) gets the rows, and ``slopes``: (N, 6 + J) their slopes, px.
         support: (J,) gets the share of a joint's visible points that have an edge in place.
     """
-    points, joints = part.shape[1], axes.shape[0]
+    points, joints = part.shape[1], support.shape[0]
     q, g, known = np.empty(3), np.empty(3), np.empty(3)
     count = 0
     looked = np.zeros(joints)
@@ -179,11 +183,11 @@ def _joint_slopes(
         view, j = chosen[n // points], n % points
         k = int(part[view, j]) - 1
         if k >= 0:
-            looked[k] += 1.0
+            looked[joint[k]] += 1.0
         if state != FOUND or abs(edges[n, RESIDUAL]) >= cut_px:
             continue
         if k >= 0:
-            support[k] += 1.0
+            support[joint[k]] += 1.0
         counted[count] = n
         slope = slopes[count]
         count += 1
@@ -201,7 +205,7 @@ def _joint_slopes(
         if apart > (_SAME_RADII * radius_m) ** 2:
             continue
         u = axes[k]
-        slope[6 + k] = (
+        slope[6 + joint[k]] = (
             g[0] * (u[1] * known[2] - u[2] * known[1])
             + g[1] * (u[2] * known[0] - u[0] * known[2])
             + g[2] * (u[0] * known[1] - u[1] * known[0])
@@ -222,7 +226,7 @@ def _turn_points(
     Args:
         views: (M,) of the views.
         part, point, tangent: of ``Contours``, at the sheet's own angles.
-        turns: (J, 3, 3), and ``shifts``: (J, 3) in units of the points.
+        turns: (H, 3, 3) of the hinges, and ``shifts``: (H, 3) in units of the points.
     """
     p, t = np.empty(3), np.empty(3)
     for shell in range(part.shape[0]):

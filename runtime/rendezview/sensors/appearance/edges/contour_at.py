@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rendezview.geometry.camera import Camera
+from rendezview.geometry.joint import apart, hinges_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
@@ -50,13 +51,11 @@ def contour_pixels(
     tangents = contours.tangent[shell, view][used] * DIRECTION_UNIT
     if angles_rad is not None and contours.part is not None:
         part = contours.part[shell, view][used]
-        for k, joint in enumerate(model.joints):
-            own, angle = (
-                part == k + 1,
-                joint.apart(float(angles_rad[k]), float(model.angles_rad[k])),
-            )
-            points_m[own] = joint.moved(points_m[own] + model.centre_m, angle) - model.centre_m
-            tangents[own] = tangents[own] @ joint.turn(angle).T
+        off_rad = apart(model.joints, angles_rad, model.angles_rad)
+        for number, (k, hinge) in enumerate(hinges_of(model.joints)):
+            own, angle = part == number + 1, float(off_rad[k])
+            points_m[own] = hinge.moved(points_m[own] + model.centre_m, angle) - model.centre_m
+            tangents[own] = tangents[own] @ hinge.turn(angle).T
     places_m = points_m @ pose.rotation.T + centre
     points_px = camera.project(places_m)
     beyond_px = camera.project(places_m + _STEP_RADII * radius_m * (tangents @ pose.rotation.T))
