@@ -19,7 +19,7 @@ from rendezview.simulation.scene import SceneOptions, render_frame
 from rendezview.training.contours import contour_points
 from rendezview.training.crossings import faces_beside
 from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.mesh_parts import with_trust
+from rendezview.training.mesh_parts import with_blankets, with_trust
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.surface_points import candidate_points
 from rendezview.training.target_job import train_target
@@ -115,3 +115,64 @@ def test_parts_must_have_faces_and_leave_some(tmp_path: Path) -> None:
     with pytest.raises(RendezviewError, match="no part"):
         with_trust(mesh, everything)
     assert with_trust(mesh, replace(everything, parts=())) is mesh
+
+
+BLANKET = f'[[parts]]\nname = "wing"\ninsulation_m = {{}}\nboxes_m = {WING_BOXES_M}\n'
+
+
+def wing_and_body(target: Target, rng: np.random.Generator | None = None) -> tuple[Mesh, Mesh]:
+    """The mesh of the file, and the same with its blanket."""
+    plain = load_mesh(target.mesh_path, target.unit)
+    return plain, with_blankets(plain, target, rng=rng)
+
+
+def test_a_blanket_over_a_part_makes_it_thicker_and_leaves_the_rest(tmp_path: Path) -> None:
+    plain, mesh = wing_and_body(winged_target(tmp_path, BLANKET.format(0.06)))
+    wing = mesh.vertices_m[:, 1] > 0.7
+    assert np.ptp(mesh.vertices_m[wing, 2]) == pytest.approx(0.05 + 2.0 * 0.06, abs=1e-6)
+    body = plain.vertices_m[plain.vertices_m[:, 1] < 0.7]
+    assert mesh.vertices_m[~wing].min(0) == pytest.approx(body.min(0))
+    assert mesh.vertices_m[~wing].max(0) == pytest.approx(body.max(0))
+    again = wing_and_body(winged_target(tmp_path, BLANKET.format(0.06)))[1]
+    assert np.array_equal(again.vertices_m, mesh.vertices_m)
+
+
+def test_the_blanket_of_a_simulated_craft_has_bumps_about_the_mean(tmp_path: Path) -> None:
+    target = winged_target(tmp_path, BLANKET.format(0.06))
+    _, even = wing_and_body(target)
+    _, bumpy = wing_and_body(target, np.random.default_rng(3))
+    plain = winged_mesh().bounds[:, 2]
+    upper = (even.vertices_m[:, 1] > 0.9) & (even.vertices_m[:, 2] > 0.08)
+    heights = bumpy.vertices_m[upper, 2] - 0.025
+    assert plain[1] > 0.025
+    assert heights.mean() == pytest.approx(0.06, rel=0.5)
+    assert 0.01 < heights.std() < 0.06
+    assert heights.min() > -1e-9
+    other = wing_and_body(target, np.random.default_rng(4))[1]
+    assert not np.array_equal(other.vertices_m, bumpy.vertices_m)
+
+
+def test_faces_under_a_blanket_keep_their_trust(tmp_path: Path) -> None:
+    text = BLANKET.format(0.1).replace("boxes_m", "trust = 0.5\nboxes_m")
+    target = winged_target(tmp_path, text)
+    mesh = load_mesh(target.mesh_path, target.unit)
+    covered = with_blankets(with_trust(mesh, target), target)
+    assert covered.face_trust is not None
+    middles = covered.vertices_m[covered.faces].mean(1)
+    assert np.array_equal(covered.face_trust == np.float32(0.5), middles[:, 1] > 0.69)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("0.1", "-0.1"), "insulation_m"),
+        (("0.1", "9.0"), "thick"),
+        (("3.0, 1.0", "0.71, 1.0"), "no face"),
+    ],
+)
+def test_blankets_that_cannot_be_are_refused(
+    tmp_path: Path, change: tuple[str, str], message: str
+) -> None:
+    text = BLANKET.format(0.1).replace(*change)
+    with pytest.raises(RendezviewError, match=message):
+        wing_and_body(winged_target(tmp_path, text))

@@ -244,7 +244,8 @@ class _JointTable(_HingeTable):
 
 class _PartTable(_Table):
     name: _Name
-    trust: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)]
+    trust: Annotated[FiniteFloat, Field(ge=0.0, le=1.0)] = 1.0
+    insulation_m: Annotated[FiniteFloat, Field(ge=0.0)] = 0.0
     nodes: list[_Name] = []
     boxes_m: _Boxes = []
 
@@ -346,7 +347,7 @@ def _part(path: Path, table: _PartTable) -> TrustedPart:
     if not (table.nodes or table.boxes_m):
         raise RendezviewError(f"{where} is nowhere: give nodes or boxes_m")
     boxes = _boxes(where, table.boxes_m)
-    return TrustedPart(table.name, table.trust, tuple(table.nodes), boxes)
+    return TrustedPart(table.name, table.trust, table.insulation_m, tuple(table.nodes), boxes)
 
 
 def _boxes(where: str, corners: list[list[list[float]]]) -> tuple[Array, ...]:

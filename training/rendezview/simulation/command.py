@@ -30,7 +30,7 @@ from rendezview.simulation.reflector_scene import (
     simulate_reflectors,
     without_mesh,
 )
-from rendezview.simulation.scene import SceneOptions
+from rendezview.simulation.scene import PARTS_STREAM, SceneOptions
 from rendezview.simulation.scene import simulate as simulate_scene
 from rendezview.simulation.sensor import SensorOptions
 from rendezview.simulation.shading import ShadingOptions
@@ -38,6 +38,7 @@ from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training.command_options import Jobs
 from rendezview.training.joints import with_parts
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.mesh_parts import with_blankets
 
 _LED_GREY = 200.0  # peak of a light
 
@@ -180,6 +181,7 @@ def simulate(
         mesh = without_mesh(found)  # trajectories are about the lights, which are all that is drawn
     else:
         mesh = with_parts(load_mesh(found.mesh_path, unit or found.unit), found, unit)
+        mesh = with_blankets(mesh, found, unit, np.random.default_rng([seed, PARTS_STREAM]))
     moving = joint_motion([parts.joint for parts in found.joints], joint or [])
     flight_camera = load_camera(camera) if camera else default_camera()
     options = SceneOptions(

@@ -47,7 +47,7 @@ _METERED_FRAMES = 5  # frames rendered for the automatic exposure of a scene
 _MASK_COVERAGE = 0.5  # least coverage of a pixel in the mask
 _MOST_DUST = 10_000  # specks a frame
 # Random numbers of the deformed mesh and of the blanket, beside those of the frames.
-_MESH_STREAM, _BLANKET_STREAM = 1, 2
+_MESH_STREAM, _BLANKET_STREAM, PARTS_STREAM = 1, 2, 3  # of the seed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

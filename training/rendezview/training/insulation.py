@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,7 +43,7 @@ def insulated(mesh: Mesh, share: float, rng: np.random.Generator, covered: float
     if share == 0.0 or covered == 0.0:
         return mesh
     centre_m, radius_m = mesh.bounding_sphere
-    fine = _subdivided(mesh, radius_m)
+    fine, _ = _subdivided(mesh, radius_m)
     places = (fine.vertices_m - centre_m) / radius_m
     normals, areas = _outwards(fine)
     thickness = np.maximum(1.0 + _BUMPINESS * _bumps(places, rng), 0.0)
@@ -51,14 +52,47 @@ def insulated(mesh: Mesh, share: float, rng: np.random.Generator, covered: float
     return replace(fine, vertices_m=vertices_m, notes=(*mesh.notes, _note(share, covered)))
 
 
+def blanketed(
+    mesh: Mesh,
+    blankets: Sequence[tuple[NDArray[np.bool_], float]],
+    rng: np.random.Generator | None = None,
+) -> Mesh:
+    """The mesh with blankets over some of its faces.
+
+    Args:
+        mesh: the CAD model, its trust and parts already told.
+        blankets: (F,) the faces under each, and its mean thickness, m.
+        rng: of the bumps; None: each is as thick as its mean everywhere.
+
+    Raises:
+        ValueError: a blanket is thicker than ``MOST_INSULATION`` of the radius.
+    """
+    centre_m, radius_m = mesh.bounding_sphere
+    fine, source = _subdivided(mesh, radius_m)
+    moved = np.zeros(len(fine.vertices_m))
+    for faces, thickness_m in blankets:
+        if not 0.0 <= thickness_m <= MOST_INSULATION * radius_m:
+            raise ValueError(
+                f"a blanket must be 0 to {MOST_INSULATION * radius_m:.3g} m thick, "
+                f"not {thickness_m:g}"
+            )
+        under = np.unique(fine.faces[faces[source]])
+        moved[under] = np.maximum(moved[under], thickness_m)
+    if rng is not None:
+        places = (fine.vertices_m - centre_m) / radius_m
+        moved *= np.maximum(1.0 + _BUMPINESS * _bumps(places, rng), 0.0)
+    vertices_m = fine.vertices_m + moved[:, None] * _outwards(fine)[0]
+    return replace(fine, vertices_m=vertices_m)
+
+
 def _note(share: float, covered: float) -> str:
     return (
         f"a blanket of {100 * share:g} % of the radius covers {100 * covered:.0f} % of the surface"
     )
 
 
-def _subdivided(mesh: Mesh, radius_m: float) -> Mesh:
-    """Consistent winding, short edges, and one vertex at each place."""
+def _subdivided(mesh: Mesh, radius_m: float) -> tuple[Mesh, NDArray[np.intp]]:
+    """Consistent winding, short edges, and one vertex at each place; and each face's own before."""
     body = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     trimesh.repair.fix_normals(body, multibody=True)  # type: ignore[no-untyped-call]
     vertices_m, faces, source = trimesh.remesh.subdivide_to_size(  # type: ignore[no-untyped-call]
@@ -68,14 +102,16 @@ def _subdivided(mesh: Mesh, radius_m: float) -> Mesh:
     _, first, same = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     joined: NDArray[np.int32] = same.reshape(-1)[faces].astype(np.int32)
     whole = (np.diff(np.sort(joined, axis=1), axis=1) > 0).all(axis=1)
-    return replace(
+    source = source[whole]
+    fine = replace(
         mesh,
         vertices_m=np.ascontiguousarray(vertices_m[first]),
         faces=np.ascontiguousarray(joined[whole]),
-        face_rgb=np.ascontiguousarray(mesh.face_rgb[source][whole]),
-        face_part=None if mesh.face_part is None else mesh.face_part[source][whole],
-        face_trust=None if mesh.face_trust is None else mesh.face_trust[source][whole],
+        face_rgb=np.ascontiguousarray(mesh.face_rgb[source]),
+        face_part=None if mesh.face_part is None else mesh.face_part[source],
+        face_trust=None if mesh.face_trust is None else mesh.face_trust[source],
     )
+    return fine, source
 
 
 def _outwards(mesh: Mesh) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Parts of a mesh by name or place, and how far each is trusted."""
+"""Parts of a mesh by name or place, how far each is trusted, and what covers it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from scipy.spatial import cKDTree
 
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
+from rendezview.io.parts import TrustedPart
 from rendezview.io.target import Target
+from rendezview.training.insulation import blanketed
 from rendezview.training.mesh import Mesh, load_mesh
 
 _SAME_RADII = 1e-5  # of the target's radius: a face's middle in two readings of a file
@@ -56,10 +58,37 @@ def with_trust(mesh: Mesh, target: Target, unit: str | None = None) -> Mesh:
         return mesh
     trust = np.ones(len(mesh.faces), dtype=np.float32)
     for part in target.parts:
-        chosen = faces_of(mesh, target, part.nodes, part.boxes_m, unit)
-        if not chosen.any():
-            raise RendezviewError(f"part {part.name!r}: no face of the mesh is in it")
+        chosen = _own(mesh, target, part, unit)
         trust[chosen] = np.minimum(trust[chosen], np.float32(part.trust))
     if not trust.any():
         raise RendezviewError("no part of the mesh is trusted: raise trust of one in [[parts]]")
     return replace(mesh, face_trust=trust)
+
+
+def with_blankets(
+    mesh: Mesh, target: Target, unit: str | None = None, rng: np.random.Generator | None = None
+) -> Mesh:
+    """The target's mesh with the blankets of its parts; the mesh itself where there are none.
+
+    Faces under them are subdivided: parts are told by the faces of the file, so joints and trust
+    come first. ``rng``: of bumps; None: each blanket is as thick as its mean everywhere.
+
+    Raises:
+        RendezviewError: a part has no faces, or its blanket is too thick.
+    """
+    covered = [part for part in target.parts if part.insulation_m > 0.0]
+    if not covered:
+        return mesh
+    blankets = [(_own(mesh, target, part, unit), part.insulation_m) for part in covered]
+    try:
+        return blanketed(mesh, blankets, rng)
+    except ValueError as error:
+        raise RendezviewError(f"{target.name}: insulation_m of [[parts]]: {error}") from error
+
+
+def _own(mesh: Mesh, target: Target, part: TrustedPart, unit: str | None) -> NDArray[np.bool_]:
+    """(F,) the faces of a part."""
+    chosen = faces_of(mesh, target, part.nodes, part.boxes_m, unit)
+    if not chosen.any():
+        raise RendezviewError(f"part {part.name!r}: no face of the mesh is in it")
+    return chosen

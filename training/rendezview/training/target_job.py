@@ -13,7 +13,7 @@ from rendezview.training import job
 from rendezview.training.job import Trained
 from rendezview.training.joints import STEP_RAD, with_parts
 from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.mesh_parts import with_trust
+from rendezview.training.mesh_parts import with_blankets, with_trust
 from rendezview.training.options import TrainingOptions
 from rendezview.training.sheets import train_sheets
 from rendezview.training.stages import Progress
@@ -68,11 +68,12 @@ def train_target(
     arguments |= {"name": target.name, "shape_error": target.shape_error}
     arguments |= {"docking_ring": target.docking_ring, "reflectors": target.reflectors}
     if not target.joints:
-        mesh = with_trust(mesh, target, unit)
+        mesh = with_blankets(with_trust(mesh, target, unit), target, unit)
         alike = target.symmetries or find_symmetries(mesh)
         return job.train(mesh, output, symmetries=alike, **arguments)
     joints = [parts.joint for parts in target.joints]
-    whole = with_trust(with_parts(mesh, target, unit), target, unit)
+    trusted = with_trust(with_parts(mesh, target, unit), target, unit)
+    whole = with_blankets(trusted, target, unit)
     return train_sheets(
         whole, output, joints, step_rad=step_rad, symmetries=target.symmetries, **arguments
     )
