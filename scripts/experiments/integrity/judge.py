@@ -19,6 +19,7 @@ from rendezview.io.files import atomic_write
 from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
 
 RISKS = (1e-2, 1e-3, 1e-4)
+SETTLED = 12  # poses, after which the second witness has been asked three times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,17 +29,18 @@ class Campaign:
     judged: Judged
     condition: np.ndarray  # (N,)
     tracked: np.ndarray  # (N,) from a prediction, against a first pose
+    age: np.ndarray  # (N,) poses of its track before it
     frames: dict[str, int]  # looks of each condition, with or without a pose
 
-    def rows(self, name: str | None, tracked: bool) -> Judged:
+    def rows(self, name: str | None, tracked: bool, least_age: int = 0) -> Judged:
         """The poses of a condition, or of all."""
         here = np.ones(len(self.condition), bool) if name is None else self.condition == name
-        return self.judged.of(here & (self.tracked == tracked))
+        return self.judged.of(here & (self.tracked == tracked) & (self.age >= least_age))
 
 
 def replay(folder: Path, risk: float, attitude_deg: float, share: float) -> Campaign:
     """Every track of the logs through a monitor; the position's limit is a share of the range."""
-    rows, conditions, tracked = [], [], []
+    rows, conditions, tracked, age = [], [], [], []
     frames = dict.fromkeys(CONDITIONS, 0)
     for track in tracks(folder):
         frames[track[0].condition] += len(track)
@@ -52,13 +54,14 @@ def replay(folder: Path, risk: float, attitude_deg: float, share: float) -> Camp
             alarm_position_m=share * poses[0].evidence.range_m,
         )
         monitor = IntegrityMonitor(options)
-        for look in poses:
+        for k, look in enumerate(poses):
+            age.append(k)
             rows.append(_judge(monitor, look))
             conditions.append(look.condition)
             tracked.append(look.evidence is not None and look.evidence.innovation is not None)
     turn, turn_level, move, move_level, alarm = np.array(rows).T
     judged = Judged(turn, turn_level, move, move_level, alarm > 0.5)
-    return Campaign(judged, np.array(conditions), np.array(tracked), frames)
+    return Campaign(judged, np.array(conditions), np.array(tracked), np.array(age), frames)
 
 
 def _judge(monitor: IntegrityMonitor, look: Look) -> list[float]:
@@ -99,8 +102,8 @@ def run(
 def _table(campaign: Campaign) -> None:
     table = table_of(
         "at a risk of 1e-3",
-        "condition | frames | tracked poses | misleading | below (95 %) | alarmed % | available %"
-        " | median level ° | first poses | misleading | available %",
+        "condition | frames | tracked poses | misleading | below (95 %) | available %"
+        f" | after {SETTLED} poses | median level ° | first poses | misleading | available %",
     )
     for name in (*CONDITIONS, None):
         tracked, first = campaign.rows(name, True), campaign.rows(name, False)
@@ -113,8 +116,8 @@ def _table(campaign: Campaign) -> None:
             str(of),
             str(wrong),
             f"{upper_limit(wrong, of):.2g}",
-            _percent(tracked.alarm),
             _percent(~tracked.alarm),
+            _percent(~campaign.rows(name, True, SETTLED).alarm),
             f"{np.rad2deg(np.median(free)):.3g}" if len(free) else "–",
             str(len(first)),
             str(int(first.misleading.sum())),
