@@ -31,8 +31,10 @@ LARGE_SHARE = 0.35  # of the batches, where there are larger drawings
 FRAMES_A_SKY = 5
 LEAST_SKIES = 10
 MOST_HELD_OUT = 22  # craft
+LARGE_HELD_OUT = 4  # craft
 HELD_SEED = 5  # of their photographs
-SHOWN = 64  # pictures that set the scales of the whole numbers of the network as written
+# Pictures that set the scales of the whole numbers of the network as written; and larger ones.
+SHOWN, LARGE_SHOWN = 64, 16
 AHEAD = 6  # batches that are made while the network learns
 
 
@@ -110,7 +112,8 @@ def run(
     minutes: Annotated[float, "of training"] = 40.0,
     seed: int = 11,
     folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
-    start: Annotated[Path | None, "weights (.pt) of a training to continue"] = None,
+    start: Annotated[Path | None, "network to go on from: .pt, or .onnx as packaged"] = None,
+    rate: Annotated[float, "largest step size"] = 2e-3,
 ) -> None:
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
@@ -135,11 +138,18 @@ def run(
     behind = skies(folder, max(LEAST_SKIES, frames // FRAMES_A_SKY), seed)
     held_count = DRAWINGS * max(1, min(MOST_HELD_OUT, len(drawn) // DRAWINGS // 5))
     held_out, seen = drawn[:held_count], drawn[held_count:]
+    large_count = min(LARGE_HELD_OUT, len(larger) // DRAWINGS // 5) * DRAWINGS
+    large_out, larger = larger[:large_count], larger[large_count:]
     print(
-        f"{len(seen)} drawings, {len(larger)} larger, {held_count} held out, {len(behind)} skies",
+        f"{len(seen)} drawings, {len(larger)} larger, {held_count} and {large_count} held out, "
+        f"{len(behind)} skies",
         flush=True,
     )
-    held = photographs(held_out, behind, np.random.default_rng(HELD_SEED))
+    held = [
+        photographs(some, behind, np.random.default_rng(HELD_SEED))
+        for some in (held_out, large_out)
+        if some
+    ]
     batches: queue.Queue = queue.Queue(AHEAD)
 
     def feed() -> None:
@@ -152,12 +162,16 @@ def run(
             batches.put(tuple(torch.from_numpy(x) for x in photographs(chosen, behind, rng)))
 
     threading.Thread(target=feed, daemon=True).start()
-    tensors = tuple(torch.from_numpy(x) for x in held)
-    trained = unet.trained(batches.get, tensors, minutes, seed, start)
-    some = [seen[k] for k in range(0, len(seen), -(-len(seen) // SHOWN))]
-    shown, _ = photographs(some, behind, np.random.default_rng([seed, 3]))
-    unet.write(trained, network, shown)
-    size_mb = network.stat().st_size / 1e6
-    print(
-        f"{network}: {size_mb:.1f} MB, cross entropy {written_entropy(network, *held):.3f} held out"
+    shown, large_shown = (
+        photographs(some[:: -(-len(some) // most)], behind, np.random.default_rng([seed, 3]))[0]
+        if some
+        else []
+        for some, most in ((seen, SHOWN), (larger, LARGE_SHOWN))
     )
+    begun = None if start is None else unet.started(start, torch.from_numpy(shown))
+    tensors = [tuple(torch.from_numpy(x) for x in batch) for batch in held]
+    trained = unet.trained(batches.get, tensors, minutes, seed, begun, rate)
+    unet.write(trained, network, [*shown, *large_shown])
+    size_mb = network.stat().st_size / 1e6
+    entropies = ", ".join(f"{written_entropy(network, *batch):.3f}" for batch in held)
+    print(f"{network}: {size_mb:.1f} MB, cross entropy {entropies} held out")

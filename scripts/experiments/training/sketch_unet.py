@@ -8,7 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import onnx
 import torch
+from onnx import numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
 from torch import nn
 from torch.nn import functional
@@ -23,6 +25,7 @@ MAP_WEIGHTS = (1.0, 1.5, 1.5)
 DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
 LEARNING_RATE = 2e-3
 WARM_UP = 200  # steps
+LEAST_VARIANCE = 1e-6  # of a layer's values, where its statistics are measured
 MEAN_DECAY = 0.998  # of the running mean of the weights, a step
 HELD_BATCH = 16
 Batch = tuple[torch.Tensor, torch.Tensor]  # pictures (N, 2, S, S) and maps (N, MAPS, S, S)
@@ -90,6 +93,71 @@ class SketchUNet(nn.Module):
         return self.out(self.up_a(a + twice(self.from_b(b))))
 
 
+def started(path: Path, shown: torch.Tensor) -> SketchUNet:
+    """The network of a file: as trained (.pt), or read back from whole numbers (.onnx).
+
+    A file in whole numbers has its normalisation in the weights. It is made one again that does
+    the same to the pictures ``shown`` (N, CHANNELS, S, S), so that training can go on.
+    """
+    network = SketchUNet()
+    if path.suffix != ".onnx":
+        network.load_state_dict(torch.load(path, map_location="cpu"))
+        return network
+    modules = dict(network.named_modules())
+    for name, weight, bias in _convolutions(path):
+        convolution = modules[name]
+        convolution.weight.data = torch.from_numpy(weight)
+        if convolution.bias is not None:
+            convolution.bias.data = torch.from_numpy(bias)
+            continue
+        norm = modules[f"{name.rpartition('.')[0]}.norm"]
+        norm.running_var.fill_(1.0 - norm.eps)
+        norm.bias.data = torch.from_numpy(bias)
+    norms = [m for m in network.modules() if isinstance(m, nn.BatchNorm2d)]
+    seen: dict[nn.Module, tuple[torch.Tensor, torch.Tensor]] = {}
+
+    def keep(module, inputs) -> None:
+        seen[module] = inputs[0].mean((0, 2, 3)), inputs[0].var((0, 2, 3))
+
+    hooks = [norm.register_forward_pre_hook(keep) for norm in norms]
+    network.eval()
+    with torch.no_grad():
+        log_odds(network, shown)
+    for hook in hooks:
+        hook.remove()
+    for norm in norms:
+        mean, variance = seen[norm][0], seen[norm][1].clamp_min(LEAST_VARIANCE)
+        norm.running_mean.copy_(mean)
+        norm.running_var.copy_(variance)
+        norm.weight.data = torch.sqrt(variance + norm.eps)
+        norm.bias.data = norm.bias.data + mean
+    return network
+
+
+def _convolutions(path: Path):
+    """Name, weights and bias of each convolution of a file in whole numbers."""
+    graph = onnx.load(str(path)).graph
+    stored = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    made_by = {output: node for node in graph.node for output in node.output}
+
+    def exact(name: str) -> np.ndarray:
+        if name in stored:
+            return stored[name].astype(np.float32)
+        whole, scale, *zero = (stored[part] for part in made_by[name].input)
+        along = next((a.i for a in made_by[name].attribute if a.name == "axis"), 1)
+        shape = [-1 if k == along else 1 for k in range(whole.ndim)]
+        offset = zero[0].astype(np.float32).reshape(shape) if zero else np.float32(0.0)
+        return (whole.astype(np.float32) - offset) * scale.reshape(shape)
+
+    for node in graph.node:
+        if node.op_type == "Conv":
+            # "/up_c/up_c.0/convolution/Conv": the place in a sequence repeats the sequence's name
+            *parts, _ = node.name.strip("/").split("/")
+            after = [*parts[1:], ""]
+            own = [p for p, q in zip(parts, after, strict=True) if not q.startswith(f"{p}.")]
+            yield ".".join(own), exact(node.input[1]), exact(node.input[2])
+
+
 def log_odds(network, pictures):
     """(N, MAPS, S, S) of pictures (N, CHANNELS, S, S)."""
     squares = functional.pixel_unshuffle(pictures, SQUARE_PX)
@@ -126,8 +194,8 @@ def judged(network, held: Batch, device: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def trained(
-    next_batch: Callable[[], Batch], held: Batch, minutes: float, seed: int, start: Path | None,
-    report_every: int = 200,
+    next_batch: Callable[[], Batch], held: list[Batch], minutes: float, seed: int,
+    start: SketchUNet | None, rate: float = LEARNING_RATE, report_every: int = 200,
 ) -> SketchUNet:  # fmt: skip
     """The running mean of the weights after AdamW with a cosine of learning rates over the time."""
     torch.manual_seed(seed)
@@ -136,17 +204,19 @@ def trained(
         SketchUNet().to(device=device, memory_format=torch.channels_last) for _ in range(2)
     )
     if start is not None:
-        network.load_state_dict(torch.load(start, map_location=device))
+        network.load_state_dict(start.state_dict())
+    # Half the bits are as exact, and faster where the processor has them.
+    brief = device == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
     mean.load_state_dict(network.state_dict())
     print(f"{sum(p.numel() for p in network.parameters())} weights, on {device}", flush=True)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=1e-3)
     began, step, running = time.monotonic(), 0, []
     while (done := (time.monotonic() - began) / (60.0 * minutes)) < 1.0:
-        rate = LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
+        now = rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
         for group in optimizer.param_groups:
-            group["lr"] = rate + 1e-6
+            group["lr"] = now + 1e-6
         pictures, maps = (part.to(device) for part in next_batch())
-        with torch.autocast(device, dtype=torch.bfloat16):
+        with torch.autocast(device, dtype=torch.bfloat16, enabled=brief):
             odds = log_odds(network, pictures.to(memory_format=torch.channels_last))
         entropy, overlap = losses(odds, maps)
         optimizer.zero_grad(set_to_none=True)
@@ -173,17 +243,16 @@ def _follow(mean, network, decay: float) -> None:
                 kept.copy_(now)
 
 
-def _report(step: int, running, network, held: Batch, device: str) -> None:
-    (entropy, overlap), iou = judged(network, held, device)
+def _report(step: int, running, network, held: list[Batch], device: str) -> None:
     now = np.mean(running, axis=0)
-    print(
-        f"step {step}: cross entropy {now[0]:.3f}, 1 − Dice {now[1]:.3f}; held out {entropy:.3f}, "
-        f"{overlap:.3f}, IoU {iou.mean():.3f} mean, {np.median(iou):.3f} median",
-        flush=True,
-    )
+    print(f"step {step}: cross entropy {now[0]:.3f}, 1 − Dice {now[1]:.3f}; held out:")
+    for batch in held:
+        (entropy, overlap), iou = judged(network, batch, device)
+        side_px, shares = batch[0].shape[-1], f"{iou.mean():.3f} mean, {np.median(iou):.3f} median"
+        print(f"    {side_px} px: {entropy:.3f}, {overlap:.3f}, IoU {shares}", flush=True)
 
 
-def write(network, path: Path, pictures: np.ndarray) -> None:
+def write(network, path: Path, pictures: list[np.ndarray]) -> None:
     """Write the network as ONNX in whole numbers of 8 bits, for pictures of any size.
 
     Input ``squares`` (1, CHANNELS n², h, w), output ``y`` (1, MAPS n², h, w) log-odds, float32. The
@@ -192,7 +261,7 @@ def write(network, path: Path, pictures: np.ndarray) -> None:
     Args:
         network: trained, on the CPU.
         path: of the ONNX file.
-        pictures: (N, CHANNELS, S, S) that show the range of every layer's values.
+        pictures: (CHANNELS, S, S) each, that show the range of every layer's values.
     """
     torch.save(network.state_dict(), path.with_suffix(".pt"))
     network.eval()
@@ -214,7 +283,7 @@ def write(network, path: Path, pictures: np.ndarray) -> None:
 class _Pictures(CalibrationDataReader):
     """The pictures one by one, as the network takes them."""
 
-    def __init__(self, pictures: np.ndarray) -> None:
+    def __init__(self, pictures: list[np.ndarray]) -> None:
         self._each = iter(pictures)
 
     def get_next(self) -> dict[str, np.ndarray] | None:

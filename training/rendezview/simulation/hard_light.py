@@ -54,7 +54,7 @@ class HardLightOptions:
     # Exposure: grey level, before saturation, of a percentile of the craft.
     percentiles: tuple[float, ...] = (50.0, 90.0, 98.0)
     level_grey: Range = (4.0, 900.0)  # log
-    dark_share: float = 0.1
+    dark_share: float = 0.2
     dark_level_grey: Range = (2.0, 12.0)  # log
     most_grey: float = 6000.0  # of the craft before the optics
     # Behind the craft: Earth or clouds, and glow of the sky.
@@ -72,8 +72,10 @@ class HardLightOptions:
     # Dust before the camera.
     dust_share: float = 0.5
     specks: tuple[int, int] = (1, 25)  # at least, less than
-    # Optics: blur, a halo around bright places, stray light over the picture.
+    # Optics: blur, a lens out of focus, a halo around bright places, stray light.
     blur_sigma_px: Range = (0.2, 1.3)
+    defocus_share: float = 0.2
+    defocus_px: Range = (1.0, 4.0)  # radius of the disc that a point becomes
     bloom_share: float = 0.6
     bloom_sigma_px: Range = (2.0, 18.0)  # log
     bloom: Range = (0.005, 0.12)  # of the light, added
@@ -90,7 +92,7 @@ class HardLightOptions:
     black_level_grey: Range = (0.0, 5.0)
     response_share: float = 0.15
     response: Range = (0.5, 1.5)  # exponent
-    noise_sigma_grey: Range = (0.25, 3.5)  # log
+    noise_sigma_grey: Range = (0.25, 5.0)  # log
     smooth_noise_share: float = 0.4  # noise of neighbours is correlated, as after demosaicing
     smooth_noise_sigma_px: float = 0.6
     shot_noise: Range = (0.0, 3.0)  # variance of white over that of black, less 1
@@ -216,6 +218,8 @@ def background(
 def through_optics(grey: Float32s, rng: np.random.Generator, options: HardLightOptions) -> Float32s:
     """(S, S) light on the detector: the blurred core of the PSF, its wide tails, stray light."""
     grey = _blurred(grey, rng.uniform(*options.blur_sigma_px))
+    if _happens(options.defocus_share, rng):
+        grey = _defocused(grey, rng.uniform(*options.defocus_px))
     if _happens(options.bloom_share, rng):
         bright = np.minimum(grey, np.float32(options.bloom_most_grey))
         sigma_px = _log_uniform(options.bloom_sigma_px, rng)
@@ -275,6 +279,16 @@ def _ramp(side: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
 
 def _blurred(picture: Float32s, sigma_px: float) -> Float32s:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px), dtype=np.float32)
+
+
+def _defocused(picture: Float32s, radius_px: float) -> Float32s:
+    """The picture of a lens out of focus: each point is a disc, drawn at a quarter of a pixel."""
+    reach = int(np.ceil(radius_px))
+    fine = (np.arange(4 * (2 * reach + 1)) + 0.5) / 4.0 - reach - 0.5
+    within = (np.hypot(fine[:, None], fine) <= radius_px).astype(np.float32)
+    side = 2 * reach + 1
+    disc = within.reshape(side, 4, side, 4).sum((1, 3))
+    return np.asarray(cv2.filter2D(picture, -1, disc / disc.sum()), dtype=np.float32)
 
 
 def _widely_blurred(picture: Float32s, sigma_px: float) -> Float32s:

@@ -86,6 +86,7 @@ def magnified(options: HardLightOptions, larger: float) -> HardLightOptions:
         options,
         dirt_size_px=longer(options.dirt_size_px),
         blur_sigma_px=longer(options.blur_sigma_px),
+        defocus_px=longer(options.defocus_px),
         bloom_sigma_px=longer(options.bloom_sigma_px),
         smooth_noise_sigma_px=larger * options.smooth_noise_sigma_px,
     )
