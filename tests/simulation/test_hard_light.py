@@ -115,6 +115,20 @@ def test_compression_changes_what_is_fine_and_little_else() -> None:
     assert abs(difference[INNER].mean()) < 1.0
 
 
+def test_a_lens_out_of_focus_spreads_each_point_evenly_over_a_disc() -> None:
+    point = np.zeros((SIDE, SIDE), np.float32)
+    point[31, 31] = 10.0
+    lit = {"defocus_share": 1.0, "defocus_px": (3.0, 3.0), "blur_sigma_px": (0.01, 0.01)}
+    spread = hard_light.through_optics(
+        100.0 * point, np.random.default_rng(1), replace(NOTHING, **lit)
+    )
+    assert spread.sum() == pytest.approx(1000.0, rel=1e-4)
+    y, x = np.mgrid[:SIDE, :SIDE] - 31.0
+    far = np.hypot(x, y)
+    assert spread[far > 3.8].max() == 0.0
+    assert spread[far < 2.2] == pytest.approx(1000.0 / (9.0 * np.pi), rel=0.03)
+
+
 def test_stray_light_is_brighter_on_one_side() -> None:
     more = taken(stray_share=1.0, stray_grey=(10.0, 10.0), stray_slope=(1.0, 1.0)) - taken()
     assert more[0, 0] < 0.1
@@ -144,12 +158,12 @@ def test_mottled_reflectance_multiplies(effect: str) -> None:
 def test_the_conditions_of_the_training_set_reach_from_dark_to_burnt_out() -> None:
     rng = np.random.default_rng(0)
     sunlit = 0.4 * COVER * np.linspace(0.1, 1.0, SIDE, dtype=np.float32)
-    shown = [photograph(sunlit, COVER, COVER, SKY, rng) for _ in range(60)]
+    shown = [photograph(sunlit, COVER, COVER, SKY, rng) for _ in range(200)]
     again = photograph(sunlit, COVER, COVER, SKY, np.random.default_rng(0))
     np.testing.assert_array_equal(shown[0], again)
     assert all(np.isfinite(p).all() and p.min() >= 0.0 and p.max() <= 255.0 for p in shown)
     burnt = np.array([np.mean(p[INNER] > 254.0) for p in shown])
-    assert np.mean(burnt > 0.5) > 0.1
+    assert np.mean(burnt > 0.5) > 0.06
     assert np.mean([np.median(p[INNER]) < 30.0 for p in shown]) > 0.05
 
 
