@@ -9,28 +9,35 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
 from joblib import Parallel, delayed
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
+from scipy.special import expit
 from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.sketch.choice import (
+    DOUBT,
     PACKAGED,
     PACKAGED_TREES,
     POSE_FEATURES,
+    RIVAL_RAD,
     Looks,
     SketchChoice,
     chosen,
+    opinion_features,
     packaged,
 )
 from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
+from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.simulation.cloudy_skies import cloudy_sky
 from rendezview.simulation.hard_light import photograph
 from rendezview.simulation.mesh_error import deformed
@@ -93,6 +100,7 @@ class Searched:
     pose: Pose  # the one given: the mean of those that the best leads to
     spread_deg: float
     nees: float | None
+    second: Searched | None = None  # of the frame upside down
 
     @property
     def choice(self) -> SketchChoice:
@@ -126,34 +134,32 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
     start = turned @ truth.rotation
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
     found = []
-    for prior in (False, True):
-        choice = (
-            search.near(picture, Pose(start, place), np.deg2rad(SEARCH_DEG))
-            if prior
-            else search.anywhere(picture)
-        )
-        if choice is None:
-            continue
-        nees, best = None, choice.pose
-        spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
-        if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
-            error = np.concatenate([spin, best.translation_m - truth.translation_m])
-            nees = float(error @ np.linalg.solve(choice.covariance, error))
-        found.append(
-            Searched(
-                choice.looks,
-                truth,
-                model.centre_m,
-                model.symmetries,
-                prior,
-                choice.cut,
-                choice.best.pose,
-                choice.pose,
-                choice.spread_deg,
-                nees,
-            )
-        )
+    for prior in (None, Pose(start, place)):
+        first, second = (_searched(search, picture, truth, prior, turned=t) for t in (False, True))
+        if first is not None:
+            found.append(replace(first, second=second))
     return found
+
+
+def _searched(
+    search: SketchSearch, picture: np.ndarray, truth: Pose, prior: Pose | None, *, turned: bool
+) -> Searched | None:
+    if prior is None:
+        choice = search.anywhere(picture, turned=turned)
+    else:
+        choice = search.near(picture, prior, np.deg2rad(SEARCH_DEG), turned=turned)
+    if choice is None:
+        return None
+    nees, best = None, choice.pose
+    spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
+    if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
+        error = np.concatenate([spin, best.translation_m - truth.translation_m])
+        nees = float(error @ np.linalg.solve(choice.covariance, error))
+    model = search.model
+    return Searched(
+        choice.looks, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
+        choice.best.pose, choice.pose, choice.spread_deg, nees,
+    )  # fmt: skip
 
 
 def fitted_merit(searches: list[Searched]) -> np.ndarray:
@@ -186,14 +192,46 @@ def fitted_trees(features: np.ndarray, good: np.ndarray) -> ProbabilityForest:
     return ProbabilityForest.of([tree.tree_ for tree in fit.estimators_])
 
 
-def probabilities(features: np.ndarray, good: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """(N,) each from a fit to the other folds."""
-    found = np.empty(len(good))
+def probabilities(
+    features: np.ndarray, good: np.ndarray, seconds: np.ndarray, folds: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) of the first opinions and of the second ones, each from a fit to the other folds."""
+    first, second = np.empty(len(good)), np.empty(len(good))
     for fold in np.unique(folds):
         out = folds == fold
         trees = fitted_trees(features[~out], good[~out])
-        found[out] = [trees.probability(one) for one in features[out]]
-    return found
+        first[out] = [trees.probability(one) for one in features[out]]
+        second[out] = [trees.probability(one) for one in seconds[out]]
+    return first, second
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decided:
+    """Looks whose first opinion is in doubt: which opinion is the more confident one, and why."""
+
+    which: np.ndarray  # (M,) of all looks
+    turned: np.ndarray  # (M,) whether it is the second one
+    features: np.ndarray  # (M, 4) of ``opinion_features``
+
+    @classmethod
+    def of(cls, some: list[Searched], first: np.ndarray, second: np.ndarray) -> Decided:
+        """From the probabilities (N,) of both opinions."""
+        which, turned, features = [], [], []
+        for k, one in enumerate(some):
+            if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
+                continue
+            apart = angle_between(one.choice.pose, one.second.choice.pose, one.symmetries)
+            own, other = sorted((first[k], second[k]), reverse=True)
+            which.append(k)
+            turned.append(second[k] > first[k])
+            features.append(opinion_features(own, other, agree=bool(apart < RIVAL_RAD)))
+        return cls(np.array(which), np.array(turned), np.array(features))
+
+
+def opinion_weights(features: np.ndarray, good: np.ndarray) -> np.ndarray:
+    """(4,) of the logistic regression."""
+    weight = np.where(good, 1.0, WEIGHT_OF_WRONG)
+    return LogisticRegression(fit_intercept=False).fit(features, good, weight).coef_[0]
 
 
 def run(
@@ -202,6 +240,7 @@ def run(
     meshes: str = "hubble.stl,client.stl",
     frames: int = 420,
     seed: int = 1,
+    opinions: Annotated[bool, "fit the two opinions alone: merit and trees stay"] = False,
     write: bool = False,
 ) -> None:
     """Fit to MODELS, whose MESHES (in metres) are named in the same order.
@@ -214,9 +253,10 @@ def run(
         drawn = Parallel(n_jobs=-1)(delayed(look)(model, mesh, seed, k) for k in range(frames))
         searches += [search for found in drawn for search in found]
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
-    merit = fitted_merit(searches)
-    record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
-    packaged().merit[:] = merit  # the features and choices are those of the new merit
+    if not opinions:
+        merit = fitted_merit(searches)
+        record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
+        packaged().merit[:] = merit  # the features and choices are those of the new merit
     arrays: dict[str, np.ndarray] = {}
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
@@ -226,24 +266,57 @@ def run(
         wrong = np.array(
             [s.error_deg(c.pose) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
         )
-        given = probabilities(features, good, np.arange(len(some)) % FOLDS) > LEAST_CONFIDENCE
+        seconds = np.array(
+            [c.features if s.second is None else s.second.choice.features
+             for s, c in zip(some, choices, strict=True)]
+        )  # fmt: skip
+        folds = np.arange(len(some)) % FOLDS
+        if opinions:
+            kept = packaged().near if prior else packaged().anywhere
+            first, second = (
+                np.array([kept.probability(one) for one in each]) for each in (features, seconds)
+            )
+        else:
+            first, second = probabilities(features, good, seconds, folds)
+        given = first > LEAST_CONFIDENCE
         print(
             f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; given and right "
             f"{(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
         )
-        trees = fitted_trees(features, good)
-        arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
+        doubted = Decided.of(some, first, second)
+        for m in np.flatnonzero(doubted.turned):
+            other = some[doubted.which[m]].second
+            assert other is not None
+            pose = other.choice.pose
+            good[doubted.which[m]] = other.right(pose)
+            wrong[doubted.which[m]] = other.error_deg(pose) > WRONG_DEG
+        right = good[doubted.which]
+        for fold in range(FOLDS):
+            out = folds[doubted.which] == fold
+            weights = opinion_weights(doubted.features[~out], right[~out])
+            sure = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
+            given[doubted.which[out]] = sure
+        print(
+            f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: given "
+            f"and right {(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
+        )
+        weights = opinion_weights(doubted.features, right)
+        record.setdefault("opinions", {})[kind] = np.round(weights, 3).tolist()
+        if not opinions:
+            trees = fitted_trees(features, np.array([s.right(s.choice.pose) for s in some]))
+            arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
     nees = np.array([s.nees for s in searches if s.nees is not None])
     print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
-    record["inflation"] *= WIDER * float(nees.mean()) / UNKNOWNS
-    record["provenance"] = {
-        "experiment": "sketch-confidence",
-        "targets": [p.stem for p in models],
-        "frames": frames * len(models),
-        "seed": seed,
-    }
+    data = {"experiment": "sketch-confidence", "targets": [p.stem for p in models],
+            "frames": frames * len(models), "seed": seed}  # fmt: skip
+    if opinions:
+        record["provenance"]["opinions"] = data
+    else:
+        record["inflation"] *= WIDER * float(nees.mean()) / UNKNOWNS
+        record["provenance"] = data
     text = json.dumps(record, indent=1) + "\n"
     print(text)
     if write:
         PACKAGED.write_text(text, encoding="utf-8")
-        np.savez_compressed(PACKAGED_TREES, **arrays)
+        if arrays:
+            np.savez_compressed(PACKAGED_TREES, **arrays)

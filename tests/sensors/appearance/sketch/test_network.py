@@ -90,6 +90,20 @@ def test_a_sketch_is_no_larger_than_asked_and_as_sharp_as_the_frame(sketcher):
     assert outside is None
 
 
+def test_a_turned_look_is_the_upright_one_of_the_turned_frame(sketcher, bumpy_mesh, camera, draw):
+    frame = draw(bumpy_mesh, Pose(np.eye(3), [0.3, -0.2, 6.0]), camera)[:256, :320]
+    box = (-0.5, -0.5, 319.5, 255.5)
+    turned = sketcher.look(frame, box, turned=True)
+    upright = sketcher.look(np.ascontiguousarray(frame[::-1, ::-1]), box)
+    assert np.array_equal(turned.maps, upright.maps[:, ::-1, ::-1])
+    straight = sketcher.look(frame, box)
+    assert np.array_equal(turned.place, straight.place)
+    assert not np.array_equal(turned.maps, straight.maps)
+    both = (turned.maps[COVER] > 0.5) & (straight.maps[COVER] > 0.5)
+    either = (turned.maps[COVER] > 0.5) | (straight.maps[COVER] > 0.5)
+    assert both.sum() > 0.8 * either.sum()
+
+
 @pytest.mark.parametrize("size", [(1, 1), (3, 700), (33, 31)])
 def test_frames_of_any_size_are_sketched_or_show_nothing(sketcher, size):
     assert sketcher.find(np.zeros(size, np.uint8)) is None

@@ -11,7 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.sketch import choice as choice_module
 from rendezview.sensors.appearance.sketch.choice import (
     CHOICE_FEATURES,
     PACKAGED,
@@ -24,7 +26,7 @@ from rendezview.sensors.appearance.sketch.choice import (
 )
 from rendezview.sensors.appearance.sketch.network import EDGE, MAPS
 from rendezview.sensors.appearance.sketch.retrieval import PartialViews
-from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.sketch.search import SketchSearch, _last
 from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches, centroid, on_grid
 from rendezview.sensors.observation import Status
 from rendezview.simulation.scene import SceneOptions, render_frame
@@ -140,6 +142,51 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
     assert np.sum(np.array(errors) < 10.0) >= 5, errors
 
 
+def test_a_pose_in_doubt_gets_a_second_opinion(
+    bumpy_mesh, refining_model, camera, search, monkeypatch
+):
+    frame, truth = hard_frame(bumpy_mesh, refining_model, camera, 2)
+    for prior in (None, truth):
+        first = search.best(frame, prior, 0.2)
+        monkeypatch.setattr(choice_module, "DOUBT", (0.0, 1.01))
+        asked = search.best(frame, prior, 0.2)
+        monkeypatch.undo()
+        assert asked.other is not None
+        assert asked.prior == first.prior == (prior is not None)
+        alone = [
+            search.anywhere(frame, turned=t)
+            if prior is None
+            else search.near(frame, prior, 0.2, turned=t)
+            for t in (False, True)
+        ]
+        better = max(alone, key=lambda choice: choice.confidence)
+        assert np.array_equal(asked.pose.rotation, better.pose.rotation)
+        assert asked.other == min(choice.confidence for choice in alone)
+        assert asked.agree == (alone[0].pose.angle_to(alone[1].pose) < np.deg2rad(8.0))
+
+
+def test_an_opinion_is_surer_where_the_other_agrees():
+    poses = [some_pose(0.5, 0.0), some_pose(0.3, 60.0)]
+    for prior in (False, True):
+        one = chosen(looks(poses), (), prior=prior, cut=False)
+        same = one.beside(one, ())
+        assert (same.other, same.agree) == (one.confidence, True)
+        elsewhere = replace(one, pose=some_pose(0.5, 30.0).pose)
+        apart = one.beside(elsewhere, ())
+        assert not apart.agree
+        assert same.confidence > apart.confidence
+        half_turn = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), np.deg2rad(30.0))
+        assert one.beside(elsewhere, [half_turn]).agree
+
+
+def test_lengths_of_the_last_alignment_grow_with_the_sketch(search, refining_model, camera):
+    frame = np.full((camera.height, camera.width), 20, np.uint8)
+    box = (100.0, 100.0, 300.0, 300.0)
+    first, finer = (_last(search.sketcher.look(frame, box, (s, s))) for s in (256, 512))
+    assert finer[0, :2] == pytest.approx(2.0 * first[0, :2])
+    assert np.array_equal(finer[0, 2:], first[0, 2:])
+
+
 def test_the_recognizer_sketches_only_where_the_edges_give_no_pose(
     bumpy_mesh, refining_model, camera, draw
 ):
@@ -212,6 +259,7 @@ def test_what_leads_to_the_best_pose_makes_it_more_probable():
 def test_the_fitted_file_names_every_feature_and_its_data():
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
     assert set(record["merit"]) == set(POSE_FEATURES)
+    assert all(np.isfinite(w).all() and len(w) == 4 for w in record["opinions"].values())
     for trees in (packaged().anywhere, packaged().near):
         assert trees.feature.max() == len(CHOICE_FEATURES) - 1
     assert record["inflation"] >= 1.0

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.special import expit, logit
 
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
@@ -24,10 +25,14 @@ CHOICE_FEATURES = (
     *POSE_FEATURES,
 )  # fmt: skip
 # Source: the spacing of the nodes' views
-_RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
+RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
 _MOST_MARGIN = 4.0  # of log odds; a larger margin says no more. Source: by construction
 _SAME_RAD = np.deg2rad(1.5)  # rad; poses nearer have converged. Source: error of a pose
 _MOST_SCATTER_DEG = 10.0  # °; more says no more. Source: by construction
+# Confidence from which to which a second opinion is asked: below, it is hardly ever right, above,
+# hardly ever wrong. Source: experiment sketch-confidence
+DOUBT = (0.1, 0.7)
+_SUREST = 0.98  # probability; a surer opinion says no more. Source: leaves of ten frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +70,7 @@ class Looks:
     def lead(self, best: Pose) -> float:
         """Merit in the first look of the poses that lead to the best, above the others'."""
         merits = np.array([pose.merit for pose in self.first])
-        same = np.array([pose.pose.angle_to(best) < _RIVAL_RAD for pose in self.first])
+        same = np.array([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first])
         if not same.any() or same.all():
             return _MOST_MARGIN if same.any() else -_MOST_MARGIN
         lead = float(merits[same].max() - merits[~same].max())
@@ -73,7 +78,7 @@ class Looks:
 
     def basin(self, best: Pose) -> float:
         """Share of the first look's poses that lead to the best."""
-        return float(np.mean([pose.pose.angle_to(best) < _RIVAL_RAD for pose in self.first]))
+        return float(np.mean([pose.pose.angle_to(best) < RIVAL_RAD for pose in self.first]))
 
     def scattered(self, best: Pose) -> tuple[float, float]:
         """Of the poses from around: share that converged to the best, median angle to it, °."""
@@ -96,6 +101,8 @@ class SketchChoice:
     pose: Pose  # the mean of those that the best leads to in sketches of several scales
     spread_deg: float = 0.0  # °; the largest angle between the mean and one of them
     overflows: bool = False  # … on two opposite sides: what is seen does not tell poses apart
+    other: float | None = None  # confidence of the less confident of two opinions, and …
+    agree: bool = False  # … whether both are the same answer
     covariance: Array | None = None  # (6, 6) rotation vector, translation; camera frame, left
     residual_px: float = float("nan")  # root mean square over the edges found
 
@@ -121,8 +128,26 @@ class SketchChoice:
         """
         if self.overflows:
             return 0.0
-        trees = packaged().near if self.prior else packaged().anywhere
-        return trees.probability(self.features)
+        model = packaged()
+        own = (model.near if self.prior else model.anywhere).probability(self.features)
+        if self.other is None:
+            return own
+        opinions = opinion_features(own, self.other, agree=self.agree)
+        weights = model.near_opinions if self.prior else model.anywhere_opinions
+        return float(expit(opinions @ weights))
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether a second opinion may change whether the pose is given."""
+        return not self.overflows and DOUBT[0] <= self.confidence < DOUBT[1]
+
+    def beside(self, second: SketchChoice, symmetries: Sequence[Symmetry]) -> SketchChoice:
+        """The more confident of two opinions, with the other's confidence and if they agree."""
+        agree = bool(angle_between(self.pose, second.pose, symmetries) < RIVAL_RAD)
+        ours, theirs = self.confidence, second.confidence
+        if ours >= theirs:
+            return replace(self, other=theirs, agree=agree)
+        return replace(second, other=ours, agree=agree)
 
     def with_covariance(self, covariance: Array, others: Array, residual_px: float) -> SketchChoice:
         """The choice with the covariance of independent edges, inflated as errors of poses show.
@@ -141,9 +166,15 @@ def chosen(
     best = max(poses, key=lambda p: p.merit, default=None)
     if best is None:
         return None
-    others = [p for p in poses if angle_between(p.pose, best.pose, symmetries) > _RIVAL_RAD]
+    others = [p for p in poses if angle_between(p.pose, best.pose, symmetries) > RIVAL_RAD]
     rival = max(others, key=lambda p: p.merit, default=None)
     return SketchChoice(best, rival, looks, prior, cut, best.pose)
+
+
+def opinion_features(own: float, other: float, *, agree: bool) -> Array:
+    """(4,) of the logistic regression of two opinions, the more confident one first."""
+    odds = logit(np.clip([own, other], 1.0 - _SUREST, _SUREST))
+    return np.array([1.0, *odds, float(agree)])
 
 
 def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[SketchPose]:
@@ -164,6 +195,8 @@ class SketchErrorModel:
     merit: Array  # (7,) of POSE_FEATURES
     anywhere: ProbabilityForest  # of CHOICE_FEATURES: is the pose right, without a prior …
     near: ProbabilityForest  # … and near one
+    anywhere_opinions: Array  # (4,) of ``opinion_features``, without a prior …
+    near_opinions: Array  # (4,) … and near one
     inflation: float  # of the covariance of independent edges
 
 
@@ -179,4 +212,12 @@ def packaged() -> SketchErrorModel:
             )
             for kind in ("anywhere", "near")
         )
-    return SketchErrorModel(np.array(merit), anywhere, near, float(record["inflation"]))
+    opinions = {kind: np.array(weights) for kind, weights in record["opinions"].items()}
+    return SketchErrorModel(
+        np.array(merit),
+        anywhere,
+        near,
+        anywhere_opinions=opinions["anywhere"],
+        near_opinions=opinions["near"],
+        inflation=float(record["inflation"]),
+    )

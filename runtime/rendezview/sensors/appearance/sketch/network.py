@@ -88,43 +88,55 @@ class Sketcher:
         self._session: InferenceSession | None = None
         self._lock = threading.Lock()
 
-    def find(self, frame: Picture) -> Sketch | None:
+    def find(self, frame: Picture, *, turned: bool = False) -> Sketch | None:
         """The sketch of the target, wherever it is in the frame; None where there is none.
 
         A glance at the whole frame gives the target's box, a look at that a better one.
+        ``turned``: as of ``look``.
         """
         height, width = frame.shape
-        glance = self.look(frame, (-0.5, -0.5, width - 0.5, height - 0.5), _GLANCE_PX)
+        whole = -0.5, -0.5, width - 0.5, height - 0.5
+        glance = self.look(frame, whole, _GLANCE_PX, turned=turned)
         box = _box_of(glance)
         if box is None:
             return None
-        sketch = self.look(frame, _around(box))
+        sketch = self.look(frame, _around(box), turned=turned)
         better = _box_of(sketch)
         if better is None:
             return None
         if _differ(box, better):
-            sketch = self.look(frame, _around(better))
+            sketch = self.look(frame, _around(better), turned=turned)
             better = _box_of(sketch)
         return sketch if better is not None else None
 
-    def near(self, frame: Picture, box: Box, side_px: int = SIDE_PX) -> Sketch | None:
+    def near(
+        self, frame: Picture, box: Box, side_px: int = SIDE_PX, *, turned: bool = False
+    ) -> Sketch | None:
         """The sketch of a target whose box is known roughly; None where it is out of the frame."""
         height, width = frame.shape
         left, top, right, bottom = box
         if right < 0.0 or bottom < 0.0 or left > width - 1.0 or top > height - 1.0:
             return None
-        sketch = self.look(frame, _around(box), (side_px, side_px))
+        sketch = self.look(frame, _around(box), (side_px, side_px), turned=turned)
         if side_px > SIDE_PX:
             return sketch
         better = _box_of(sketch)
         if better is not None and _differ(box, better):
-            sketch = self.look(frame, _around(better))
+            sketch = self.look(frame, _around(better), turned=turned)
         return sketch
 
     def look(
-        self, frame: Picture, box: Box, most_px: tuple[int, int] = (SIDE_PX, SIDE_PX)
+        self,
+        frame: Picture,
+        box: Box,
+        most_px: tuple[int, int] = (SIDE_PX, SIDE_PX),
+        *,
+        turned: bool = False,
     ) -> Sketch:
-        """The sketch of a box of the frame, as far as it lies within, at most ``most_px`` large."""
+        """The sketch of a box of the frame, as far as it lies within, at most ``most_px`` large.
+
+        ``turned``: the network sees it upside down, and errs otherwise.
+        """
         height, width = frame.shape
         left, top = max(0, round(box[0] + 0.5)), max(0, round(box[1] + 0.5))
         right, bottom = min(width, round(box[2] + 0.5)), min(height, round(box[3] + 0.5))
@@ -136,7 +148,11 @@ class Sketcher:
         rows = max(1, round(scale * (bottom - top)))
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
         grey = cv2.resize(part, (columns, rows), interpolation=how).astype(np.float32, copy=False)
+        if turned:
+            grey = np.ascontiguousarray(grey[::-1, ::-1])
         maps = _probabilities(self._log_odds(grey))
+        if turned:
+            maps = np.ascontiguousarray(maps[:, ::-1, ::-1])
         # Rounding makes the scales of the axes differ by less than half a sketch pixel's share.
         scale = 0.5 * (columns / (right - left) + rows / (bottom - top))
         cover = maps[COVER] > _COVERED

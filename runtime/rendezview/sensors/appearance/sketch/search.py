@@ -102,18 +102,40 @@ class SketchSearch:
         self._views = views
         self._lens = (lens_vector(camera), camera.is_distorted)
 
-    def anywhere(self, frame: Picture) -> SketchChoice | None:
-        """The best pose of a frame without a prior; None where the sketch shows no target."""
-        sketch = self.sketcher.find(frame)
+    def best(self, frame: Picture, prior: Pose | None, error_rad: float) -> SketchChoice | None:
+        """The best pose of a frame, with a second opinion where it is in doubt; None: no pose.
+
+        ``error_rad``: as of ``near``; without a prior it does not count.
+        """
+
+        def search(*, turned: bool) -> SketchChoice | None:
+            if prior is None:
+                return self.anywhere(frame, turned=turned)
+            return self.near(frame, prior, error_rad, turned=turned)
+
+        first = search(turned=False)
+        if first is None or not first.in_doubt:
+            return first
+        second = search(turned=True)
+        return first if second is None else first.beside(second, self.model.symmetries)
+
+    def anywhere(self, frame: Picture, *, turned: bool = False) -> SketchChoice | None:
+        """The best pose of a frame without a prior; None where the sketch shows no target.
+
+        ``turned``: the network sees the frame upside down.
+        """
+        sketch = self.sketcher.find(frame, turned=turned)
         if sketch is None:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
         poses = self.aligned(sketch, rotations, centres)
-        return self._closer(frame, sketch, poses, prior=False)
+        return self._closer(frame, sketch, poses, prior=False, turned=turned)
 
-    def near(self, frame: Picture, prior: Pose, error_rad: float) -> SketchChoice | None:
+    def near(
+        self, frame: Picture, prior: Pose, error_rad: float, *, turned: bool = False
+    ) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
-        sketch = self.sketcher.near(frame, self._box(prior))
+        sketch = self.sketcher.near(frame, self._box(prior), turned=turned)
         if sketch is None:
             return None
         around, stay = rotated_about(prior, self.model.centre_m, error_rad)
@@ -125,7 +147,7 @@ class SketchSearch:
         poses = self.aligned(sketch, rotations, centres)
         furthest = 1.1 * error_rad + _VIEW_RAD
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, sketch, within, prior=True)
+        return self._closer(frame, sketch, within, prior=True, turned=turned)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
@@ -134,9 +156,9 @@ class SketchSearch:
         moved._lens = (lens_vector(camera), camera.is_distorted)
         return moved
 
-    def closer_sketch(self, frame: Picture, pose: Pose) -> Sketch | None:
+    def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
         """The finer sketch of the target at a pose; None where it lies outside the frame."""
-        return self.sketcher.near(frame, self._box(pose), _FINER * SIDE_PX)
+        return self.sketcher.near(frame, self._box(pose), _FINER * SIDE_PX, turned=turned)
 
     def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
         """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
@@ -176,13 +198,13 @@ class SketchSearch:
         return found
 
     def _closer(
-        self, frame: Picture, first: Sketch, poses: list[SketchPose], *, prior: bool
+        self, frame: Picture, first: Sketch, poses: list[SketchPose], *, prior: bool, turned: bool
     ) -> SketchChoice | None:
         """The best of some poses of a first sketch after a closer look at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
         if not best:
             return None
-        sketch = self.closer_sketch(frame, best[0].pose)
+        sketch = self.closer_sketch(frame, best[0].pose, turned=turned)
         if sketch is None:
             return None
         centre_m, maps = self.model.centre_m, _maps(sketch)
@@ -194,7 +216,8 @@ class SketchSearch:
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
-        finest = self.sketcher.near(frame, self._box(choice.best.pose), _FINEST * SIDE_PX)
+        box = self._box(choice.best.pose)
+        finest = self.sketcher.near(frame, box, _FINEST * SIDE_PX, turned=turned)
         sketches = [first, sketch] if finest is None else [first, sketch, finest]
         pose, spread_deg, scatter = self._mean(choice.best.pose, sketches)
         choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
