@@ -135,19 +135,26 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
     found = []
     for prior in (None, Pose(start, place)):
-        first, second = (_searched(search, picture, truth, prior, turned=t) for t in (False, True))
+        first = _searched(search, picture, truth, prior)
+        if first is not None and prior is None:
+            first = replace(first, second=_searched(search, picture, truth, None, turned=True))
         if first is not None:
-            found.append(replace(first, second=second))
+            found.append(first)
     return found
 
 
 def _searched(
-    search: SketchSearch, picture: np.ndarray, truth: Pose, prior: Pose | None, *, turned: bool
+    search: SketchSearch,
+    picture: np.ndarray,
+    truth: Pose,
+    prior: Pose | None,
+    *,
+    turned: bool = False,
 ) -> Searched | None:
     if prior is None:
         choice = search.anywhere(picture, turned=turned)
     else:
-        choice = search.near(picture, prior, np.deg2rad(SEARCH_DEG), turned=turned)
+        choice = search.near(picture, prior, np.deg2rad(SEARCH_DEG))
     if choice is None:
         return None
     nees, best = None, choice.pose
@@ -283,25 +290,27 @@ def run(
             f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; given and right "
             f"{(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
         )
-        doubted = Decided.of(some, first, second)
-        for m in np.flatnonzero(doubted.turned):
-            other = some[doubted.which[m]].second
-            assert other is not None
-            pose = other.choice.pose
-            good[doubted.which[m]] = other.right(pose)
-            wrong[doubted.which[m]] = other.error_deg(pose) > WRONG_DEG
-        right = good[doubted.which]
-        for fold in range(FOLDS):
-            out = folds[doubted.which] == fold
-            weights = opinion_weights(doubted.features[~out], right[~out])
-            sure = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
-            given[doubted.which[out]] = sure
-        print(
-            f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: given "
-            f"and right {(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
-        )
-        weights = opinion_weights(doubted.features, right)
-        record.setdefault("opinions", {})[kind] = np.round(weights, 3).tolist()
+        if not prior:
+            doubted = Decided.of(some, first, second)
+            for m in np.flatnonzero(doubted.turned):
+                other = some[doubted.which[m]].second
+                assert other is not None
+                pose = other.choice.pose
+                good[doubted.which[m]] = other.right(pose)
+                wrong[doubted.which[m]] = other.error_deg(pose) > WRONG_DEG
+            right = good[doubted.which]
+            for fold in range(FOLDS):
+                out = folds[doubted.which] == fold
+                weights = opinion_weights(doubted.features[~out], right[~out])
+                sure = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
+                given[doubted.which[out]] = sure
+            print(
+                f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: "
+                f"given and right {(given & good).mean():.3f}, "
+                f"given and wrong {(given & wrong).mean():.4f}"
+            )
+            weights = opinion_weights(doubted.features, right)
+            record["opinions"] = np.round(weights, 3).tolist()
         if not opinions:
             trees = fitted_trees(features, np.array([s.right(s.choice.pose) for s in some]))
             arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}

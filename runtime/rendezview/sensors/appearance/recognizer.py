@@ -325,7 +325,7 @@ class Recognizer:
         self, search: SketchSearch, frame: Picture, sky: Sky, prior: Pose | None, error_rad: float
     ) -> SketchFound | None:
         """The best pose on a sketch of the frame."""
-        choice = search.best(frame, prior, error_rad)
+        choice = search.best(frame) if prior is None else search.near(frame, prior, error_rad)
         return None if choice is None else SketchFound.of(choice, dark=sky.dark)
 
     def _given(self, seen: AppearanceObservation, found: Found) -> AppearanceObservation:

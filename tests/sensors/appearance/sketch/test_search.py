@@ -145,38 +145,29 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
 def test_a_pose_in_doubt_gets_a_second_opinion(
     bumpy_mesh, refining_model, camera, search, monkeypatch
 ):
-    frame, truth = hard_frame(bumpy_mesh, refining_model, camera, 2)
-    for prior in (None, truth):
-        first = search.best(frame, prior, 0.2)
-        monkeypatch.setattr(choice_module, "DOUBT", (0.0, 1.01))
-        asked = search.best(frame, prior, 0.2)
-        monkeypatch.undo()
-        assert asked.other is not None
-        assert asked.prior == first.prior == (prior is not None)
-        alone = [
-            search.anywhere(frame, turned=t)
-            if prior is None
-            else search.near(frame, prior, 0.2, turned=t)
-            for t in (False, True)
-        ]
-        better = max(alone, key=lambda choice: choice.confidence)
-        assert np.array_equal(asked.pose.rotation, better.pose.rotation)
-        assert asked.other == min(choice.confidence for choice in alone)
-        assert asked.agree == (alone[0].pose.angle_to(alone[1].pose) < np.deg2rad(8.0))
+    frame, _ = hard_frame(bumpy_mesh, refining_model, camera, 2)
+    monkeypatch.setattr(choice_module, "DOUBT", (0.0, 1.01))
+    asked = search.best(frame)
+    alone = [search.anywhere(frame, turned=t) for t in (False, True)]
+    better = max(alone, key=lambda choice: choice.confidence)
+    assert np.array_equal(asked.pose.rotation, better.pose.rotation)
+    assert asked.other == min(choice.confidence for choice in alone)
+    assert asked.agree == (alone[0].pose.angle_to(alone[1].pose) < np.deg2rad(8.0))
+    monkeypatch.setattr(choice_module, "DOUBT", (0.0, 0.0))
+    assert search.best(frame).other is None
 
 
 def test_an_opinion_is_surer_where_the_other_agrees():
     poses = [some_pose(0.5, 0.0), some_pose(0.3, 60.0)]
-    for prior in (False, True):
-        one = chosen(looks(poses), (), prior=prior, cut=False)
-        same = one.beside(one, ())
-        assert (same.other, same.agree) == (one.confidence, True)
-        elsewhere = replace(one, pose=some_pose(0.5, 30.0).pose)
-        apart = one.beside(elsewhere, ())
-        assert not apart.agree
-        assert same.confidence > apart.confidence
-        half_turn = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), np.deg2rad(30.0))
-        assert one.beside(elsewhere, [half_turn]).agree
+    one = chosen(looks(poses), (), prior=False, cut=False)
+    same = one.beside(one, ())
+    assert (same.other, same.agree) == (one.confidence, True)
+    elsewhere = replace(one, pose=some_pose(0.5, 30.0).pose)
+    apart = one.beside(elsewhere, ())
+    assert not apart.agree
+    assert same.confidence > apart.confidence
+    half_turn = Symmetry("discrete", np.array([0.0, 1.0, 0.0]), np.deg2rad(30.0))
+    assert one.beside(elsewhere, [half_turn]).agree
 
 
 def test_lengths_of_the_last_alignment_grow_with_the_sketch(search, refining_model, camera):
@@ -259,7 +250,8 @@ def test_what_leads_to_the_best_pose_makes_it_more_probable():
 def test_the_fitted_file_names_every_feature_and_its_data():
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
     assert set(record["merit"]) == set(POSE_FEATURES)
-    assert all(np.isfinite(w).all() and len(w) == 4 for w in record["opinions"].values())
+    assert np.isfinite(record["opinions"]).all()
+    assert len(record["opinions"]) == 4
     for trees in (packaged().anywhere, packaged().near):
         assert trees.feature.max() == len(CHOICE_FEATURES) - 1
     assert record["inflation"] >= 1.0

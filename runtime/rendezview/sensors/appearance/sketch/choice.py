@@ -133,8 +133,7 @@ class SketchChoice:
         if self.other is None:
             return own
         opinions = opinion_features(own, self.other, agree=self.agree)
-        weights = model.near_opinions if self.prior else model.anywhere_opinions
-        return float(expit(opinions @ weights))
+        return float(expit(opinions @ model.opinions))
 
     @property
     def in_doubt(self) -> bool:
@@ -195,8 +194,7 @@ class SketchErrorModel:
     merit: Array  # (7,) of POSE_FEATURES
     anywhere: ProbabilityForest  # of CHOICE_FEATURES: is the pose right, without a prior …
     near: ProbabilityForest  # … and near one
-    anywhere_opinions: Array  # (4,) of ``opinion_features``, without a prior …
-    near_opinions: Array  # (4,) … and near one
+    opinions: Array  # (4,) of ``opinion_features``, without a prior
     inflation: float  # of the covariance of independent edges
 
 
@@ -212,12 +210,10 @@ def packaged() -> SketchErrorModel:
             )
             for kind in ("anywhere", "near")
         )
-    opinions = {kind: np.array(weights) for kind, weights in record["opinions"].items()}
     return SketchErrorModel(
         np.array(merit),
         anywhere,
         near,
-        anywhere_opinions=opinions["anywhere"],
-        near_opinions=opinions["near"],
+        opinions=np.array(record["opinions"]),
         inflation=float(record["inflation"]),
     )

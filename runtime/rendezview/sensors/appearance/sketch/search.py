@@ -102,21 +102,16 @@ class SketchSearch:
         self._views = views
         self._lens = (lens_vector(camera), camera.is_distorted)
 
-    def best(self, frame: Picture, prior: Pose | None, error_rad: float) -> SketchChoice | None:
-        """The best pose of a frame, with a second opinion where it is in doubt; None: no pose.
+    def best(self, frame: Picture) -> SketchChoice | None:
+        """As ``anywhere``, with a second opinion where the pose is in doubt.
 
-        ``error_rad``: as of ``near``; without a prior it does not count.
+        Near a prior there is none: both searches are held by the prior, and agree where it is
+        wrong.
         """
-
-        def search(*, turned: bool) -> SketchChoice | None:
-            if prior is None:
-                return self.anywhere(frame, turned=turned)
-            return self.near(frame, prior, error_rad, turned=turned)
-
-        first = search(turned=False)
+        first = self.anywhere(frame)
         if first is None or not first.in_doubt:
             return first
-        second = search(turned=True)
+        second = self.anywhere(frame, turned=True)
         return first if second is None else first.beside(second, self.model.symmetries)
 
     def anywhere(self, frame: Picture, *, turned: bool = False) -> SketchChoice | None:
@@ -131,11 +126,9 @@ class SketchSearch:
         poses = self.aligned(sketch, rotations, centres)
         return self._closer(frame, sketch, poses, prior=False, turned=turned)
 
-    def near(
-        self, frame: Picture, prior: Pose, error_rad: float, *, turned: bool = False
-    ) -> SketchChoice | None:
+    def near(self, frame: Picture, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
-        sketch = self.sketcher.near(frame, self._box(prior), turned=turned)
+        sketch = self.sketcher.near(frame, self._box(prior))
         if sketch is None:
             return None
         around, stay = rotated_about(prior, self.model.centre_m, error_rad)
@@ -147,7 +140,7 @@ class SketchSearch:
         poses = self.aligned(sketch, rotations, centres)
         furthest = 1.1 * error_rad + _VIEW_RAD
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, sketch, within, prior=True, turned=turned)
+        return self._closer(frame, sketch, within, prior=True, turned=False)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
