@@ -200,17 +200,30 @@ def fitted_trees(features: np.ndarray, good: np.ndarray) -> ProbabilityForest:
     return ProbabilityForest.of([tree.tree_ for tree in fit.estimators_])
 
 
-def probabilities(
-    features: np.ndarray, good: np.ndarray, seconds: np.ndarray, folds: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) of the first opinions and of the second ones, each from a fit to the other folds."""
-    first, second = np.empty(len(good)), np.empty(len(good))
+def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) -> list[np.ndarray]:
+    """(N,) of each opinion's features (N, 14), from fits to the first opinions of other folds."""
+    found = [np.empty(len(good)) for _ in asked]
     for fold in np.unique(folds):
         out = folds == fold
-        trees = fitted_trees(features[~out], good[~out])
-        first[out] = [trees.probability(one) for one in features[out]]
-        second[out] = [trees.probability(one) for one in seconds[out]]
-    return first, second
+        trees = fitted_trees(asked[0][~out], good[~out])
+        for features, probability in zip(asked, found, strict=True):
+            probability[out] = [trees.probability(one) for one in features[out]]
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Looks: whether the pose is right, whether it is wrong, and whether it is given."""
+
+    good: np.ndarray  # (N,) bool
+    wrong: np.ndarray  # (N,) bool
+    given: np.ndarray  # (N,) bool
+
+    def __str__(self) -> str:
+        return (
+            f"given and right {(self.given & self.good).mean():.3f}, "
+            f"given and wrong {(self.given & self.wrong).mean():.4f}"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,6 +253,29 @@ def opinion_weights(features: np.ndarray, good: np.ndarray) -> np.ndarray:
     """(4,) of the logistic regression."""
     weight = np.where(good, 1.0, WEIGHT_OF_WRONG)
     return LogisticRegression(fit_intercept=False).fit(features, good, weight).coef_[0]
+
+
+def with_second_opinions(
+    some: list[Searched], found: list[np.ndarray], folds: np.ndarray, judged: Judged
+) -> np.ndarray:
+    """The weights (4,) of the opinions; prints what is given then, by fits to the other folds.
+
+    ``found``: probabilities (N,) of both opinions; ``judged``: by the first one alone.
+    """
+    doubted = Decided.of(some, *found)
+    now = Judged(judged.good.copy(), judged.wrong.copy(), judged.given.copy())
+    for k in doubted.which[doubted.turned]:
+        other = some[k].second
+        assert other is not None
+        pose = other.choice.pose
+        now.good[k], now.wrong[k] = other.right(pose), other.error_deg(pose) > WRONG_DEG
+    right = now.good[doubted.which]
+    for fold in range(FOLDS):
+        out = folds[doubted.which] == fold
+        weights = opinion_weights(doubted.features[~out], right[~out])
+        now.given[doubted.which[out]] = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
+    print(f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: {now}")
+    return opinion_weights(doubted.features, right)
 
 
 def run(
@@ -274,47 +310,24 @@ def run(
         wrong = np.array(
             [s.error_deg(c.pose) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
         )
-        seconds = np.array(
-            [c.features if s.second is None else s.second.choice.features
-             for s, c in zip(some, choices, strict=True)]
-        )  # fmt: skip
+        asked = [features]
+        if not prior:
+            both = [c if s.second is None else s.second.choice
+                    for s, c in zip(some, choices, strict=True)]  # fmt: skip
+            asked.append(np.array([c.features for c in both]))
         folds = np.arange(len(some)) % FOLDS
         if opinions:
             kept = packaged().near if prior else packaged().anywhere
-            first, second = (
-                np.array([kept.probability(one) for one in each]) for each in (features, seconds)
-            )
+            found = [np.array([kept.probability(one) for one in each]) for each in asked]
         else:
-            first, second = probabilities(features, good, seconds, folds)
-        given = first > LEAST_CONFIDENCE
-        print(
-            f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; given and right "
-            f"{(given & good).mean():.3f}, given and wrong {(given & wrong).mean():.4f}"
-        )
-        if not prior:
-            doubted = Decided.of(some, first, second)
-            for m in np.flatnonzero(doubted.turned):
-                other = some[doubted.which[m]].second
-                assert other is not None
-                pose = other.choice.pose
-                good[doubted.which[m]] = other.right(pose)
-                wrong[doubted.which[m]] = other.error_deg(pose) > WRONG_DEG
-            right = good[doubted.which]
-            for fold in range(FOLDS):
-                out = folds[doubted.which] == fold
-                weights = opinion_weights(doubted.features[~out], right[~out])
-                sure = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
-                given[doubted.which[out]] = sure
-            print(
-                f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: "
-                f"given and right {(given & good).mean():.3f}, "
-                f"given and wrong {(given & wrong).mean():.4f}"
-            )
-            weights = opinion_weights(doubted.features, right)
-            record["opinions"] = np.round(weights, 3).tolist()
-        if not opinions:
-            trees = fitted_trees(features, np.array([s.right(s.choice.pose) for s in some]))
+            found = probabilities(asked, good, folds)
+            trees = fitted_trees(features, good)
             arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
+        judged = Judged(good, wrong, found[0] > LEAST_CONFIDENCE)
+        print(f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; {judged}")
+        if not prior:
+            weights = with_second_opinions(some, found, folds, judged)
+            record["opinions"] = np.round(weights, 3).tolist()
     nees = np.array([s.nees for s in searches if s.nees is not None])
     print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
     data = {"experiment": "sketch-confidence", "targets": [p.stem for p in models],

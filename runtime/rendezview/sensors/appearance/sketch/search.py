@@ -2,7 +2,7 @@
 
 The network draws a sketch of the frame (``network``). Correlation with the model's views proposes
 poses (``retrieval``), which are moved onto the sketch's edges (``alignment``) and compared with it
-as a whole (``agreement``). The best are looked at again in a sketch twice as fine. A regression
+as a whole (``agreement``). The best are looked at again in a sketch twice as fine. A forest
 gives the probability that the best of them is right (``choice``).
 """
 
