@@ -85,7 +85,7 @@ def test_frames_and_ranges_alone_give_what_the_commands_give(served, flown):
 
 
 def test_near_the_ring_a_session_outlives_its_worker(served, flown):
-    """No pose of the camera comes any more: the fused state is handed over, and rings keep it."""
+    """The fused state is handed over, and rings keep it, with or without poses of the camera."""
     with served.client() as client:
         session = open_session(client, flown, name="moved")
         states, errors_m = [], []
@@ -110,10 +110,11 @@ def test_near_the_ring_a_session_outlives_its_worker(served, flown):
                 pose = fused_pose_of_state(state)
                 away = pose.apply(ring.centre_m) - truth.apply(ring.centre_m)
                 errors_m.append(np.linalg.norm(away))
-        assert states[-1]["pose"] is None
-        assert states[-1]["fused"]["status"] == "tracking"
         assert len(errors_m) >= 3
         assert max(errors_m) < 0.03
+        for state in states[-len(errors_m) :]:
+            assert state["fused"]["status"] == "tracking"
+            assert state["ring"]["verdict"]["accepted"]
         log_name = session.info()["recording"]["name"]
         session.close()
     first = log_name.replace("-2.mcap", ".mcap")
