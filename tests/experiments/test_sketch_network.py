@@ -22,6 +22,14 @@ def test_without_pytorch_it_says_what_to_install(
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("keep", "start"), [(0.3, None), (1.0, Path("a.pt")), (-0.1, Path("a.pt"))]
+)
+def test_weights_are_kept_of_a_start_only_and_not_all(keep, start, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="--keep"):
+        sketch_network.run(tmp_path / "sketch.onnx", keep=keep, start=start)
+
+
 def test_drawings_are_kept_and_read_again(tmp_path: Path) -> None:
     first = sketch_network.drawings(tmp_path, 7, seed=3)
     files = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}

@@ -35,6 +35,7 @@ LARGE_HELD_OUT = 4  # craft
 HELD_SEED = 5  # of their photographs
 # Pictures that set the scales of the whole numbers of the network as written; and larger ones.
 SHOWN, LARGE_SHOWN = 64, 16
+MEASURED = 24  # batches on which the normalisation of a mean of weights is measured
 AHEAD = 6  # batches that are made while the network learns
 
 
@@ -114,6 +115,7 @@ def run(
     folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
     start: Annotated[Path | None, "network to go on from: .pt, or .onnx as packaged"] = None,
     rate: Annotated[float, "largest step size"] = 2e-3,
+    keep: Annotated[float, "share of the weights of --start in the mean that is written"] = 0.0,
 ) -> None:
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
@@ -125,6 +127,8 @@ def run(
     The 7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on
     the machine, so the weights are not the same twice.
     """
+    if not 0.0 <= keep < 1.0 or (keep > 0.0 and start is None):
+        sys.exit("--keep must be at least 0 and less than 1, and needs --start")
     try:
         import torch
 
@@ -171,6 +175,9 @@ def run(
     begun = None if start is None else unet.started(start, torch.from_numpy(shown))
     tensors = [tuple(torch.from_numpy(x) for x in batch) for batch in held]
     trained = unet.trained(batches.get, tensors, minutes, seed, begun, rate)
+    if begun is not None and keep > 0.0:
+        measured = [batches.get()[0] for _ in range(MEASURED)]
+        trained = unet.between(begun, trained, 1.0 - keep, measured)
     unet.write(trained, network, [*shown, *large_shown])
     size_mb = network.stat().st_size / 1e6
     entropies = ", ".join(f"{written_entropy(network, *batch):.3f}" for batch in held)
