@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -11,6 +12,8 @@ from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Float32s, Sketch
 from rendezview.sensors.appearance.sketch.views import (
+    GRID,
+    REACH,
     ViewSketches,
     centroid,
     cover_of,
@@ -46,7 +49,7 @@ class SketchRetrieval:
         self._sketches = sketches
         self._camera = camera
         self._radius_m = model.target_radius_m
-        self._vectors = np.stack([_vector(maps) for maps in sketches.decoded()])
+        self._vectors = _vectors(sketches.decoded())
         self._partial: PartialViews | None = None  # made for the first target that is cut
 
     def starts(
@@ -66,9 +69,7 @@ class SketchRetrieval:
             traces = np.einsum("rij,vjk,ik->rv", spins, self._sketches.rotation, seen)
             allowed = traces > 1.0 + 2.0 * np.cos(within_rad)
         placements = self._placements(sketch)
-        alike = np.stack(
-            [self._alike(sketch, place, turns, allowed) for place in placements]
-        )  # (placements, rolls, views)
+        alike = self._alike(sketch, placements, turns, allowed)
         chosen = _distinct(alike, spins, self._sketches.rotation, most, apart_rad)
         which, roll, view = np.unravel_index(np.array(chosen, np.int64), alike.shape)
         middles = np.array([centre for centre, _ in placements])[which]
@@ -90,27 +91,30 @@ class SketchRetrieval:
         ]
 
     def _alike(
-        self, sketch: Sketch, place: tuple[Array, float], turns: Array, allowed: Bools | None
+        self,
+        sketch: Sketch,
+        placements: list[tuple[Array, float]],
+        turns: Array,
+        allowed: Bools | None,
     ) -> Array:
-        """(rolls, views) correlation of views at rolls with the sketch; −∞ if not allowed."""
-        centre, size = place
+        """(placements, rolls, views) correlation of views at rolls with the sketch; −∞ if not
+        allowed."""
         rolls = np.arange(len(turns)) if allowed is None else np.flatnonzero(allowed.any(1))
-        alike = np.full((len(turns), len(self._vectors)), -np.inf)
+        alike = np.full((len(placements), len(turns), len(self._vectors)), -np.inf)
         if not len(rolls):
             return alike
-        maps = smoothed(sketch.maps, size)
         if sketch.is_cut:
             if self._partial is None:
                 self._partial = PartialViews(self._sketches.decoded())
-            within = np.ones((1, *maps.shape[1:]), np.float32)
-            parts = np.concatenate([maps, within])
-            asked = np.stack([_coarser(on_grid(parts, centre, size, turns[r])) for r in rolls])
-            alike[rolls] = self._partial.alike(asked[:, :-1], asked[:, -1])
+            grids = _partly(sketch.maps, placements, turns[rolls])
+            found = self._partial.alike(grids[:, :-1], grids[:, -1])
         else:
-            asked = np.stack([_vector(on_grid(maps, centre, size, turns[r])) for r in rolls])
-            alike[rolls] = asked @ self._vectors.T
+            [(centre, size)] = placements
+            grids = on_grid(smoothed(sketch.maps, size), centre, size, turns[rolls])
+            found = _vectors(grids) @ self._vectors.T
+        alike[:, rolls] = found.reshape(len(placements), len(rolls), -1)
         if allowed is not None:
-            alike[~allowed] = -np.inf
+            alike[:, ~allowed] = -np.inf
         return alike
 
     def placed(self, sketch: Sketch, rotations: Array) -> Array:
@@ -157,9 +161,10 @@ class PartialViews:
     def __init__(self, maps: Float32s) -> None:
         """``maps``: (V, MAPS, GRID, GRID)."""
         coarse = _coarser(maps)
-        self._planes = {k: coarse[:, k].reshape(len(coarse), -1).T.copy() for k in _WEIGHTS}
-        self._squares = {k: plane**2 for k, plane in self._planes.items()}
-        self._spreads = {k: len(p) * p.var(0) + _NOTHING for k, p in self._planes.items()}
+        planes = np.stack([coarse[:, k].reshape(len(coarse), -1).T for k in _WEIGHTS])
+        self._planes = np.ascontiguousarray(planes)  # (…, cells, views) of each map
+        self._squares = self._planes**2
+        self._spreads = planes.shape[1] * planes.var(1) + _NOTHING
 
     def alike(self, maps: Float32s, within: Float32s) -> Float32s:
         """(R, V) weighted correlations over what lies within the frame.
@@ -170,16 +175,17 @@ class PartialViews:
         """
         mask = np.clip(within, 0.0, 1.0).reshape(len(within), -1)
         count = mask.sum(1, keepdims=True) + _NOTHING
-        alike = np.zeros((len(maps), next(iter(self._planes.values())).shape[1]), np.float32)
-        for k, weight in _WEIGHTS.items():
+        alike = np.zeros((len(maps), self._planes.shape[2]), np.float32)
+        parts = zip(_WEIGHTS.items(), self._planes, self._squares, self._spreads, strict=True)
+        for (k, weight), planes, squares, whole in parts:
             seen = maps[:, k].reshape(len(maps), -1)
             seen = mask * (seen - (mask * seen).sum(1, keepdims=True) / count)
-            sums, squares = mask @ self._planes[k], mask @ self._squares[k]
-            spread = np.maximum(squares - sums**2 / count, 0.0)
+            sums = mask @ planes
+            spread = np.maximum(mask @ squares - sums * sums / count, 0.0)
             norm = np.sqrt((seen**2).sum(1, keepdims=True) * spread)
             # What lies beyond the frame may be there: half way between asking for it and not.
-            shown = np.sqrt(np.clip(spread / self._spreads[k], 0.0, 1.0)) ** _BEYOND
-            alike += np.float32(weight) * shown * (seen @ self._planes[k]) / (norm + _NOTHING)
+            shown = np.sqrt(np.minimum(spread / whole, 1.0)) ** _BEYOND
+            alike += np.float32(weight) * shown * (seen @ planes) / (norm + _NOTHING)
         return alike
 
 
@@ -241,10 +247,29 @@ def _coarser(maps: Float32s) -> Float32s:
     return np.asarray(cells.mean((-3, -1)), dtype=np.float32)
 
 
-def _vector(maps: Float32s) -> Float32s:
-    """The maps (MAPS, GRID, GRID) as one vector whose products are weighted correlations."""
+def _partly(maps: Float32s, placements: list[tuple[Array, float]], turns: Array) -> Float32s:
+    """(P R, MAPS + 1, n, n) a sketch on the coarser grid at each place and turn, nothing beyond
+    the frame; the last map is the share of each cell that lies within."""
+    cells = GRID // _COARSER
+    planes = np.concatenate([maps, np.ones((1, *maps.shape[1:]), np.float32)])
+    means: dict[int, Float32s] = {}
+    grids = []
+    for centre, size in placements:
+        side = 2 * round(REACH * size / cells) + 1  # odd: the mean lies where it is read
+        if side not in means:  # over a cell; those half beyond the border are read, too
+            border = (side, side, side, side)
+            wider = [cv2.copyMakeBorder(p, *border, cv2.BORDER_CONSTANT) for p in planes]
+            means[side] = np.stack([np.asarray(cv2.blur(p, (side, side))) for p in wider])
+        grids.append(on_grid(means[side], centre + side, size, turns, cells))
+    return np.concatenate(grids)
+
+
+def _vectors(maps: Float32s) -> Float32s:
+    """Maps (N, MAPS, GRID, GRID) as vectors (N, …) whose products are weighted correlations."""
     parts = []
-    for plane, weight in _WEIGHTS.items():
-        centred = maps[plane] - maps[plane].mean()
-        parts.append(np.sqrt(weight) * centred.ravel() / (np.linalg.norm(centred) + 1e-6))
-    return np.concatenate(parts).astype(np.float32)
+    for k, weight in _WEIGHTS.items():
+        planes = maps[:, k].reshape(len(maps), -1)
+        planes = planes - planes.mean(1, keepdims=True)
+        norms = np.linalg.norm(planes, axis=1, keepdims=True) + _NOTHING
+        parts.append(np.sqrt(weight) * planes / norms)
+    return np.concatenate(parts, 1).astype(np.float32)

@@ -109,30 +109,36 @@ def smoothed(maps: Float32s, size_px: float) -> Float32s:
     return np.stack([np.asarray(cv2.GaussianBlur(plane, (0, 0), sigma)) for plane in maps])
 
 
-def on_grid(maps: Float32s, centre_px: Array, size_px: float, turn_rad: float = 0.0) -> Float32s:
-    """(MAPS, GRID, GRID) around a centre, scaled by a size, turned.
+def on_grid(
+    maps: Float32s,
+    centre_px: Array,
+    size_px: float,
+    turns_rad: npt.ArrayLike = 0.0,
+    cells: int = GRID,
+) -> Float32s:
+    """(…, MAPS, cells, cells) around a centre, scaled by a size, turned.
 
     Args:
         maps: (MAPS, h, w), ``smoothed``.
         centre_px: (2,) of the grid's middle.
         size_px: square root of the cover's area.
-        turn_rad: the picture is the grid's content turned by this, from right to down.
+        turns_rad: (…) the picture is the grid's content turned by this, from right to down.
+        cells: a side of the grid.
     """
-    cell = 2.0 * REACH * size_px / GRID
-    c, s = np.cos(turn_rad), np.sin(turn_rad)
-    middle = 0.5 * (GRID - 1)
-    linear = cell * np.array([[c, -s], [s, c]])
-    shift = centre_px - linear @ np.array([middle, middle])
-    how = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    grid = np.stack(
-        [
-            np.asarray(
-                cv2.warpAffine(plane, np.column_stack([linear, shift]), (GRID, GRID), flags=how)
-            )
-            for plane in maps
-        ]
+    turns = np.asarray(turns_rad, dtype=np.float64)
+    cell = 2.0 * REACH * size_px / cells
+    along = cell * (np.arange(cells) - 0.5 * (cells - 1))
+    c, s = np.cos(turns)[..., None, None], np.sin(turns)[..., None, None]
+    x, y = (
+        (centre + off).astype(np.float32).reshape(-1, cells)
+        for centre, off in zip(
+            centre_px, (c * along - s * along[:, None], s * along + c * along[:, None]), strict=True
+        )
     )
-    return np.asarray(grid, dtype=np.float32)
+    planes = cv2.merge([np.ascontiguousarray(plane) for plane in maps])
+    grid = np.asarray(cv2.remap(planes, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
+    grid = grid.reshape(*turns.shape, cells, cells, len(maps))
+    return np.ascontiguousarray(np.moveaxis(grid, -1, -3), dtype=np.float32)
 
 
 def cover_of(maps: Float32s) -> Float32s:
