@@ -42,8 +42,19 @@ def test_squares_there_and_back_are_the_same_pixels():
 def test_a_closer_look_is_as_fine_where_the_frame_cuts_it(sketcher, left):
     frame = np.full((400, 600), 20, np.uint8)
     box = (left, 100.0, left + 150.0, 250.0)
-    first, closer = sketcher.near(frame, box), sketcher.near(frame, box, 2 * SIDE_PX)
+    first, closer = sketcher.near(frame, box), sketcher.near(frame, box, 2)
     assert (first.fineness, closer.fineness) == (1.0, 2.0)
+    assert closer.scale == pytest.approx(2.0 * first.scale, rel=0.02)
+
+
+def test_a_closer_look_draws_little_more_than_the_box(sketcher):
+    frame = np.full((400, 600), 20, np.uint8)
+    closer = sketcher.near(frame, (200.0, 150.0, 350.0, 200.0), 2)
+    left, top = -closer.left_px / closer.scale, -closer.top_px / closer.scale
+    height, width = closer.maps.shape[1:]
+    assert (left, top) == pytest.approx((185.0, 135.0), abs=1.0)  # a tenth of the longer side
+    drawn = width / closer.scale, height / closer.scale
+    assert drawn == pytest.approx((180.0, 80.0), abs=2.0)
 
 
 @pytest.mark.parametrize(("x", "y", "radius"), [(300.0, 200.0, 60.0), (900.0, 500.0, 150.0)])

@@ -173,7 +173,7 @@ def test_an_opinion_is_surer_where_the_other_agrees():
 def test_lengths_of_the_last_alignment_grow_with_the_sketch(search, refining_model, camera):
     frame = np.full((camera.height, camera.width), 20, np.uint8)
     box = (100.0, 100.0, 300.0, 300.0)
-    first, finer = (_last(search.sketcher.look(frame, box, (s, s))) for s in (256, 512))
+    first, finer = (_last(search.sketcher.near(frame, box, times)) for times in (1, 2))
     assert finer[0, :2] == pytest.approx(2.0 * first[0, :2])
     assert np.array_equal(finer[0, 2:], first[0, 2:])
 

@@ -33,6 +33,7 @@ _MULTIPLE_PX = 64  # px; a side must allow four halvings of the squares. Source:
 _FAINT_GREY = 8.0  # grey levels; the second channel saturates there. Source: as trained
 _GLANCE_PX = (320, 240)  # sketch px; at most, of the look at the whole frame. Source: as trained
 _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. Source: as trained
+_CLOSER_MARGIN = 0.1  # of the longer side, around the box in closer looks. Source: its cost
 _LEAST_SIDE = 0.75  # of SIDE_PX: a smaller square would be magnified. Source: as trained
 _COVERED = 0.5  # probability. Source: by construction
 _PIECE_SHARE = (
@@ -44,6 +45,7 @@ _PIECE_GAP = 0.4  # of the largest piece's size; pieces this near belong to it
 Float32s = npt.NDArray[np.float32]
 Bools = npt.NDArray[np.bool_]
 Box = tuple[float, float, float, float]  # left, top, right, bottom; frame px
+Part = tuple[int, int, int, int]  # the same in whole pixels, right and bottom beyond the last
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,16 +112,23 @@ class Sketcher:
         return sketch if better is not None else None
 
     def near(
-        self, frame: Picture, box: Box, side_px: int = SIDE_PX, *, turned: bool = False
+        self, frame: Picture, box: Box, fineness: int = 1, *, turned: bool = False
     ) -> Sketch | None:
-        """The sketch of a target whose box is known roughly; None where it is out of the frame."""
+        """The sketch of a target whose box is known; None where it is out of the frame.
+
+        ``fineness``: at 1 the box need not be known well, and the square around it is drawn; finer
+        looks draw little more than the box.
+        """
         height, width = frame.shape
         left, top, right, bottom = box
         if right < 0.0 or bottom < 0.0 or left > width - 1.0 or top > height - 1.0:
             return None
-        sketch = self.look(frame, _around(box), (side_px, side_px), turned=turned)
-        if side_px > SIDE_PX:
-            return sketch
+        square = _around(box)
+        if fineness > 1:
+            scale = _scale(_inside(frame, square), (fineness * SIDE_PX, fineness * SIDE_PX))
+            part = _inside(frame, _widened(box, _CLOSER_MARGIN))
+            return self._drawn(frame, part, scale, float(fineness), turned=turned)
+        sketch = self.look(frame, square, turned=turned)
         better = _box_of(sketch)
         if better is not None and _differ(box, better):
             sketch = self.look(frame, _around(better), turned=turned)
@@ -137,17 +146,20 @@ class Sketcher:
 
         ``turned``: the network sees it upside down, and errs otherwise.
         """
+        part = _inside(frame, box)
+        return self._drawn(frame, part, _scale(part, most_px), 1.0, turned=turned)
+
+    def _drawn(
+        self, frame: Picture, part: Part, scale: float, fineness: float, *, turned: bool
+    ) -> Sketch:
+        """The sketch of a part of the frame, ``scale`` sketch px a frame px large."""
         height, width = frame.shape
-        left, top = max(0, round(box[0] + 0.5)), max(0, round(box[1] + 0.5))
-        right, bottom = min(width, round(box[2] + 0.5)), min(height, round(box[3] + 0.5))
-        left, top = min(left, width - 1), min(top, height - 1)
-        right, bottom = max(right, left + 1), max(bottom, top + 1)
-        part = frame[top:bottom, left:right].astype(np.float32)
-        scale = min(most_px[0] / (right - left), most_px[1] / (bottom - top))
+        left, top, right, bottom = part
+        grey = frame[top:bottom, left:right].astype(np.float32)
         columns = max(1, round(scale * (right - left)))
         rows = max(1, round(scale * (bottom - top)))
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
-        grey = cv2.resize(part, (columns, rows), interpolation=how).astype(np.float32, copy=False)
+        grey = cv2.resize(grey, (columns, rows), interpolation=how).astype(np.float32, copy=False)
         if turned:
             grey = np.ascontiguousarray(grey[::-1, ::-1])
         maps = _probabilities(self._log_odds(grey))
@@ -160,7 +172,6 @@ class Sketcher:
         down = top == 0 and cover[0].any(), bottom == height and cover[-1].any()
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
         shift_x, shift_y = scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5
-        fineness = max(most_px) / SIDE_PX
         return Sketch(maps, scale, shift_x, shift_y, np.array([across, down]), fineness)
 
     def _log_odds(self, grey: Float32s) -> Float32s:
@@ -246,6 +257,26 @@ def _around(box: Box) -> Box:
     x, y = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
     half = 0.5 * max(_MARGIN * max(box[2] - box[0], box[3] - box[1]), _LEAST_SIDE * SIDE_PX)
     return x - half, y - half, x + half, y + half
+
+
+def _widened(box: Box, share: float) -> Box:
+    """The box, wider on each side by a share of its longer side."""
+    more = share * max(box[2] - box[0], box[3] - box[1])
+    return box[0] - more, box[1] - more, box[2] + more, box[3] + more
+
+
+def _inside(frame: Picture, box: Box) -> Part:
+    """The pixels of a frame in a box, one at least."""
+    height, width = frame.shape
+    left, top = max(0, round(box[0] + 0.5)), max(0, round(box[1] + 0.5))
+    right, bottom = min(width, round(box[2] + 0.5)), min(height, round(box[3] + 0.5))
+    left, top = min(left, width - 1), min(top, height - 1)
+    return left, top, max(right, left + 1), max(bottom, top + 1)
+
+
+def _scale(part: Part, most_px: tuple[int, int]) -> float:
+    """Sketch px a frame px, so that a part is as large as it may be."""
+    return min(most_px[0] / (part[2] - part[0]), most_px[1] / (part[3] - part[1]))
 
 
 def _differ(a: Box, b: Box) -> bool:

@@ -45,7 +45,6 @@ from rendezview.sensors.appearance.sketch.network import (
     COVER,
     CREASE,
     EDGE,
-    SIDE_PX,
     Box,
     Sketch,
     Sketcher,
@@ -64,8 +63,7 @@ _FINE = np.array([[18.0, 8.0, 10.0, 1.0, 1.0]])
 # are of a first look, and grow with its fineness: the mesh's errors do. Source: frames of
 # sketch-confidence and photo-accuracy (docs/notes/photographs.md)
 _LAST = np.array([[10.0, 4.5, 40.0, 1.0, 0.7]])
-_FINER = 2  # times SIDE_PX. Source: experiment photo-accuracy
-_FINEST = 3  # times SIDE_PX, for the last mean only. Source: experiment photo-accuracy
+_FINER = 2  # times a first look. Source: experiment photo-accuracy
 # Source: experiment photo-accuracy
 _RETRIEVED = 120  # views and rolls that are aligned without a prior
 _RETRIEVED_NEAR = 30  # the same near a prior. Source: experiment photo-accuracy
@@ -151,7 +149,7 @@ class SketchSearch:
 
     def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
         """The finer sketch of the target at a pose; None where it lies outside the frame."""
-        return self.sketcher.near(frame, self._box(pose), _FINER * SIDE_PX, turned=turned)
+        return self.sketcher.near(frame, self._box(pose), _FINER, turned=turned)
 
     def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
         """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
@@ -209,10 +207,7 @@ class SketchSearch:
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
-        box = self._box(choice.best.pose)
-        finest = self.sketcher.near(frame, box, _FINEST * SIDE_PX, turned=turned)
-        sketches = [first, sketch] if finest is None else [first, sketch, finest]
-        pose, spread_deg, scatter = self._mean(choice.best.pose, sketches)
+        pose, spread_deg, scatter = self._mean(choice.best.pose, [first, sketch])
         choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
         covariance, strained, residual_px = pose_covariance(
             maps, self._lens, self._views, _last(sketch)[-1], pose.rotation.copy(),
