@@ -308,7 +308,7 @@ class Recognizer:
                 and traced.outlines
                 and (found is None or found.confidence < _HOPELESS)
             ):
-                found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera)
+                found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, again=True)
                 clock.lap("refine")
                 if found is not None and self._confident(found):
                     return self._given(self.outline.seen(traced, found.best.pose, clock), found)

@@ -67,6 +67,7 @@ class LevelSearch:
         *,
         brief: bool = False,
         give_up: float = 0.0,
+        again: bool = False,
     ) -> Found | None:
         """``PoseSearch.anywhere``; the outlines tell the size of the target."""
         area_sr = float(np.median([body.signature.area_sr for body in bodies]))
@@ -75,7 +76,9 @@ class LevelSearch:
         times = self.whole.camera.width // search.camera.width
         if times > 1:
             bodies = [Outlines([r[::times].copy() for r in b.rays], b.signature) for b in bodies]
-        found = search.anywhere(picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up)
+        found = search.anywhere(
+            picture, its_sky, bodies, sun_camera, brief=brief, give_up=give_up, again=again
+        )
         return self._finished(found, image, sky)
 
     def at(

@@ -103,12 +103,14 @@ class PoseSearch:
         *,
         brief: bool = False,
         give_up: float = 0.0,
+        again: bool = False,
     ) -> Found | None:
         """The pose without a prior, from one or several readings of the outline.
 
         Args:
             brief: of the likeliest starts only, confident or not.
             give_up: confidence that the likeliest starts must reach, else no others are tried.
+            again: after giving up: all starts at once, thoroughly.
         """
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
@@ -127,11 +129,9 @@ class PoseSearch:
             return candidates.choose()
         turned: list[Refined] = []  # poses whose half turns have been tried
         found = None
-        for part, thorough in (
-            (slice(0, first), False),
-            (slice(first, None), False),
-            (slice(None), True),
-        ):
+        likeliest, others = (slice(0, first), False), (slice(first, None), False)
+        everything = (slice(None), True)
+        for part, thorough in (everything,) if again else (likeliest, others, everything):
             rotations = np.concatenate([r[part] for r, _ in starts])
             centres = np.concatenate([c[part] for _, c in starts])
             keep = self.options.refined
