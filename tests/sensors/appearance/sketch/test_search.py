@@ -136,7 +136,7 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
         assert near is not None
         assert near.prior
         assert near.pose.angle_to(start) < np.deg2rad(20.0)
-        # The mean of sketches of three scales is another pose than that of one, and near it.
+        # The mean of sketches of two scales is another pose than that of one, and near it.
         assert 0.0 < near.pose.angle_to(near.best.pose) < np.deg2rad(2.0 * near.spread_deg)
         assert np.linalg.eigvalsh(near.covariance).min() > 0.0
     assert np.sum(np.array(errors) < 10.0) >= 5, errors
