@@ -49,7 +49,7 @@ def test_no_start_is_given_where_none_is_allowed() -> None:
 
 def test_what_lies_beyond_the_frame_is_nothing_in_the_grids_of_a_cut_target() -> None:
     maps = np.ones((MAPS, 90, 120), np.float32)
-    middle, size = np.array([119.0, 44.5]), 60.0  # half of its grid lies to the right of the frame
+    middle, size = np.array([119.0, 44.5]), 69.15  # half of its grid lies right of the frame
     upright, turned = _partly(maps, [(middle, size)], np.array([0.0, np.pi]))
     cells = upright.shape[-1]
     assert upright.shape == (MAPS + 1, cells, cells)
@@ -58,6 +58,6 @@ def test_what_lies_beyond_the_frame_is_nothing_in_the_grids_of_a_cut_target() ->
     # The share of each cell that lies left of the last pixel's border.
     share = np.clip((119.5 - (along - 0.5 * cell_px)) / cell_px, 0.0, 1.0)
     inside = slice(cells // 2 - 3, cells // 2 + 3)  # rows that the frame's height contains
-    assert upright[-1, inside] == pytest.approx(np.tile(share, (6, 1)), abs=0.1)
+    assert upright[-1, inside] == pytest.approx(np.tile(share, (6, 1)), abs=0.02)
     assert np.array_equal(upright[:-1], np.repeat(upright[-1:], MAPS, 0))
     assert turned == pytest.approx(upright[:, ::-1, ::-1], abs=1e-4)

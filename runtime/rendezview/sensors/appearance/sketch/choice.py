@@ -98,7 +98,7 @@ class SketchChoice:
     looks: Looks
     prior: bool  # found near a prior
     cut: bool  # the target leaves the frame
-    pose: Pose  # the mean of those that the best leads to in sketches of several scales
+    pose: Pose  # the mean of those that the best leads to in sketches of two scales
     spread_deg: float = 0.0  # °; the largest angle between the mean and one of them
     overflows: bool = False  # … on two opposite sides: what is seen does not tell poses apart
     other: float | None = None  # confidence of the less confident of two opinions, and …

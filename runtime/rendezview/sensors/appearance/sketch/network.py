@@ -33,7 +33,8 @@ _MULTIPLE_PX = 64  # px; a side must allow four halvings of the squares. Source:
 _FAINT_GREY = 8.0  # grey levels; the second channel saturates there. Source: as trained
 _GLANCE_PX = (320, 240)  # sketch px; at most, of the look at the whole frame. Source: as trained
 _MARGIN = 1.4  # of the box of the target: side of the square that is sketched. Source: as trained
-_CLOSER_MARGIN = 0.1  # of the longer side, around the box in closer looks. Source: its cost
+# Source: its cost; no other is better in experiment photo-accuracy (docs/notes/photographs.md)
+_CLOSER_MARGIN = 0.1  # of the box's longer side, around it in closer looks
 _LEAST_SIDE = 0.75  # of SIDE_PX: a smaller square would be magnified. Source: as trained
 _COVERED = 0.5  # probability. Source: by construction
 _PIECE_SHARE = (
@@ -146,8 +147,8 @@ class Sketcher:
 
         ``turned``: the network sees it upside down, and errs otherwise.
         """
-        part = _inside(frame, box)
-        return self._drawn(frame, part, _scale(part, most_px), 1.0, turned=turned)
+        part, fineness = _inside(frame, box), max(most_px) / SIDE_PX
+        return self._drawn(frame, part, _scale(part, most_px), fineness, turned=turned)
 
     def _drawn(
         self, frame: Picture, part: Part, scale: float, fineness: float, *, turned: bool

@@ -162,7 +162,7 @@ class PartialViews:
         """``maps``: (V, MAPS, GRID, GRID)."""
         coarse = _coarser(maps)
         planes = np.stack([coarse[:, k].reshape(len(coarse), -1).T for k in _WEIGHTS])
-        self._planes = np.ascontiguousarray(planes)  # (…, cells, views) of each map
+        self._planes = np.ascontiguousarray(planes)  # (maps, cells, views)
         self._squares = self._planes**2
         self._spreads = planes.shape[1] * planes.var(1) + _NOTHING
 
