@@ -32,9 +32,10 @@ SMALL = TrainingOptions(
     surface_points=64,
 )
 STOPPED = """
-import os, pickle, sys
+import os, pickle, signal, sys
 from pathlib import Path
 from rendezview.training.job import train
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 mesh, options = pickle.loads(Path(sys.argv[1]).read_bytes())
 stop = int(sys.argv[3])
 
