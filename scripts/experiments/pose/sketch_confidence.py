@@ -7,7 +7,9 @@ random skies. None of them is a photograph.
 from __future__ import annotations
 
 import json
+import tempfile
 from dataclasses import dataclass, fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -42,9 +44,13 @@ from rendezview.sensors.appearance.sketch.search import SketchSearch
 from rendezview.simulation.cloudy_skies import cloudy_sky
 from rendezview.simulation.hard_light import photograph
 from rendezview.simulation.mesh_error import deformed
+from rendezview.simulation.random_craft import any_craft
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.simulation.shading import ShadingOptions, render
+from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.options import TrainingOptions
+from rendezview.training.symmetries import find_symmetries
 
 SIDE = 320  # px of a frame
 RADIUS_PX = (35.0, 240.0)  # of the target, log; large ones are cut by the border
@@ -58,7 +64,11 @@ TREES, LEAST_IN_LEAF = 100, 10
 RIDGE = 0.02  # of the weights of the merit
 UNKNOWNS = 6
 WIDER = 2.0  # of the inflation: real craft differ more from their meshes than drawn ones
-FOLDS = 5  # frames are judged by a fit to the other folds
+FOLDS = 5  # of the targets; the frames of each are judged by a fit to those of the others
+# Of random craft: what the search on sketches reads, and next to no trees.
+CRAFT_OPTIONS = TrainingOptions(
+    perturbed_views=200, held_out_views=50, voters=0, shadowed_silhouettes=False, surface_points=0
+)
 LEAST_CONFIDENCE = 0.6  # of the recognizer
 
 
@@ -87,6 +97,20 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
 
+@cache
+def stored(path: Path) -> ViewModel:
+    """The model of a file, read once by each process."""
+    return ViewModel.load(path)
+
+
+def random_target(folder: Path, seed: int, k: int) -> tuple[Path, Mesh]:
+    """A random craft and the model of it, on which the sketch network was not trained."""
+    mesh, path = any_craft(np.random.default_rng([901, seed, k])), folder / f"craft{k}.rvm"
+    alike = find_symmetries(mesh)
+    train(mesh, path, name=path.stem, options=CRAFT_OPTIONS, jobs=1, symmetries=alike)
+    return path, mesh
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
     """What a search on a sketch found in a frame of known pose."""
@@ -101,6 +125,7 @@ class Searched:
     pose: Pose  # the one given: the mean of those that the best leads to
     spread_deg: float
     nees: float | None
+    target: int  # which of the targets
     second: Searched | None = None  # of the frame upside down
 
     @property
@@ -121,11 +146,12 @@ class Searched:
         return self.error_deg(pose) < RIGHT_DEG and bool(aside < RIGHT_SHARE)
 
 
-def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
+def look(path: Path, mesh: Mesh, target: int, seed: int, k: int) -> list[Searched]:
     """All poses of a frame that were looked at, without and with a prior."""
     cv2.setNumThreads(1)
     rng = np.random.default_rng([55, seed, k])
     picture, camera, truth = frame(mesh, rng)
+    model = stored(path)
     search = Recognizer(model, camera).sketch
     if search is None:
         raise SystemExit("the model has no sketches: train it again")
@@ -136,9 +162,10 @@ def look(model: ViewModel, mesh: Mesh, seed: int, k: int) -> list[Searched]:
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
     found = []
     for prior in (None, Pose(start, place)):
-        first = _searched(search, picture, truth, prior)
+        first = _searched(search, picture, truth, prior, target)
         if first is not None and prior is None:
-            first = replace(first, second=_searched(search, picture, truth, None, turned=True))
+            second = _searched(search, picture, truth, None, target, turned=True)
+            first = replace(first, second=second)
         if first is not None:
             found.append(first)
     return found
@@ -149,6 +176,7 @@ def _searched(
     picture: np.ndarray,
     truth: Pose,
     prior: Pose | None,
+    target: int,
     *,
     turned: bool = False,
 ) -> Searched | None:
@@ -166,12 +194,12 @@ def _searched(
     model = search.model
     return Searched(
         choice.looks, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
-        choice.best.pose, choice.pose, choice.spread_deg, nees,
+        choice.best.pose, choice.pose, choice.spread_deg, nees, target,
     )  # fmt: skip
 
 
 def fitted_merit(searches: list[Searched]) -> np.ndarray:
-    """(7,) weights that put right poses of a frame before wrong ones (conditional logit)."""
+    """(8,) weights that put right poses of a frame before wrong ones (conditional logit)."""
     groups = []
     for search in searches:
         poses = search.looks.around + search.looks.others
@@ -201,7 +229,7 @@ def fitted_trees(features: np.ndarray, good: np.ndarray) -> ProbabilityForest:
 
 
 def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) -> list[np.ndarray]:
-    """(N,) of each opinion's features (N, 14), from fits to the first opinions of other folds."""
+    """(N,) of each opinion's features (N, 15), from fits to the first opinions of other folds."""
     found = [np.empty(len(good)) for _ in asked]
     for fold in np.unique(folds):
         out = folds == fold
@@ -270,7 +298,7 @@ def with_second_opinions(
         pose = other.choice.pose
         now.good[k], now.wrong[k] = other.right(pose), other.error_deg(pose) > WRONG_DEG
     right = now.good[doubted.which]
-    for fold in range(FOLDS):
+    for fold in np.unique(folds):
         out = folds[doubted.which] == fold
         weights = opinion_weights(doubted.features[~out], right[~out])
         now.given[doubted.which[out]] = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
@@ -278,24 +306,38 @@ def with_second_opinions(
     return opinion_weights(doubted.features, right)
 
 
+def searched(
+    models: list[Path], meshes: list[Mesh], craft: int, frames: int, seed: int
+) -> list[Searched]:
+    """What the searches find in frames of the targets, and of as many random craft."""
+    with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
+        targets = list(zip(models, meshes, strict=True))
+        targets += parallel(delayed(random_target)(Path(folder), seed, k) for k in range(craft))
+        drawn = parallel(
+            delayed(look)(path, mesh, target, seed, k)
+            for target, (path, mesh) in enumerate(targets)
+            for k in range(frames)
+        )
+    return [search for found in drawn for search in found]
+
+
 def run(
     models: list[Path],
     *,
     meshes: str = "hubble.stl,client.stl",
-    frames: int = 420,
-    seed: int = 1,
+    craft: Annotated[int, "random craft besides"] = 12,
+    frames: Annotated[int, "of each target"] = 150,
+    seeds: Annotated[str, "each with frames and random craft of its own"] = "3,4",
     opinions: Annotated[bool, "fit the two opinions alone: merit and trees stay"] = False,
     write: bool = False,
 ) -> None:
     """Fit to MODELS, whose MESHES (in metres) are named in the same order.
 
-    The shares printed are of frames that the fit did not see (five folds).
+    The shares printed are of targets that the fit did not see (five folds).
     """
-    searches: list[Searched] = []
-    for path, name in zip(models, meshes.split(","), strict=True):
-        model, mesh = ViewModel.load(path), load_mesh(Path(name), "m")
-        drawn = Parallel(n_jobs=-1)(delayed(look)(model, mesh, seed, k) for k in range(frames))
-        searches += [search for found in drawn for search in found]
+    read = [load_mesh(Path(name), "m") for name in meshes.split(",")]
+    each = [int(seed) for seed in seeds.split(",")]
+    searches = [s for seed in each for s in searched(models, read, craft, frames, seed)]
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
     if not opinions:
         merit = fitted_merit(searches)
@@ -315,7 +357,7 @@ def run(
             both = [c if s.second is None else s.second.choice
                     for s, c in zip(some, choices, strict=True)]  # fmt: skip
             asked.append(np.array([c.features for c in both]))
-        folds = np.arange(len(some)) % FOLDS
+        folds = np.array([s.target for s in some]) % FOLDS
         if opinions:
             kept = packaged().near if prior else packaged().anywhere
             found = [np.array([kept.probability(one) for one in each]) for each in asked]
@@ -331,7 +373,7 @@ def run(
     nees = np.array([s.nees for s in searches if s.nees is not None])
     print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
     data = {"experiment": "sketch-confidence", "targets": [p.stem for p in models],
-            "frames": frames * len(models), "seed": seed}  # fmt: skip
+            "random_craft": craft, "frames_of_each": frames, "seeds": each}  # fmt: skip
     if opinions:
         record["provenance"]["opinions"] = data
     else:

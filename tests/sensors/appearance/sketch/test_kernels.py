@@ -23,6 +23,7 @@ from rendezview.sensors.appearance.sketch.alignment import (
     read_map,
     sketch_agreement,
 )
+from rendezview.sensors.appearance.sketch.explained import explained_share
 from rendezview.training.sketch_maps import SAMPLES, facing_normals, sketch_maps
 from rendezview.training.zbuffer import draw_perspective, empty_buffers
 
@@ -143,3 +144,50 @@ def test_no_edges_are_no_hold(ideal, refining_model):
     centre = pose.apply(refining_model.centre_m)
     rotation = pose.rotation.copy()
     assert not align_to_sketch(empty, lens, views, STAGES, rotation, centre, edges)
+
+
+@pytest.fixture
+def explained(ideal):
+    """Of lines (h, w), the share that an attitude explains; the view centre stays."""
+    _, maps, lens, views = ideal
+
+    def share(lines: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> float:
+        lines = (lines / lines.sum()).astype(np.float32)
+        seen = np.full(lines.shape, 7, np.uint8)  # what another pose left there does not matter
+        return explained_share(lines, maps.place, 1.0, lens, views, rotation, centre, seen)
+
+    return share
+
+
+def test_the_true_pose_explains_the_lines_of_a_sketch(ideal, refining_model, explained):
+    pose, maps, _, _ = ideal
+    lines = maps.edge**2 + maps.crease**2
+    centre = pose.apply(refining_model.centre_m)
+    right = explained(lines, pose.rotation, centre)
+    assert 0.7 < right <= 1.0 + 1e-6
+    turns = (np.deg2rad(turn) * axis for turn in (25.0, 90.0, 180.0) for axis in np.eye(3))
+    wrong = [explained(lines, Rotation.from_rotvec(t).as_matrix() @ pose.rotation, centre)
+             for t in turns]  # fmt: skip
+    assert max(wrong) < 0.75 * right
+
+
+def test_lines_without_an_edge_of_the_model_are_not_explained(ideal, refining_model, explained):
+    pose, maps, _, _ = ideal
+    lines = (maps.edge**2 + maps.crease**2).copy()
+    centre = pose.apply(refining_model.centre_m)
+    alone = explained(lines, pose.rotation, centre)
+    beside = np.zeros_like(lines)
+    beside[2, 5:-5] = lines.sum() / (lines.shape[1] - 10)  # at the border, where no target is
+    assert explained(lines + beside, pose.rotation, centre) == pytest.approx(0.5 * alone, rel=1e-4)
+    assert explained(beside, pose.rotation, centre) == 0.0
+    behind = centre * np.array([1.0, 1.0, -1.0])
+    assert explained(lines, pose.rotation, behind) == 0.0
+
+
+def test_a_strip_counts_each_pixel_once(ideal, refining_model, explained):
+    pose, maps, _, _ = ideal
+    lines = np.ones_like(maps.edge)
+    share = explained(lines, pose.rotation, pose.apply(refining_model.centre_m))
+    pixels = share * lines.size
+    assert pixels == pytest.approx(round(pixels), abs=0.01)
+    assert 500 < pixels < 0.2 * lines.size

@@ -18,7 +18,9 @@ from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
 PACKAGED = Path(__file__).with_name("error_model.json")
 PACKAGED_TREES = Path(__file__).with_name("confidence.npz")
 # What a pose is judged by, in the order of the fields of ``SketchPose`` …
-POSE_FEATURES = ("outline", "inner", "contrast", "visible", "overlap", "edges", "creases")
+POSE_FEATURES = (
+    "outline", "inner", "contrast", "visible", "overlap", "edges", "creases", "explained",
+)  # fmt: skip
 # … and the choice of one: in the closer look, in the first one, and both together.
 CHOICE_FEATURES = (
     "margin", "cut", "lead", "basin", "converged", "scatter", "spread",
@@ -47,10 +49,11 @@ class SketchPose:
     overlap: float  # of covers, intersection over union
     edges: float  # correlation of edges
     creases: float  # correlation of creases
+    explained: float  # share of the sketch's lines that lie next to an edge of the model
 
     @property
     def features(self) -> Array:
-        """(7,) ``POSE_FEATURES``."""
+        """(8,) ``POSE_FEATURES``."""
         return np.array([getattr(self, name) for name in POSE_FEATURES])
 
     @property
@@ -113,7 +116,7 @@ class SketchChoice:
 
     @property
     def features(self) -> Array:
-        """(14,) ``CHOICE_FEATURES``."""
+        """(15,) ``CHOICE_FEATURES``."""
         pose, looks = self.best.pose, self.looks
         margin = min(self.margin, _MOST_MARGIN)
         seen = [looks.lead(pose), looks.basin(pose), *looks.scattered(pose)]
@@ -191,7 +194,7 @@ def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[S
 class SketchErrorModel:
     """What was fitted to frames of known pose (``experiments sketch-confidence``)."""
 
-    merit: Array  # (7,) of POSE_FEATURES
+    merit: Array  # (8,) of POSE_FEATURES
     anywhere: ProbabilityForest  # of CHOICE_FEATURES: is the pose right, without a prior …
     near: ProbabilityForest  # … and near one
     opinions: Array  # (4,) of ``opinion_features``, without a prior

@@ -41,11 +41,13 @@ from rendezview.sensors.appearance.sketch.choice import (
     chosen,
     distinct,
 )
+from rendezview.sensors.appearance.sketch.explained import explained_share
 from rendezview.sensors.appearance.sketch.network import (
     COVER,
     CREASE,
     EDGE,
     Box,
+    Float32s,
     Sketch,
     Sketcher,
 )
@@ -77,6 +79,7 @@ _ASIDE_RAD = np.deg2rad(4.0)  # rad; the pose that fits best is looked for that 
 _VIEW_RAD = np.deg2rad(6.0)  # rad; from any attitude to the nearest view. Source: the node sphere
 _UNKNOWN = 1e-9  # of the information, added: it can be solved for. Source: by construction
 _SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: half their width
+_NOTHING = 1e-6  # keeps quotients finite. Source: by construction
 # Source: experiment photo-accuracy
 _CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
 
@@ -179,13 +182,18 @@ class SketchSearch:
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
         agreement = SketchAgreement(self._sketches, sketch.maps)
+        lines, seen = _lines(sketch), np.empty(sketch.maps.shape[1:], np.uint8)
         found = []
         for k in np.flatnonzero(scores[:, 0] >= 0.0):
             place, radius_px = self._in_sketch(sketch, centres[k])
             pose = Pose(rotations[k], centres[k] - rotations[k] @ self.model.centre_m)
             agrees = agreement.of(rotations[k], centres[k], place, radius_px)
             outline, inner, contrast, visible = (float(score) for score in scores[k])
-            found.append(SketchPose(pose, outline, inner, contrast, visible, *agrees))
+            explained = explained_share(
+                lines, sketch.place, sketch.fineness, self._lens, self._views, rotations[k],
+                centres[k], seen,
+            )  # fmt: skip
+            found.append(SketchPose(pose, outline, inner, contrast, visible, *agrees, explained))
         return found
 
     def _closer(
@@ -280,3 +288,12 @@ def _maps(sketch: Sketch) -> Maps:
     crease = np.maximum(crease, np.float32(_CREASE_SHARE) * edge)
     soft = [np.asarray(cv2.GaussianBlur(m, (0, 0), _SMOOTH_PX)) for m in (edge, crease)]
     return Maps(np.ascontiguousarray(sketch.maps[COVER]), soft[0], soft[1], sketch.place)
+
+
+def _lines(sketch: Sketch) -> Float32s:
+    """(h, w) squares of the probabilities of edges and creases, as a share of their sum.
+
+    Squares: faint doubts all over a sketch add up to as much as its lines.
+    """
+    lines = sketch.maps[EDGE] ** 2 + sketch.maps[CREASE] ** 2
+    return np.asarray(lines / (lines.sum() + _NOTHING), dtype=np.float32)
