@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import tempfile
 from dataclasses import dataclass, fields, replace
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -97,9 +97,9 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
 
-@cache
+@lru_cache(maxsize=1)
 def stored(path: Path) -> ViewModel:
-    """The model of a file, read once by each process."""
+    """The model of a file, read once by each process: the frames come target by target."""
     return ViewModel.load(path)
 
 

@@ -191,3 +191,30 @@ def test_a_strip_counts_each_pixel_once(ideal, refining_model, explained):
     pixels = share * lines.size
     assert pixels == pytest.approx(round(pixels), abs=0.01)
     assert 500 < pixels < 0.2 * lines.size
+
+
+def test_the_strips_lie_on_the_contour_points_to_half_a_pixel(ideal, refining_model):
+    pose, maps, lens, views = ideal
+    centre = pose.apply(refining_model.centre_m)
+    seen = np.zeros(maps.edge.shape, np.uint8)
+    explained_share(maps.edge, maps.place, 1.0, lens, views, pose.rotation, centre, seen)
+    edges = np.zeros((views.point.shape[2], WIDTH))
+    count = measure_sketch(maps, lens, views, pose.rotation, centre, 1, 1.0, 1, 1.0, edges)
+    height, width = seen.shape
+    down, right = np.mgrid[:height, :width]
+
+    def around(points: np.ndarray, along_px: float, across_px: float) -> np.ndarray:
+        """The pixels whose centres lie in a strip about one of the points."""
+        inside = np.zeros(seen.shape, dtype=bool)
+        for u, v, nx, ny in points:
+            x, y = right - u, down - v
+            inside |= (np.abs(nx * y - ny * x) <= along_px) & (np.abs(nx * x + ny * y) <= across_px)
+        return inside
+
+    points = edges[:count, [U, V, 11, 12]]
+    # A pixel that is touched has its centre at most half a diagonal beside the strip.
+    assert not (seen.astype(bool) & ~around(points, 5.71, 2.71)).any()
+    assert not (around(points, 4.8, 1.5) & (seen == 0)).any()
+    for aside in ([0.5, 0.0], [0.0, 0.5], [-0.5, 0.0], [0.0, -0.5]):
+        moved = points + np.array([*aside, 0.0, 0.0])
+        assert (seen.astype(bool) & ~around(moved, 5.71, 2.71)).any()

@@ -16,8 +16,7 @@ from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.edges.edge_search import COLUMNS, NX, NY, U, V
 from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.sketch.alignment import predict_edge
-
-Float32s = npt.NDArray[np.float32]
+from rendezview.sensors.appearance.sketch.network import Float32s
 
 # Sketch px of a first look, to either side of a contour point along its edge: half the spacing of
 # the points of a craft with many edges. Source: by construction
@@ -25,7 +24,10 @@ _ALONG_PX = 5.0
 # … and across it, 1 % of the target's size: of 1.5, 2.5 and 4 px the narrower tells more on drawn
 # frames, the wider on photographs. Source: frames of sketch-confidence, photo-accuracy
 _ACROSS_PX = 2.0
-_STEP_PX = 0.7  # sketch px; no pixel of the strip is stepped over. Source: half a diagonal
+# Sketch px; no pixel of the strip is stepped over. The last step ends up to as much before the far
+# side, so that a strip of a first look reaches 2.0 px against the normal and 1.5 px along it. The
+# trees are fitted to it. Source: half a diagonal
+_STEP_PX = 0.7
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
