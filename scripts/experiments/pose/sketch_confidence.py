@@ -41,6 +41,7 @@ from rendezview.sensors.appearance.sketch.choice import (
 )
 from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
 from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.simulation.cloudy_skies import cloudy_sky
 from rendezview.simulation.hard_light import photograph
 from rendezview.simulation.mesh_error import deformed
@@ -67,7 +68,7 @@ WIDER = 2.0  # of the inflation: real craft differ more from their meshes than d
 FOLDS = 5  # of the targets; the frames of each are judged by a fit to those of the others
 # Of random craft: what the search on sketches reads, and next to no trees.
 CRAFT_OPTIONS = TrainingOptions(
-    perturbed_views=200, held_out_views=50, voters=0, shadowed_silhouettes=False, surface_points=0
+    perturbed_views=200, held_out_views=50, voters=0, shadowed_silhouettes=False
 )
 LEAST_CONFIDENCE = 0.6  # of the recognizer
 
@@ -180,10 +181,11 @@ def _searched(
     *,
     turned: bool = False,
 ) -> Searched | None:
+    sky = Sky.of(picture)
     if prior is None:
-        choice = search.anywhere(picture, turned=turned)
+        choice = search.anywhere(picture, sky, turned=turned)
     else:
-        choice = search.near(picture, prior, np.deg2rad(SEARCH_DEG))
+        choice = search.near(picture, sky, prior, np.deg2rad(SEARCH_DEG))
     if choice is None:
         return None
     nees, best = None, choice.pose
@@ -199,10 +201,13 @@ def _searched(
 
 
 def fitted_merit(searches: list[Searched]) -> np.ndarray:
-    """(8,) weights that put right poses of a frame before wrong ones (conditional logit)."""
+    """(7,) weights that put right poses of a frame before wrong ones (conditional logit).
+
+    Of both looks: those of the closer one were chosen by a merit, which no longer tells them apart.
+    """
     groups = []
-    for search in searches:
-        poses = search.looks.around + search.looks.others
+    each = [(s, poses) for s in searches for poses in (s.looks.first, s.looks.closer)]
+    for search, poses in each:
         clear = [p for p in poses if search.right(p.pose) or search.error_deg(p.pose) > WRONG_DEG]
         good = np.array([search.right(p.pose) for p in clear], dtype=bool)
         if good.any() and not good.all():
@@ -229,7 +234,7 @@ def fitted_trees(features: np.ndarray, good: np.ndarray) -> ProbabilityForest:
 
 
 def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) -> list[np.ndarray]:
-    """(N,) of each opinion's features (N, 15), from fits to the first opinions of other folds."""
+    """(N,) of each opinion's features (N, 14), from fits to the first opinions of other folds."""
     found = [np.empty(len(good)) for _ in asked]
     for fold in np.unique(folds):
         out = folds == fold

@@ -14,6 +14,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Sketch
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.training.mesh import load_mesh
 
 SIDE = 300  # px of a picture
@@ -64,7 +65,7 @@ def run(
     for k in range(TRIED):
         picture, camera, truth = frame(shape, np.random.default_rng([seed, k]))
         search = Recognizer(views, camera).sketch
-        choice = None if search is None else search.anywhere(picture)
+        choice = None if search is None else search.anywhere(picture, Sky.of(picture))
         if search is None or choice is None or choice.confidence < 0.6:
             continue
         sketch = search.sketcher.find(picture)

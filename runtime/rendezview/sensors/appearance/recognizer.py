@@ -229,13 +229,13 @@ class Recognizer:
     def second_look(self, image: npt.ArrayLike, pose: Pose) -> Second | None:
         """The pose that the sketch of a frame shows, searched without a prior, beside another one.
 
-        It takes a quarter of a second. ``None``: there is no sketch, or no pose on it.
+        It takes a seventh of a second. ``None``: there is no sketch, or no pose on it.
         """
         if self.sketch is None:
             return None
         frame = check_frame(image, self.camera.width, self.camera.height)
         with self._lock:
-            choice = self.sketch.anywhere(frame)
+            choice = self.sketch.anywhere(frame, Sky.of(frame))
         if choice is None:
             return None
         other = nearest_alike(choice.pose, pose, self.model.symmetries)
@@ -272,30 +272,34 @@ class Recognizer:
                 return self._given(seen, found)
         traced = self.outline.trace(frame, prior, clock, bright_sky=not sky.dark)
         if prior is None and traced.outlines:
-            hopeless = 0.0 if self.sketch is None else _HOPELESS
-            found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, give_up=hopeless)
+            least = 0.0 if self.sketch is None else _HOPELESS
+            found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, give_up=least)
             clock.lap("refine")
             if found is not None and self._confident(found):
                 return self._given(self.outline.seen(traced, found.best.pose, clock), found)
-        seen = self.outline.recognize(traced, prior, prior_error_rad, clock)
-        if found is None and prior is not None and self.overflows(prior):
-            return _refused(seen, None)
-        if found is None and prior is not None:
-            also = [] if seen.pose is None else [seen.pose]
+        traced_view = None
+        if prior is not None:
+            traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
+        if found is None and prior is not None and traced_view is not None:
+            if self.overflows(prior):
+                return _refused(traced_view, None)
+            also = [] if traced_view.pose is None else [traced_view.pose]
             found = search.near(frame, sky, prior, error_rad, traced.outlines, also)
             clock.lap("refine")
             if found is not None and self._confident(found):
-                return self._given(seen, found)
+                return self._given(traced_view, found)
         if self.sketch is not None:
             sketched = self._sketched(self.sketch, frame, sky, prior, error_rad)
             clock.lap("sketch")
+            hopeless = found is None or found.confidence < _HOPELESS
             if sketched is not None and prior is None:
                 # Grey edges judge what the sketch proposes, and are the finer ones.
-                proposed = search.proposed(frame, sky, _answers(sketched, found), traced.outlines)
+                answers = _answers(sketched, None if hopeless else found)
+                proposed = search.proposed(frame, sky, answers, traced.outlines)
                 clock.lap("refine")
                 if proposed is not None and self._confident(proposed):
-                    seen = self.outline.seen(traced, proposed.best.pose, clock)
-                    return self._given(seen, proposed)
+                    pose = proposed.best.pose
+                    return self._given(self.outline.seen(traced, pose, clock), proposed)
             if sketched is not None and self._confident(sketched):
                 pose = sketched.best.pose
                 # Grey edges are the finer ones, where they are seen.
@@ -303,18 +307,16 @@ class Recognizer:
                 clock.lap("refine")
                 found = sketched if closer is None else closer
                 return self._given(self.outline.seen(traced, pose, clock), found)
-            if (
-                prior is None
-                and traced.outlines
-                and (found is None or found.confidence < _HOPELESS)
-            ):
+            if prior is None and traced.outlines and hopeless:
                 found = search.anywhere(frame, sky, traced.outlines, sky.sun_camera, again=True)
                 clock.lap("refine")
                 if found is not None and self._confident(found):
                     return self._given(self.outline.seen(traced, found.best.pose, clock), found)
             if sketched is not None and (found is None or sketched.confidence > found.confidence):
                 found = sketched
-        return _refused(seen, found)
+        if traced_view is None:
+            traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
+        return _refused(traced_view, found)
 
     def overflows(self, pose: Pose) -> bool:
         """Whether a target there is too near for a whole view: no search near it can find one."""
@@ -325,7 +327,10 @@ class Recognizer:
         self, search: SketchSearch, frame: Picture, sky: Sky, prior: Pose | None, error_rad: float
     ) -> SketchFound | None:
         """The best pose on a sketch of the frame."""
-        choice = search.best(frame) if prior is None else search.near(frame, prior, error_rad)
+        if prior is None:
+            choice = search.best(frame, sky)
+        else:
+            choice = search.near(frame, sky, prior, error_rad)
         return None if choice is None else SketchFound.of(choice, dark=sky.dark)
 
     def _given(self, seen: AppearanceObservation, found: Found) -> AppearanceObservation:

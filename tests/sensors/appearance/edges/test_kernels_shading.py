@@ -14,7 +14,7 @@ from rendezview.sensors.appearance.edges.lighting import light_strengths
 from rendezview.sensors.appearance.edges.retrieval import _spread, _squared_distances
 from rendezview.sensors.appearance.edges.shading import (
     SurfaceTables,
-    _correlation,
+    _correlations,
     shading,
     visible_points,
 )
@@ -126,7 +126,7 @@ def correlation(
 
 
 @pytest.mark.parametrize("even", [0.0, 400.0])
-def test_the_correlation_is_within_windows(even):
+def test_the_correlations_are_within_windows_and_over_all(even):
     body, rng = Body(3), np.random.default_rng(3)
     which, pixels, facing, _ = body.visible(PINHOLE)
     node, sun = 17, np.array([0.6, 0.0, -0.8])
@@ -134,11 +134,14 @@ def test_the_correlation_is_within_windows(even):
     bright = 150.0 * body.brightness(which, facing, node, sun) + 20.0 * body.tables.albedo[which]
     levels = bright + rng.normal(0.0, 20.0, len(which))
     u, v = (np.ascontiguousarray(column) for column in pixels.T)
-    found = _correlation(
+    found = _correlations(
         body.tables, which, u, v, facing, levels, len(which), node, sun, strengths, 19.0, even
     )
-    assert found == pytest.approx(correlation(pixels, levels, bright, 19.0, even), abs=1e-9)
-    assert 0.3 < found < 0.99
+    for correlated, side in zip(found, (19.0, np.inf), strict=True):
+        assert correlated == pytest.approx(
+            correlation(pixels, levels, bright, side, even), abs=1e-9
+        )
+        assert 0.3 < correlated < 0.99
 
 
 @pytest.mark.parametrize("dark", [False, True])
@@ -174,8 +177,11 @@ def test_shading_is_the_correlation_under_the_best_sun_of_three_levels(dark, kno
     frame = np.array([2.0, 9.0, float(dark), *given])
     found = shading(body.image, lens_of(BENT), frame, body.tables, body.rotation, body.centre)
     assert every > 1
-    assert found == pytest.approx(correlation(pixels, levels, bright, side, even), abs=1e-9)
-    assert found != 0.0
+    for correlated, wide in zip(found, (side, np.inf), strict=True):
+        assert correlated == pytest.approx(
+            correlation(pixels, levels, bright, wide, even), abs=1e-9
+        )
+        assert correlated != 0.0
 
 
 def test_few_visible_points_say_nothing():
@@ -183,7 +189,7 @@ def test_few_visible_points_say_nothing():
     assert 0 < len(body.visible(BENT)[0]) < 60
     frame = np.array([2.0, 9.0, 1.0, 0.0, 0.0, 0.0])
     arguments = body.image, lens_of(BENT), frame, body.tables, body.rotation, body.centre
-    assert shading(*arguments) == 0.0
+    assert shading(*arguments) == (0.0, 0.0)
 
 
 def test_views_near_one_before_at_the_same_roll_are_left_out():

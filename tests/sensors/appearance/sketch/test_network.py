@@ -57,6 +57,13 @@ def test_a_closer_look_draws_little_more_than_the_box(sketcher):
     assert drawn == pytest.approx((180.0, 80.0), abs=2.0)
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_sketch_keeps_the_picture_of_its_part_upright(sketcher, turned):
+    frame = np.random.default_rng(3).integers(0, 255, (256, 256), np.uint8)
+    sketch = sketcher.look(frame, (-0.5, -0.5, 255.5, 255.5), turned=turned)
+    assert np.array_equal(sketch.grey, frame)
+
+
 @pytest.mark.parametrize(("x", "y", "radius"), [(300.0, 200.0, 60.0), (900.0, 500.0, 150.0)])
 def test_the_cover_lies_where_the_frame_shows_the_body(sketcher, x, y, radius):
     """Half a pixel of shift or scale would show: the border of the disc is known exactly."""

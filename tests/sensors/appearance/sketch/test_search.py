@@ -26,8 +26,9 @@ from rendezview.sensors.appearance.sketch.choice import (
 )
 from rendezview.sensors.appearance.sketch.network import EDGE, MAPS
 from rendezview.sensors.appearance.sketch.retrieval import PartialViews
-from rendezview.sensors.appearance.sketch.search import SketchSearch, _last
+from rendezview.sensors.appearance.sketch.search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches, centroid, on_grid
+from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 from rendezview.simulation.scene import SceneOptions, render_frame
 from rendezview.training.options import ViewGeometry
@@ -129,17 +130,75 @@ def test_poses_are_found_before_a_sky_where_no_threshold_holds(
     errors = []
     for seed in range(8):
         frame, truth = hard_frame(bumpy_mesh, refining_model, camera, seed)
-        choice = search.anywhere(frame)
+        choice = search.anywhere(frame, Sky.of(frame))
         errors.append(180.0 if choice is None else np.rad2deg(choice.pose.angle_to(truth)))
         start = truth.perturbed([0.05, -0.06, 0.04, 0.05, -0.05, 0.2])
-        near = search.near(frame, start, np.deg2rad(10.0))
+        near = search.near(frame, Sky.of(frame), start, np.deg2rad(10.0))
         assert near is not None
         assert near.prior
         assert near.pose.angle_to(start) < np.deg2rad(20.0)
-        # The mean of sketches of two scales is another pose than that of one, and near it.
-        assert 0.0 < near.pose.angle_to(near.best.pose) < np.deg2rad(2.0 * near.spread_deg)
+        # The mean of sketches of two scales is another pose than that of one, which every second
+        # contour point gives, and near it.
+        apart_deg = np.rad2deg(near.pose.angle_to(near.best.pose))
+        assert 0.0 < apart_deg < 2.0 * near.spread_deg + 0.5
         assert np.linalg.eigvalsh(near.covariance).min() > 0.0
     assert np.sum(np.array(errors) < 10.0) >= 5, errors
+
+
+def lit_frame(mesh, pose: Pose, camera) -> np.ndarray:
+    """The body before a black sky, the Sun aside."""
+    sun = [0.6, -0.5, -0.6]
+    return render_frame(mesh, camera, pose, sun, SceneOptions(), np.random.default_rng(1))
+
+
+def test_light_on_the_surface_tells_a_pose_from_others(bumpy_mesh, refining_model, camera, search):
+    """Read in the picture of the sketch; a half turn of the grey levels takes it away."""
+    told = []
+    for seed in range(6):
+        _, pose = hard_frame(bumpy_mesh, refining_model, camera, seed)
+        frame = lit_frame(bumpy_mesh, pose, camera)
+        sky, at = Sky.of(frame), pose.apply(refining_model.centre_m)
+        for fineness in (1, 2):
+            sketch = search.sketcher.near(frame, search._box(pose), fineness)
+            turned = replace(sketch, grey=np.ascontiguousarray(sketch.grey[::-1, ::-1]))
+            lit, unlit = (
+                search.aligned(seen, sky, pose.rotation[None].copy(), at[None].copy())
+                for seen in (sketch, turned)
+            )
+            told += [(lit[0].shading, lit[0].tones, unlit[0].tones)] if lit else []
+    shading, tones, elsewhere = np.array(told).T
+    assert len(told) >= 8
+    assert np.median(shading) > 0.1
+    assert np.median(tones) > 0.4
+    assert np.median(elsewhere) < 0.5 * np.median(tones)
+
+
+def test_a_model_without_a_surface_knows_no_light(refining_model, camera, search):
+    bare = replace(refining_model, surface=None)
+    search = Recognizer(bare, camera).sketch
+    frame = np.full((camera.height, camera.width), 20, np.uint8)
+    cv2.rectangle(frame, (200, 200), (300, 280), 180, -1)
+    choice = search.anywhere(frame, Sky.of(frame))
+    assert choice is None or (choice.best.shading, choice.best.tones) == (0.0, 0.0)
+
+
+def test_lines_are_explained_alike_in_a_finer_sketch(bumpy_mesh, refining_model, camera, search):
+    _, pose = hard_frame(bumpy_mesh, refining_model, camera, 0)
+    frame = lit_frame(bumpy_mesh, pose, camera)
+    sky, at = Sky.of(frame), pose.apply(refining_model.centre_m)
+    shares = []
+    for fineness in (1, 2):
+        sketch = search.sketcher.near(frame, search._box(pose), fineness)
+        lines, place = _lines(sketch)
+        assert lines.sum() == pytest.approx(1.0, abs=1e-4)
+        assert place[0] == pytest.approx(sketch.scale / fineness)
+        # The first pixels of both begin at the same place of the frame.
+        edge = [(-0.5 - p[1:]) / p[0] for p in (place, sketch.place)]
+        assert edge[0] == pytest.approx(edge[1])
+        poses = search.aligned(sketch, sky, pose.rotation[None].copy(), at[None].copy())
+        shares.append(poses[0].explained)
+    assert shares[0] > 0.5
+    assert shares[1] == pytest.approx(shares[0], abs=0.2)
 
 
 def test_a_pose_in_doubt_gets_a_second_opinion(
@@ -147,14 +206,15 @@ def test_a_pose_in_doubt_gets_a_second_opinion(
 ):
     frame, _ = hard_frame(bumpy_mesh, refining_model, camera, 2)
     monkeypatch.setattr(choice_module, "DOUBT", (0.0, 1.01))
-    asked = search.best(frame)
-    alone = [search.anywhere(frame, turned=t) for t in (False, True)]
+    sky = Sky.of(frame)
+    asked = search.best(frame, sky)
+    alone = [search.anywhere(frame, sky, turned=t) for t in (False, True)]
     better = max(alone, key=lambda choice: choice.confidence)
     assert np.array_equal(asked.pose.rotation, better.pose.rotation)
     assert asked.other == min(choice.confidence for choice in alone)
     assert asked.agree == (alone[0].pose.angle_to(alone[1].pose) < np.deg2rad(8.0))
     monkeypatch.setattr(choice_module, "DOUBT", (0.0, 0.0))
-    assert search.best(frame).other is None
+    assert search.best(frame, sky).other is None
 
 
 def test_an_opinion_is_surer_where_the_other_agrees():
@@ -197,18 +257,19 @@ def test_the_recognizer_sketches_only_where_the_edges_give_no_pose(
 
 def test_an_empty_sky_gives_no_pose(refining_model, camera, search):
     rng = np.random.default_rng(4)
-    frame = np.clip(rng.normal(30.0, 4.0, (camera.height, camera.width)), 0, 255)
-    observation = Recognizer(refining_model, camera).recognize(frame.astype(np.uint8))
+    noise = rng.normal(30.0, 4.0, (camera.height, camera.width))
+    frame = np.clip(noise, 0, 255).astype(np.uint8)
+    observation = Recognizer(refining_model, camera).recognize(frame)
     assert observation.pose is None
     far = Pose(np.eye(3), [100.0, 0.0, 5.0])
-    assert search.near(frame.astype(np.uint8), far, 0.1) is None
+    assert search.near(frame, Sky.of(frame), far, 0.1) is None
     behind = Pose(np.eye(3), [0.0, 0.0, -9.0])
-    assert search.near(frame.astype(np.uint8), behind, 0.1) is None
+    assert search.near(frame, Sky.of(frame), behind, 0.1) is None
 
 
 def some_pose(merit: float, turn_deg: float) -> SketchPose:
     rotation = Rotation.from_rotvec([0.0, np.deg2rad(turn_deg), 0.0]).as_matrix()
-    return SketchPose(Pose(rotation, [0.0, 0.0, 5.0]), merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5, 0.5)
+    return SketchPose(Pose(rotation, [0.0, 0.0, 5.0]), merit, 0.2, 0.5, 1.0, 0.5, 0.5, 0.5)
 
 
 def looks(poses: list[SketchPose]) -> Looks:
@@ -255,7 +316,7 @@ def test_the_fitted_file_names_every_feature_and_its_data():
     for trees in (packaged().anywhere, packaged().near):
         assert trees.feature.max() == len(CHOICE_FEATURES) - 1
     assert record["inflation"] >= 1.0
-    assert record["merit"]["explained"] > 0.0
+    assert min(record["merit"][name] for name in ("explained", "shading", "tones")) > 0.0
     assert record["provenance"]["frames_of_each"] >= 100
 
 

@@ -313,7 +313,8 @@ class Refiner:
         if self._surface is None:
             return None
         rotation, centre = self._centred(pose)
-        return float(shading(image, self._lens, sky.vector, self._surface, rotation, centre))
+        within, _ = shading(image, self._lens, sky.vector, self._surface, rotation, centre)
+        return float(within)
 
     def _distinct(
         self, order: npt.NDArray[np.intp], merit: Array, rotations: Array, centres: Array, most: int

@@ -42,8 +42,11 @@ _REFINED_OF_VOTED = 2  # Source: experiment tree-ablation, seed 4101
 # views among its samples. Source: experiment tree-ablation, seed 4101
 _LEAST_VOTES = -2.0
 _LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-ablation, seed 4101
+# Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
+# 120 frames of Mitsuba. Source: docs/notes/photographs.md
+_WORTH_TURNING = 0.2
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
-_ROUNDS = 2  # of looks around the best two poses where none is confident
+_ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
 # 8.6°
 _ASIDE_RAD = np.deg2rad(9.0)
@@ -110,7 +113,7 @@ class PoseSearch:
         Args:
             brief: of the likeliest starts only, confident or not.
             give_up: confidence that the likeliest starts must reach, else no others are tried.
-            again: after giving up: all starts at once, thoroughly.
+            again: after giving up: all starts at once, thoroughly, and one look around the best.
         """
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
@@ -139,14 +142,16 @@ class PoseSearch:
                 self.refiner.best(image, sky, rotations, centres, keep, thorough=thorough)
             )
             best = candidates.most_inliers
-            if best is not None and best not in turned:
+            worth = _WORTH_TURNING if give_up > 0.0 else 0.0
+            if best is not None and best not in turned and best.inlier_ratio >= worth:
                 candidates.add(self._half_turned(image, sky, best.pose))
                 turned.append(best)
             found = candidates.choose()
             confidence = 0.0 if found is None else found.confidence
             if confidence >= _CONFIDENT or confidence < give_up:
                 return found
-        return self._around_best_two(image, sky, candidates, found, turned)
+        rounds = 1 if again else _ROUNDS
+        return self._around_best_two(image, sky, candidates, found, turned, rounds)
 
     def _voted(self, body: Outlines, rotations: Array, centres: Array) -> tuple[Array, Array]:
         """Starting poses in the order of similarity and votes together, likeliest first."""
@@ -188,10 +193,11 @@ class PoseSearch:
         candidates: Candidates,
         found: Found | None,
         turned: list[Refined],
+        rounds: int,
     ) -> Found | None:
         """Search around the best pose and its rival, then around those that lead after that."""
         searched: list[Refined] = []
-        for _ in range(_ROUNDS):
+        for _ in range(rounds):
             more: list[Refined] = []
             for pose in () if found is None else (found.best, found.rival):
                 if pose is None or pose in searched:

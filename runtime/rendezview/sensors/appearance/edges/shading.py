@@ -3,8 +3,8 @@
 The model stores, for every surface point, which nodes of a sphere see it. The same table gives
 visibility from the camera and shadow from the Sun. The light is fitted to the points that a pose
 shows, and their expected brightness is correlated with the grey levels in small windows, each about
-its own means, since foil is not diffuse. This separates half turns and other poses whose edges are
-alike.
+its own means, since foil is not diffuse; and over the whole target, where one side may be black.
+This separates half turns and other poses whose edges are alike.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ _TOLERANCE = 0.4
 _SUN_LEVELS = ((42, -2.0), (162, np.cos(np.deg2rad(25.0))), (642, np.cos(np.deg2rad(13.0))))
 # Cosine between a given Sun and the nodes that represent it. Source: spacing of the nodes, 8°
 _NEAR_SUN = 0.99
+_NOTHING = 1e-6  # grey levels squared; keeps quotients finite. Source: by construction
 _EDGE_ON = 0.08  # cosine; surfaces closer to edge-on are left out. Source: by construction, 5°
 # rad; of the 642 directions.
 _NODE_SPACING_RAD = 0.15  # Source: by construction, mean edge of a sphere of order 3, 8.6°
@@ -125,11 +126,11 @@ class SurfaceTables(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def shading(
     image: Picture, lens: Lens, frame: Array, surface: SurfaceTables, rotation: Array, centre: Array
-) -> float:
-    """Correlation of the grey levels with the expected brightness of a pose, −1 … 1.
+) -> tuple[float, float]:
+    """Correlations of the grey levels with the expected brightness of a pose, −1 … 1.
 
-    0 where few points are visible. Under the light that fits best, in windows of an eighteenth of
-    the target, each about its own means.
+    Under the light that fits best: in windows of an eighteenth of the target, each about its own
+    means, and over the whole target. 0 where few points are visible.
 
     Args:
         image: (H, W) uint8.
@@ -144,7 +145,7 @@ def shading(
     levels = np.empty(most)
     found = visible_points(image, lens, surface, rotation, centre, which, u, v, facing, levels)
     if found < _LEAST_POINTS:
-        return 0.0
+        return 0.0, 0.0
     black = frame[1] if frame[2] > 0.0 else 0.0
     for k in range(found):
         levels[k] -= black
@@ -178,11 +179,11 @@ def shading(
                 copy_into(tried, sun)
                 copy_into(strengths, chosen)
     if node < 0:
-        return 0.0
+        return 0.0, 0.0
     side = max(2.0 * surface.radius_m * lens[0][0] / centre[2] / _WINDOWS, _LEAST_WINDOW_PX)
     # Before a bright sky, evenness may be the sky's own.
     even = (_EVEN * quantile(some, 0.01 * BRIGHT_PERCENTILE)) ** 2 if frame[2] > 0.0 else 0.0
-    return _correlation(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
+    return _correlations(surface, which, u, v, facing, levels, found, node, sun, chosen, side, even)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
@@ -274,11 +275,11 @@ def visible_points(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
-def _correlation(
+def _correlations(
     surface: SurfaceTables, which: npt.NDArray[np.int64], u: Array, v: Array, facing: Array,
     levels: Array, found: int, node: int, sun: Array, strengths: Array, side: float, even: float,
-) -> float:  # fmt: skip
-    """Of the levels with the expected ones, within windows of ``side`` pixels.
+) -> tuple[float, float]:  # fmt: skip
+    """Of the levels with the expected ones: within windows of ``side`` pixels, and over all.
 
     ``even``: a variance, grey levels squared, that both have in common: where neither shows any
     contrast, they agree.
@@ -302,13 +303,27 @@ def _correlation(
         s[3] += levels[k] * levels[k]
         s[4] += bright * bright
         s[5] += levels[k] * bright
-    a, b, ab = 1e-6, 1e-6, 0.0
-    count = 0.0
+    whole, within, count = np.zeros(6), np.zeros(3), 0.0
     for s in sums:
+        whole += s
         if s[0] >= _LEAST_IN_WINDOW:
             count += s[0]
-            a += s[3] - s[1] * s[1] / s[0]
-            b += s[4] - s[2] * s[2] / s[0]
-            ab += s[5] - s[1] * s[2] / s[0]
-    same = count * even
-    return (ab + same) / np.sqrt((a + same) * (b + same))  # type: ignore[no-any-return]
+            _add_moments(s, within)
+    over = np.zeros(3)
+    _add_moments(whole, over)
+    return _correlation_of(within, count * even), _correlation_of(over, found * even)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _add_moments(sums: Array, moments: Array) -> None:
+    """Add sums of squares and of products about the means, from ``sums`` (6,) of 1 a b a² b² ab."""
+    moments[0] += sums[3] - sums[1] * sums[1] / sums[0]
+    moments[1] += sums[4] - sums[2] * sums[2] / sums[0]
+    moments[2] += sums[5] - sums[1] * sums[2] / sums[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
+def _correlation_of(moments: Array, same: float) -> float:
+    """From ``_add_moments``; ``same`` is a sum of squares that both have in common."""
+    both = (moments[0] + same + _NOTHING) * (moments[1] + same + _NOTHING)
+    return (moments[2] + same) / np.sqrt(both)  # type: ignore[no-any-return]

@@ -225,9 +225,10 @@ def align_to_sketch(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sketch_agreement(
-    maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, edges: Array
-) -> tuple[float, float, float, float]:
-    """How well a pose agrees with a sketch along the model's edges.
+    maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, stride: int,
+    edges: Array,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """How well a pose agrees with a sketch along the model's edges, at every so many-th point.
 
     Returns:
         Mean probability of an edge on the outline, and on inner edges; mean step of the cover
@@ -237,11 +238,11 @@ def sketch_agreement(
     shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
     kinds = views.kind[shell, nearest[0]]
     one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
-    count = measure_sketch(maps, lens, views, rotation, centre, one, 1.0, one, 1.0, edges)
+    count = measure_sketch(maps, lens, views, rotation, centre, one, 1.0, stride, 1.0, edges)
     outline = inner = contrast = visible = inners = outlines = 1e-9
     for j in range(count):
         seen = edges[j, STATE] != OUTSIDE
-        if kinds[j] == OUTLINE:
+        if kinds[j * stride] == OUTLINE:
             outlines += 1.0
             if seen:
                 visible += 1.0
@@ -255,9 +256,9 @@ def sketch_agreement(
 
 def align_all_to_sketch(
     maps: Maps, lens: Lens, views: ViewTables, stages: Array, rotations: Array, centres: Array,
-    scores: Array,
+    scores: Array, stride: int = 1,
 ) -> None:  # fmt: skip
-    """``align_to_sketch`` and ``sketch_agreement`` of K poses, in place.
+    """``align_to_sketch`` and ``sketch_agreement`` (``stride`` is its) of K poses, in place.
 
     ``scores`` is (K, 4), all −1 for the poses that find no hold.
     """
@@ -265,7 +266,7 @@ def align_all_to_sketch(
     for k in range(rotations.shape[0]):
         scores[k] = -1.0
         if align_to_sketch(maps, lens, views, stages, rotations[k], centres[k], edges):
-            scores[k] = sketch_agreement(maps, lens, views, rotations[k], centres[k], edges)
+            scores[k] = sketch_agreement(maps, lens, views, rotations[k], centres[k], stride, edges)
 
 
 def pose_covariance(

@@ -18,13 +18,10 @@ from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
 PACKAGED = Path(__file__).with_name("error_model.json")
 PACKAGED_TREES = Path(__file__).with_name("confidence.npz")
 # What a pose is judged by, in the order of the fields of ``SketchPose`` …
-POSE_FEATURES = (
-    "outline", "inner", "contrast", "visible", "overlap", "edges", "creases", "explained",
-)  # fmt: skip
+POSE_FEATURES = ("outline", "inner", "contrast", "visible", "explained", "shading", "tones")
 # … and the choice of one: in the closer look, in the first one, and both together.
 CHOICE_FEATURES = (
-    "margin", "cut", "lead", "basin", "converged", "scatter", "spread",
-    *POSE_FEATURES,
+    "margin", "cut", "lead", "basin", "converged", "scatter", "spread", *POSE_FEATURES,
 )  # fmt: skip
 # Source: the spacing of the nodes' views
 RIVAL_RAD = np.deg2rad(8.0)  # rad; a pose further away is another answer
@@ -46,14 +43,13 @@ class SketchPose:
     inner: float  # the same on creases and steps
     contrast: float  # mean step of the cover across the outline
     visible: float  # share of the outline that lies in the sketch
-    overlap: float  # of covers, intersection over union
-    edges: float  # correlation of edges
-    creases: float  # correlation of creases
     explained: float  # share of the sketch's lines that lie next to an edge of the model
+    shading: float  # share of the grey levels' variance within small windows that light explains …
+    tones: float  # … and over the whole target; 0: none, or the model has no surface
 
     @property
     def features(self) -> Array:
-        """(8,) ``POSE_FEATURES``."""
+        """(7,) ``POSE_FEATURES``."""
         return np.array([getattr(self, name) for name in POSE_FEATURES])
 
     @property
@@ -69,6 +65,11 @@ class Looks:
     first: list[SketchPose]  # from all starts, on the first sketch
     around: list[SketchPose]  # from around the best of them, on the finer sketch
     others: list[SketchPose]  # from other ones of the first look, on the finer sketch
+
+    @property
+    def closer(self) -> list[SketchPose]:
+        """All poses on the finer sketch."""
+        return self.around + self.others
 
     def lead(self, best: Pose) -> float:
         """Merit in the first look of the poses that lead to the best, above the others'."""
@@ -116,7 +117,7 @@ class SketchChoice:
 
     @property
     def features(self) -> Array:
-        """(15,) ``CHOICE_FEATURES``."""
+        """(14,) ``CHOICE_FEATURES``."""
         pose, looks = self.best.pose, self.looks
         margin = min(self.margin, _MOST_MARGIN)
         seen = [looks.lead(pose), looks.basin(pose), *looks.scattered(pose)]
@@ -164,7 +165,7 @@ def chosen(
     looks: Looks, symmetries: Sequence[Symmetry], *, prior: bool, cut: bool
 ) -> SketchChoice | None:
     """The pose of most merit in the closer look and its rival; None without any pose."""
-    poses = looks.around + looks.others
+    poses = looks.closer
     best = max(poses, key=lambda p: p.merit, default=None)
     if best is None:
         return None
@@ -194,7 +195,7 @@ def distinct(poses: Sequence[SketchPose], most: int, apart_rad: float) -> list[S
 class SketchErrorModel:
     """What was fitted to frames of known pose (``experiments sketch-confidence``)."""
 
-    merit: Array  # (8,) of POSE_FEATURES
+    merit: Array  # (7,) of POSE_FEATURES
     anywhere: ProbabilityForest  # of CHOICE_FEATURES: is the pose right, without a prior …
     near: ProbabilityForest  # … and near one
     opinions: Array  # (4,) of ``opinion_features``, without a prior

@@ -57,6 +57,7 @@ class Sketch:
     """
 
     maps: Float32s  # (MAPS, h, w), 0 … 1
+    grey: Picture  # (h, w) what the network saw
     scale: float  # sketch px a frame px
     left_px: float  # sketch px
     top_px: float  # sketch px
@@ -161,6 +162,7 @@ class Sketcher:
         rows = max(1, round(scale * (bottom - top)))
         how = cv2.INTER_AREA if scale <= 1.0 else cv2.INTER_LINEAR
         grey = cv2.resize(grey, (columns, rows), interpolation=how).astype(np.float32, copy=False)
+        shown = np.asarray(cv2.convertScaleAbs(grey), dtype=np.uint8)
         if turned:
             grey = np.ascontiguousarray(grey[::-1, ::-1])
         maps = _probabilities(self._log_odds(grey))
@@ -173,7 +175,7 @@ class Sketcher:
         down = top == 0 and cover[0].any(), bottom == height and cover[-1].any()
         # Pixel k of the frame covers k − 0.5 … k + 0.5, in the sketch likewise.
         shift_x, shift_y = scale * (0.5 - left) - 0.5, scale * (0.5 - top) - 0.5
-        return Sketch(maps, scale, shift_x, shift_y, np.array([across, down]), fineness)
+        return Sketch(maps, shown, scale, shift_x, shift_y, np.array([across, down]), fineness)
 
     def _log_odds(self, grey: Float32s) -> Float32s:
         """(MAPS, h, w) of a picture (h, w) of grey levels."""

@@ -1,9 +1,10 @@
 """The search for the pose of a frame on its sketch.
 
 The network draws a sketch of the frame (``network``). Correlation with the model's views proposes
-poses (``retrieval``), which are moved onto the sketch's edges (``alignment``) and compared with it
-as a whole (``agreement``). The best are looked at again in a sketch twice as fine. A forest
-gives the probability that the best of them is right (``choice``).
+poses (``retrieval``), which are moved onto the sketch's edges (``alignment``). What of its lines
+they explain (``explained``), and how far the grey levels are those of a lit surface at the pose
+(``edges/shading``), decides between them. The best are looked at again in a sketch twice as fine.
+A forest gives the probability that the best of them is right (``choice``).
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
+from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.edges.starts import rotated_about
-from rendezview.sensors.appearance.edges.view_tables import ViewTables, through_lens
+from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.sketch.agreement import SketchAgreement
 from rendezview.sensors.appearance.sketch.alignment import (
     CUT_SPREADS,
     WIDTH,
@@ -52,15 +53,16 @@ from rendezview.sensors.appearance.sketch.network import (
     Sketcher,
 )
 from rendezview.sensors.appearance.sketch.retrieval import SketchRetrieval
+from rendezview.sensors.appearance.sky import Sky
 
 # Stages of alignment: reach and spread (sketch px), steps, stride, weight of inner edges. A third
 # of the target is looked over first, then less and less. Source: experiment photo-accuracy
 _COARSE = np.array(
-    [[14.0, 7.0, 3.0, 2.0, 0.5], [9.0, 4.0, 3.0, 1.0, 0.5], [6.0, 2.5, 4.0, 1.0, 0.5]]
+    [[14.0, 7.0, 3.0, 4.0, 0.5], [9.0, 4.0, 3.0, 1.0, 0.5], [6.0, 2.5, 4.0, 1.0, 0.5]]
 )
 # In the finer sketch all edges within 3 % of the target's size count: where the mesh is wrong, the
 # mean of many edges is nearer to the pose than the few that fit. Source: experiment photo-accuracy
-_FINE = np.array([[18.0, 8.0, 10.0, 1.0, 1.0]])
+_FINE = np.array([[18.0, 8.0, 10.0, 2.0, 1.0]])
 # The pose that is given has converged: edges hold it where it is, so it takes more steps. Lengths
 # are of a first look, and grow with its fineness: the mesh's errors do. Source: frames of
 # sketch-confidence and photo-accuracy (docs/notes/photographs.md)
@@ -95,27 +97,30 @@ class SketchSearch:
         """
         if model.sketches is None:
             raise ValueError("the model has no sketches")
-        self.model = model
-        self.camera = camera
         self.sketcher = Sketcher()
         self.retrieval = SketchRetrieval(model, model.sketches, camera)
-        self._sketches = model.sketches
-        self._views = views
-        self._lens = (lens_vector(camera), camera.is_distorted)
+        self._set_tables(model, camera, views)
 
-    def best(self, frame: Picture) -> SketchChoice | None:
+    def _set_tables(self, model: ViewModel, camera: Camera, views: ViewTables) -> None:
+        self.model, self.camera, self._views = model, camera, views
+        self._lens = (lens_vector(camera), camera.is_distorted)
+        self._surface = None
+        if model.surface is not None:
+            self._surface = SurfaceTables.of(model.surface, model.target_radius_m)
+
+    def best(self, frame: Picture, sky: Sky) -> SketchChoice | None:
         """As ``anywhere``, with a second opinion where the pose is in doubt.
 
         Near a prior there is none: both searches are held by the prior, and agree where it is
         wrong.
         """
-        first = self.anywhere(frame)
+        first = self.anywhere(frame, sky)
         if first is None or not first.in_doubt:
             return first
-        second = self.anywhere(frame, turned=True)
+        second = self.anywhere(frame, sky, turned=True)
         return first if second is None else first.beside(second, self.model.symmetries)
 
-    def anywhere(self, frame: Picture, *, turned: bool = False) -> SketchChoice | None:
+    def anywhere(self, frame: Picture, sky: Sky, *, turned: bool = False) -> SketchChoice | None:
         """The best pose of a frame without a prior; None where the sketch shows no target.
 
         ``turned``: the network sees the frame upside down.
@@ -124,10 +129,10 @@ class SketchSearch:
         if sketch is None:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
-        poses = self.aligned(sketch, rotations, centres)
-        return self._closer(frame, sketch, poses, prior=False, turned=turned)
+        poses = self.aligned(sketch, sky, rotations, centres)
+        return self._closer(frame, sky, sketch, poses, prior=False, turned=turned)
 
-    def near(self, frame: Picture, prior: Pose, error_rad: float) -> SketchChoice | None:
+    def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
         sketch = self.sketcher.near(frame, self._box(prior))
         if sketch is None:
@@ -138,16 +143,15 @@ class SketchSearch:
         )
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
-        poses = self.aligned(sketch, rotations, centres)
+        poses = self.aligned(sketch, sky, rotations, centres)
         furthest = 1.1 * error_rad + _VIEW_RAD
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, sketch, within, prior=True, turned=False)
+        return self._closer(frame, sky, sketch, within, prior=True, turned=False)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
         moved = copy(self)
-        moved.model, moved._views, moved.camera = model, views, camera
-        moved._lens = (lens_vector(camera), camera.is_distorted)
+        moved._set_tables(model, camera, views)
         return moved
 
     def closer_sketch(self, frame: Picture, pose: Pose, *, turned: bool = False) -> Sketch | None:
@@ -163,42 +167,48 @@ class SketchSearch:
             return None
         return MeasuredEdges.of(edges, CUT_SPREADS * last[-1, 1], rotation, centre)
 
-    def aligned(self, sketch: Sketch, rotations: Array, centres: Array) -> list[SketchPose]:
+    def aligned(
+        self, sketch: Sketch, sky: Sky, rotations: Array, centres: Array
+    ) -> list[SketchPose]:
         """Poses (K, 3, 3) and view centres (K, 3), changed in place, moved onto a sketch.
 
         All take the first stage, the most promising ones the others. Those that find no hold are
         left out.
         """
         maps, scores = _maps(sketch), np.empty((len(rotations), 4))
-        align_all_to_sketch(maps, self._lens, self._views, _COARSE[:1], rotations, centres, scores)
+        align_all_to_sketch(
+            maps, self._lens, self._views, _COARSE[:1], rotations, centres, scores,
+            int(_COARSE[0, 3]),
+        )  # fmt: skip
         promise = np.where(scores[:, 0] >= 0.0, scores[:, :3] @ _PROMISE, -np.inf)
         kept = np.argsort(-promise, kind="stable")[:_KEPT]
         kept = kept[np.isfinite(promise[kept])]
-        return self._aligned(sketch, maps, rotations[kept], centres[kept], _COARSE[1:])
+        return self._aligned(sketch, sky, maps, rotations[kept], centres[kept], _COARSE[1:])
 
     def _aligned(
-        self, sketch: Sketch, maps: Maps, rotations: Array, centres: Array, stages: Array
+        self, sketch: Sketch, sky: Sky, maps: Maps, rotations: Array, centres: Array, stages: Array
     ) -> list[SketchPose]:
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
-        agreement = SketchAgreement(self._sketches, sketch.maps)
-        lines, seen = _lines(sketch), np.empty(sketch.maps.shape[1:], np.uint8)
+        lines, its_place = _lines(sketch)
+        seen, lens = np.empty(lines.shape, np.uint8), self._lens_of(sketch)
         found = []
         for k in np.flatnonzero(scores[:, 0] >= 0.0):
-            place, radius_px = self._in_sketch(sketch, centres[k])
-            pose = Pose(rotations[k], centres[k] - rotations[k] @ self.model.centre_m)
-            agrees = agreement.of(rotations[k], centres[k], place, radius_px)
+            at = rotations[k], centres[k]
+            pose = Pose(at[0], at[1] - at[0] @ self.model.centre_m)
+            explained = explained_share(lines, its_place, self._lens, self._views, *at, seen)
+            alike = (0.0, 0.0)
+            if self._surface is not None:
+                alike = shading(sketch.grey, lens, sky.vector, self._surface, *at)
+            lit = (max(correlation, 0.0) ** 2 for correlation in alike)
             outline, inner, contrast, visible = (float(score) for score in scores[k])
-            explained = explained_share(
-                lines, sketch.place, sketch.fineness, self._lens, self._views, rotations[k],
-                centres[k], seen,
-            )  # fmt: skip
-            found.append(SketchPose(pose, outline, inner, contrast, visible, *agrees, explained))
+            found.append(SketchPose(pose, outline, inner, contrast, visible, explained, *lit))
         return found
 
     def _closer(
-        self, frame: Picture, first: Sketch, poses: list[SketchPose], *, prior: bool, turned: bool
-    ) -> SketchChoice | None:
+        self, frame: Picture, sky: Sky, first: Sketch, poses: list[SketchPose], *, prior: bool,
+        turned: bool,
+    ) -> SketchChoice | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer look at the target."""
         best = distinct(poses, _LOOKED_AT, _APART_RAD)
         if not best:
@@ -208,10 +218,10 @@ class SketchSearch:
             return None
         centre_m, maps = self.model.centre_m, _maps(sketch)
         starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
-        around = self._aligned(sketch, maps, starts, places, _FINE)
+        around = self._aligned(sketch, sky, maps, starts, places, _FINE)
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
-        looks = Looks(poses, around, self._aligned(sketch, maps, starts, places, _FINE))
+        looks = Looks(poses, around, self._aligned(sketch, sky, maps, starts, places, _FINE))
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
@@ -251,14 +261,13 @@ class SketchSearch:
         spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
         return Pose(rotation, centre + move[3:] - arm), spread_deg, scatter
 
-    def _in_sketch(self, sketch: Sketch, centre: Array) -> tuple[Array, float]:
-        """Place (2,) of the view centre in a sketch, and a target radius there, sketch px."""
-        x, y = centre[:2] / centre[2]
-        u, v = through_lens(float(x), float(y), self._lens)[:2]
-        camera = self.camera
-        place = np.array([camera.fx * u + camera.cx, camera.fy * v + camera.cy])
-        radius_px = camera.fx * sketch.scale * self.model.target_radius_m / np.linalg.norm(centre)
-        return sketch.scale * place + sketch.place[1:], float(radius_px)
+    def _lens_of(self, sketch: Sketch) -> Lens:
+        """The lens of a camera whose picture is the sketch."""
+        scale, left, top = sketch.place
+        vector = self._lens[0].copy()
+        vector[:4] *= scale
+        vector[2:4] += left, top
+        return vector, self._lens[1]
 
     def _box(self, pose: Pose) -> Box:
         """The box of the target at a pose, frame px: of the contour points of its nearest view."""
@@ -290,10 +299,17 @@ def _maps(sketch: Sketch) -> Maps:
     return Maps(np.ascontiguousarray(sketch.maps[COVER]), soft[0], soft[1], sketch.place)
 
 
-def _lines(sketch: Sketch) -> Float32s:
-    """(h, w) squares of the probabilities of edges and creases, as a share of their sum.
+def _lines(sketch: Sketch) -> tuple[Float32s, Array]:
+    """How much of a line there is, (h, w), as a share of the sum, and its place as of a sketch.
 
-    Squares: faint doubts all over a sketch add up to as much as its lines.
+    They are as fine as a first look. Squares of the probabilities of edges and creases: faint
+    doubts all over a sketch add up to as much as its lines.
     """
     lines = sketch.maps[EDGE] ** 2 + sketch.maps[CREASE] ** 2
-    return np.asarray(lines / (lines.sum() + _NOTHING), dtype=np.float32)
+    n = min(max(1, round(sketch.fineness)), *lines.shape)
+    height, width = (side // n for side in lines.shape)
+    whole = lines[: n * height, : n * width]
+    lines = np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA))
+    scale, left, top = sketch.place
+    place = np.array([scale / n, (left + 0.5) / n - 0.5, (top + 0.5) / n - 0.5])
+    return np.asarray(lines / (lines.sum() + _NOTHING), dtype=np.float32), place
