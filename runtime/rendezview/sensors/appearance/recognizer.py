@@ -278,9 +278,8 @@ class Recognizer:
             if found is not None and self._confident(found):
                 return self._given(self.outline.seen(traced, found.best.pose, clock), found)
         traced_view = None
-        if prior is not None:
+        if found is None and prior is not None:
             traced_view = self.outline.recognize(traced, prior, prior_error_rad, clock)
-        if found is None and prior is not None and traced_view is not None:
             if self.overflows(prior):
                 return _refused(traced_view, None)
             also = [] if traced_view.pose is None else [traced_view.pose]
@@ -294,7 +293,9 @@ class Recognizer:
             hopeless = found is None or found.confidence < _HOPELESS
             if sketched is not None and prior is None:
                 # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = _answers(sketched, None if hopeless else found)
+                answers = sketched.answers
+                if found is not None and not hopeless:
+                    answers += found.answers
                 proposed = search.proposed(frame, sky, answers, traced.outlines)
                 clock.lap("refine")
                 if proposed is not None and self._confident(proposed):
@@ -353,12 +354,6 @@ class Recognizer:
         """Whether a pose is given: it is likely right, and without a prior it has no rival."""
         close = found.rival is not None and not found.prior and found.margin < _LEAST_MARGIN
         return found.confidence >= self.least_confidence and not close and _is_known(found.best)
-
-
-def _answers(*looks: Found | None) -> list[Pose]:
-    """The best poses of some looks, and their rivals."""
-    poses = [(f.best, f.rival) for f in looks if f is not None]
-    return [refined.pose for both in poses for refined in both if refined is not None]
 
 
 def _is_known(refined: Refined) -> bool:

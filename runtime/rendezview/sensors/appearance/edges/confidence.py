@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rendezview.geometry.pose import Array
+from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
@@ -63,6 +63,11 @@ class Found:
     def merit(self) -> float:
         """Merit of the best pose; see ``merit``."""
         return merit(self.best, self.overshoot, self.shading)
+
+    @property
+    def answers(self) -> list[Pose]:
+        """The best pose, and its rival if there is one."""
+        return [found.pose for found in (self.best, self.rival) if found is not None]
 
     @property
     def features(self) -> Array:
