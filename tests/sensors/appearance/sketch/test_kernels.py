@@ -9,10 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance.edges.contours import POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import FOUND, RESIDUAL, STATE, U, V
+from rendezview.sensors.appearance.edges.alignment import nearest_views
+from rendezview.sensors.appearance.edges.contours import OUTLINE, POINT_UNIT
+from rendezview.sensors.appearance.edges.edge_search import FOUND, OUTSIDE, RESIDUAL, STATE, U, V
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.sketch.alignment import (
+    AT,
+    CONTRAST,
     WIDTH,
     Maps,
     align_all_to_sketch,
@@ -135,6 +138,25 @@ def test_alignment_comes_back_from_five_degrees(ideal, refining_model):
         assert np.linalg.norm(at - centre) < 0.02 * np.linalg.norm(centre)
     assert np.median(errors) < 2.5
     assert np.max(scores[:, 0]) > 0.5
+
+
+@pytest.mark.parametrize("stride", [1, 4])
+def test_a_pose_is_scored_at_every_so_many_th_point(ideal, refining_model, stride):
+    pose, maps, lens, views = ideal
+    centre = pose.apply(refining_model.centre_m)
+    edges = np.zeros((views.point.shape[2], WIDTH))
+    count = measure_sketch(maps, lens, views, pose.rotation, centre, 1, 1.0, 1, 1.0, edges)
+    nearest = np.zeros(1, dtype=np.int64)
+    shell = nearest_views(views.directions, views.shells_m, pose.rotation, centre, nearest)
+    some = edges[:count:stride].copy()
+    kinds = views.kind[shell, nearest[0], :count:stride]
+    outer, seen = kinds == OUTLINE, some[:, STATE] != OUTSIDE
+    expected = (
+        some[outer & seen, AT].mean(), some[~outer & seen, AT].mean(),
+        some[outer & seen, CONTRAST].mean(), np.mean(seen[outer]),
+    )  # fmt: skip
+    scored = sketch_agreement(maps, lens, views, pose.rotation, centre, stride, edges)
+    assert scored == pytest.approx(expected, abs=1e-6)
 
 
 def test_no_edges_are_no_hold(ideal, refining_model):

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -84,6 +85,17 @@ _SMOOTH_PX = 0.7  # sketch px; σ of the lines before they are read. Source: hal
 _NOTHING = 1e-6  # keeps quotients finite. Source: by construction
 # Source: experiment photo-accuracy
 _CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
+
+
+class _Reading(NamedTuple):
+    """A sketch as poses are aligned to it and judged by it."""
+
+    maps: Maps
+    lines: Float32s  # (h, w) of ``_lines``
+    lines_place: Array  # (3,) of them, as of ``Sketch.place``
+    grey: Picture  # (h, w) of the sketch
+    lens: Lens  # of a camera whose picture that is
+    sky: Array  # (6,) of ``Sky.vector``
 
 
 class SketchSearch:
@@ -175,31 +187,36 @@ class SketchSearch:
         All take the first stage, the most promising ones the others. Those that find no hold are
         left out.
         """
-        maps, scores = _maps(sketch), np.empty((len(rotations), 4))
+        reading, scores = self._read(sketch, sky), np.empty((len(rotations), 4))
         align_all_to_sketch(
-            maps, self._lens, self._views, _COARSE[:1], rotations, centres, scores,
+            reading.maps, self._lens, self._views, _COARSE[:1], rotations, centres, scores,
             int(_COARSE[0, 3]),
         )  # fmt: skip
         promise = np.where(scores[:, 0] >= 0.0, scores[:, :3] @ _PROMISE, -np.inf)
         kept = np.argsort(-promise, kind="stable")[:_KEPT]
         kept = kept[np.isfinite(promise[kept])]
-        return self._aligned(sketch, sky, maps, rotations[kept], centres[kept], _COARSE[1:])
+        return self._aligned(reading, rotations[kept], centres[kept], _COARSE[1:])
+
+    def _read(self, sketch: Sketch, sky: Sky) -> _Reading:
+        return _Reading(
+            _maps(sketch), *_lines(sketch), sketch.grey, self._lens_of(sketch), sky.vector
+        )
 
     def _aligned(
-        self, sketch: Sketch, sky: Sky, maps: Maps, rotations: Array, centres: Array, stages: Array
+        self, reading: _Reading, rotations: Array, centres: Array, stages: Array
     ) -> list[SketchPose]:
+        maps, lines, lines_place, grey, lens, sky = reading
         scores = np.empty((len(rotations), 4))
         align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
-        lines, its_place = _lines(sketch)
-        seen, lens = np.empty(lines.shape, np.uint8), self._lens_of(sketch)
+        seen = np.empty(lines.shape, np.uint8)
         found = []
         for k in np.flatnonzero(scores[:, 0] >= 0.0):
             at = rotations[k], centres[k]
             pose = Pose(at[0], at[1] - at[0] @ self.model.centre_m)
-            explained = explained_share(lines, its_place, self._lens, self._views, *at, seen)
+            explained = explained_share(lines, lines_place, self._lens, self._views, *at, seen)
             alike = (0.0, 0.0)
             if self._surface is not None:
-                alike = shading(sketch.grey, lens, sky.vector, self._surface, *at)
+                alike = shading(grey, lens, sky, self._surface, *at)
             lit = (max(correlation, 0.0) ** 2 for correlation in alike)
             outline, inner, contrast, visible = (float(score) for score in scores[k])
             found.append(SketchPose(pose, outline, inner, contrast, visible, explained, *lit))
@@ -216,19 +233,19 @@ class SketchSearch:
         sketch = self.closer_sketch(frame, best[0].pose, turned=turned)
         if sketch is None:
             return None
-        centre_m, maps = self.model.centre_m, _maps(sketch)
+        centre_m, reading = self.model.centre_m, self._read(sketch, sky)
         starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
-        around = self._aligned(sketch, sky, maps, starts, places, _FINE)
+        around = self._aligned(reading, starts, places, _FINE)
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
         places = np.array([b.pose.apply(centre_m) for b in best[1:]]).reshape(-1, 3)
-        looks = Looks(poses, around, self._aligned(sketch, sky, maps, starts, places, _FINE))
+        looks = Looks(poses, around, self._aligned(reading, starts, places, _FINE))
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
         pose, spread_deg, scatter = self._mean(choice.best.pose, [first, sketch])
         choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
         covariance, strained, residual_px = pose_covariance(
-            maps, self._lens, self._views, _last(sketch)[-1], pose.rotation.copy(),
+            reading.maps, self._lens, self._views, _last(sketch)[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
