@@ -65,15 +65,28 @@ def _rarely_distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
     )
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def is_polynomial(lens: Array) -> bool:
+    """Whether ``polynomial`` is all of a lens, as it is of most."""
+    return lens[_MODEL] == 0.0  # type: ignore[no-any-return]
+
+
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
-def distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
-    """OpenCV's distortion of normalised coordinates; ``lens`` of ``lens_vector``."""
+def polynomial(x: float, y: float, lens: Array) -> tuple[float, float]:
+    """OpenCV's distortion of normalised coordinates by at most 8 terms; without branches."""
     r2 = x * x + y * y
     radial = (1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))) / (
         1.0 + r2 * (lens[9] + r2 * (lens[10] + r2 * lens[11]))
     )
     u = x * radial + 2.0 * lens[6] * x * y + lens[7] * (r2 + 2.0 * x * x)
     v = y * radial + lens[6] * (r2 + 2.0 * y * y) + 2.0 * lens[7] * x * y
+    return u, v
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True, inline="always")
+def distorted(x: float, y: float, lens: Array) -> tuple[float, float]:
+    """OpenCV's distortion of normalised coordinates; ``lens`` of ``lens_vector``."""
+    u, v = polynomial(x, y, lens)
     if lens[_MODEL] != 0.0:
         u, v = _rarely_distorted(x, y, lens)
     return u, v

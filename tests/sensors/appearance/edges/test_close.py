@@ -14,7 +14,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.sensors.appearance.edges.close import CloseSearch
-from rendezview.sensors.appearance.edges.edge_search import (
+from rendezview.sensors.appearance.edges.near_views import NearSphere
+from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
     NOT_FOUND,
@@ -23,7 +24,6 @@ from rendezview.sensors.appearance.edges.edge_search import (
     U,
     V,
 )
-from rendezview.sensors.appearance.edges.near_views import NearSphere
 from rendezview.sensors.observation import Status
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.training.job import train

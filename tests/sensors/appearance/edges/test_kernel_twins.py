@@ -18,6 +18,13 @@ from rendezview.sensors.appearance.edges.contours import (
     packed_start,
 )
 from rendezview.sensors.appearance.edges.edge_search import (
+    measure_edges,
+    read_profile,
+    strongest_edge,
+    unfitted_weight,
+)
+from rendezview.sensors.appearance.edges.lighting import facing_normals, light_strengths
+from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
     NX,
@@ -28,12 +35,7 @@ from rendezview.sensors.appearance.edges.edge_search import (
     WEIGHT,
     U,
     V,
-    measure_edges,
-    read_profile,
-    strongest_edge,
-    unfitted_weight,
 )
-from rendezview.sensors.appearance.edges.lighting import facing_normals, light_strengths
 from rendezview.sensors.appearance.edges.profile import (
     expected_profile,
     profile_scratch,

@@ -20,16 +20,16 @@ from rendezview.sensors.appearance.edges.alignment import (
     nearest_distance,
 )
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
-from rendezview.sensors.appearance.edges.edge_search import (
+from rendezview.sensors.appearance.edges.edge_search import measure_edges
+from rendezview.sensors.appearance.edges.lighting import fit_light
+from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
     OUTSIDE,
     RESIDUAL,
     STATE,
     WEIGHT,
-    measure_edges,
 )
-from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.sky import Sky
 

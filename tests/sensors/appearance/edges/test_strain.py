@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.sensors.appearance.edges.test_kernel_twins import measured, shift_of, weighted
 
-from rendezview.sensors.appearance.edges.edge_search import FOUND, RESIDUAL, STATE, WEIGHT
+from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
 from rendezview.sensors.appearance.edges.strain import StrainMoves
 
 

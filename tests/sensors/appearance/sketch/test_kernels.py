@@ -10,19 +10,26 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import OUTLINE, POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import FOUND, OUTSIDE, RESIDUAL, STATE, U, V
+from rendezview.sensors.appearance.edges.contours import CREASE, OUTLINE
+from rendezview.sensors.appearance.edges.predicted import (
+    COLUMNS,
+    FOUND,
+    NX,
+    NY,
+    OUTSIDE,
+    RESIDUAL,
+    STATE,
+    U,
+    V,
+)
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.sketch.alignment import (
-    AT,
-    CONTRAST,
-    WIDTH,
     Maps,
     align_all_to_sketch,
     align_to_sketch,
     likeliest_edge,
     measure_sketch,
-    predict_edge,
+    read_line,
     read_map,
     sketch_agreement,
 )
@@ -50,10 +57,10 @@ def ideal(bumpy_mesh, refining_model, camera):
     drawn = sketch_maps(near, owner, normals, refining_model.target_radius_m)
     soft = [cv2.GaussianBlur(m, (0, 0), 0.7) for m in drawn]
     shift = 0.5 * scale - 0.5
-    maps = Maps(
-        drawn[0], soft[1], np.maximum(soft[2], 0.5 * soft[1]), np.array([scale, shift, shift])
-    )
+    maps = Maps(drawn[0], soft[1], np.maximum(soft[2], 0.5 * soft[1]))
     lens = (lens_vector(camera), camera.is_distorted)
+    lens[0][:4] *= scale
+    lens[0][2:4] += shift
     return pose, maps, lens, Refiner(refining_model, camera).views
 
 
@@ -67,46 +74,39 @@ def test_read_map_is_bilinear_and_minus_one_outside():
         assert read_map(plane, *place) == -1.0
 
 
-def test_predict_edge_projects_the_point_and_its_derivatives(ideal, refining_model):
-    pose, maps, lens, views = ideal
-    centre = pose.apply(refining_model.centre_m)
-    unit = views.radius_m * POINT_UNIT
-    point, tangent = views.point[0, 5, 3], views.tangent[0, 5, 3]
-
-    def place(turn: np.ndarray, move: np.ndarray) -> np.ndarray:
-        q = Rotation.from_rotvec(turn).as_matrix() @ pose.rotation @ (point * unit) + centre + move
-        return maps.place[0] * (lens[0][:2] * q[:2] / q[2] + lens[0][2:4]) + maps.place[1:]
-
-    row = np.zeros(WIDTH)
-    assert predict_edge(point, tangent, lens, maps.place, unit, pose.rotation, centre, row)
-    zero = np.zeros(3)
-    assert row[[U, V]] == pytest.approx(place(zero, zero), abs=1e-9)
-    normal = row[[11, 12]]
-    assert np.linalg.norm(normal) == pytest.approx(1.0)
-    for k in range(6):
-        step = np.zeros(6)
-        step[k] = 1e-6
-        moved = (place(step[:3], step[3:]) - place(-step[:3], -step[3:])) / 2e-6
-        assert row[k] == pytest.approx(float(normal @ moved), rel=1e-4, abs=1e-3)
+def test_read_line_is_read_map_along_a_normal():
+    plane = np.random.default_rng(2).random((40, 50)).astype(np.float32)
+    line = np.empty(15, np.float32)
+    inside, outside = ((20.3, 17.8, 0.6, 0.8), (31.0, 21.5, -0.8, 0.6)), (3.2, 30.1, 0.8, 0.6)
+    for x, y, nx, ny in (*inside, outside):
+        read_line(plane, x, y, nx, ny, 7, line)
+        expected = [read_map(plane, x + k * nx, y + k * ny) for k in range(-7, 8)]
+        assert line == pytest.approx(expected, abs=1e-5)
+    assert line[0] == -1.0
+    assert line[7] > 0.0
 
 
 def test_likeliest_edge_finds_the_ridge_and_wants_the_target_inside():
     x = np.arange(60.0)
     plane = np.tile(np.exp(-0.5 * ((x - 33.3) / 1.2) ** 2), (40, 1)).astype(np.float32)
     cover = np.tile(x < 33.3, (40, 1)).astype(np.float32)
-    row = np.zeros(WIDTH)
-    row[[U, V, 11, 12]] = 30.0, 20.0, 1.0, 0.0
-    at, score = likeliest_edge(plane, cover, row, 8, 5.0, True)
+    row, line = np.zeros(COLUMNS), np.empty(19, np.float32)
+
+    def likeliest(nx: float, plane: np.ndarray, outline: bool) -> tuple[float, float]:
+        row[[U, V, NX, NY]] = 30.0, 20.0, nx, 0.0
+        read_line(plane, *row[[U, V, NX, NY]], 9, line)
+        return likeliest_edge(line, cover, row, 8, 5.0, outline)
+
+    at, score = likeliest(1.0, plane, True)
     assert at == pytest.approx(3.3, abs=0.1)
-    row[11] = -1.0  # the target would be outside
-    _, wrong = likeliest_edge(plane, cover, row, 8, 5.0, True)
+    _, wrong = likeliest(-1.0, plane, True)  # the target would be outside
     assert wrong < 0.1 * score
-    assert likeliest_edge(np.zeros_like(plane), cover, row, 8, 5.0, False) == (0.0, 0.0)
+    assert likeliest(1.0, np.zeros_like(plane), False) == (0.0, 0.0)
 
 
 def test_the_points_of_the_true_pose_lie_on_the_edges_of_its_maps(ideal, refining_model):
     pose, maps, lens, views = ideal
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     centre = pose.apply(refining_model.centre_m)
     count = measure_sketch(maps, lens, views, pose.rotation, centre, 6, 3.0, 1, 1.0, edges)
     found = edges[:count][edges[:count, STATE] == FOUND]
@@ -118,7 +118,7 @@ def test_the_points_of_the_true_pose_lie_on_the_edges_of_its_maps(ideal, refinin
 def test_alignment_comes_back_from_five_degrees(ideal, refining_model):
     pose, maps, lens, views = ideal
     centre = pose.apply(refining_model.centre_m)
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     rng = np.random.default_rng(5)
     rotations = [
         Rotation.from_rotvec(np.deg2rad(5.0) * v / np.linalg.norm(v)).as_matrix() @ pose.rotation
@@ -144,16 +144,25 @@ def test_alignment_comes_back_from_five_degrees(ideal, refining_model):
 def test_a_pose_is_scored_at_every_so_many_th_point(ideal, refining_model, stride):
     pose, maps, lens, views = ideal
     centre = pose.apply(refining_model.centre_m)
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     count = measure_sketch(maps, lens, views, pose.rotation, centre, 1, 1.0, 1, 1.0, edges)
     nearest = np.zeros(1, dtype=np.int64)
     shell = nearest_views(views.directions, views.shells_m, pose.rotation, centre, nearest)
     some = edges[:count:stride].copy()
     kinds = views.kind[shell, nearest[0], :count:stride]
-    outer, seen = kinds == OUTLINE, some[:, STATE] != OUTSIDE
+    outer = kinds == OUTLINE
+    u, v, nx, ny = some[:, [U, V, NX, NY]].T
+    planes = np.where((kinds == CREASE)[:, None, None], maps.crease, maps.edge)
+    at = np.array([read_map(plane, x, y) for plane, x, y in zip(planes, u, v, strict=True)])
+    seen = (at >= 0.0) & (some[:, STATE] != OUTSIDE)
+    step = [
+        read_map(maps.cover, x - 4.0 * a, y - 4.0 * b)
+        - read_map(maps.cover, x + 4.0 * a, y + 4.0 * b)
+        for x, y, a, b in zip(u, v, nx, ny, strict=True)
+    ]
     expected = (
-        some[outer & seen, AT].mean(), some[~outer & seen, AT].mean(),
-        some[outer & seen, CONTRAST].mean(), np.mean(seen[outer]),
+        at[outer & seen].mean(), at[~outer & seen].mean(),
+        np.array(step)[outer & seen].mean(), np.mean(seen[outer]),
     )  # fmt: skip
     scored = sketch_agreement(maps, lens, views, pose.rotation, centre, stride, edges)
     assert scored == pytest.approx(expected, abs=1e-6)
@@ -162,7 +171,7 @@ def test_a_pose_is_scored_at_every_so_many_th_point(ideal, refining_model, strid
 def test_no_edges_are_no_hold(ideal, refining_model):
     pose, maps, lens, views = ideal
     empty = maps._replace(edge=np.zeros_like(maps.edge), crease=np.zeros_like(maps.crease))
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     centre = pose.apply(refining_model.centre_m)
     rotation = pose.rotation.copy()
     assert not align_to_sketch(empty, lens, views, STAGES, rotation, centre, edges)
@@ -171,12 +180,12 @@ def test_no_edges_are_no_hold(ideal, refining_model):
 @pytest.fixture
 def explained(ideal):
     """Of lines (h, w), the share that an attitude explains; the view centre stays."""
-    _, maps, lens, views = ideal
+    _, _, lens, views = ideal
 
     def share(lines: np.ndarray, rotation: np.ndarray, centre: np.ndarray) -> float:
         lines = (lines / lines.sum()).astype(np.float32)
         seen = np.full(lines.shape, 7, np.uint8)  # what another pose left there does not matter
-        return explained_share(lines, maps.place, lens, views, rotation, centre, seen)
+        return explained_share(lines, lens, views, rotation, centre, seen)
 
     return share
 
@@ -219,8 +228,8 @@ def test_the_strips_lie_on_the_contour_points_to_half_a_pixel(ideal, refining_mo
     pose, maps, lens, views = ideal
     centre = pose.apply(refining_model.centre_m)
     seen = np.zeros(maps.edge.shape, np.uint8)
-    explained_share(maps.edge, maps.place, lens, views, pose.rotation, centre, seen)
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    explained_share(maps.edge, lens, views, pose.rotation, centre, seen)
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     count = measure_sketch(maps, lens, views, pose.rotation, centre, 1, 1.0, 1, 1.0, edges)
     height, width = seen.shape
     down, right = np.mgrid[:height, :width]

@@ -162,7 +162,7 @@ def test_light_on_the_surface_tells_a_pose_from_others(bumpy_mesh, refining_mode
             sketch = search.sketcher.near(frame, search._box(pose), fineness)
             turned = replace(sketch, grey=np.ascontiguousarray(sketch.grey[::-1, ::-1]))
             lit, unlit = (
-                search.aligned(seen, sky, pose.rotation[None].copy(), at[None].copy())
+                search.aligned(search.read(seen, sky), pose.rotation[None].copy(), at[None].copy())
                 for seen in (sketch, turned)
             )
             told += [(lit[0].shading, lit[0].tones, unlit[0].tones)] if lit else []
@@ -196,7 +196,9 @@ def test_lines_are_explained_alike_in_a_finer_sketch(bumpy_mesh, refining_model,
         # The first pixels of both begin at the same place of the frame.
         edge = [(-0.5 - p[1:]) / p[0] for p in (place, sketch.place)]
         assert edge[0] == pytest.approx(edge[1])
-        poses = search.aligned(sketch, sky, pose.rotation[None].copy(), at[None].copy())
+        poses = search.aligned(
+            search.read(sketch, sky), pose.rotation[None].copy(), at[None].copy()
+        )
         shares.append(poses[0].explained)
     assert shares[0] > 0.5
     assert shares[1] == pytest.approx(shares[0], abs=0.2)

@@ -14,16 +14,16 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import hat, orthonormalise, perturb_into
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
-from rendezview.sensors.appearance.edges.edge_search import (
+from rendezview.sensors.appearance.edges.edge_search import measure_edges
+from rendezview.sensors.appearance.edges.lighting import fit_light
+from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
     OUTSIDE,
     RESIDUAL,
     STATE,
     WEIGHT,
-    measure_edges,
 )
-from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
 
 

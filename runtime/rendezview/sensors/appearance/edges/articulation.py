@@ -13,14 +13,8 @@ from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import (
-    FOUND,
-    NOT_FOUND,
-    RESIDUAL,
-    STATE,
-    WEIGHT,
-    point_of_slope,
-)
+from rendezview.sensors.appearance.edges.edge_search import point_of_slope
+from rendezview.sensors.appearance.edges.predicted import FOUND, NOT_FOUND, RESIDUAL, STATE, WEIGHT
 from rendezview.sensors.appearance.edges.view_tables import ViewTables
 from rendezview.sensors.appearance.model import ViewModel
 

@@ -16,14 +16,23 @@ from numba import njit
 
 from rendezview.geometry.pose import Array
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.contours import (
-    NO_POINT,
-    OUTLINE,
-    POINT_UNIT,
-    RUN_UNIT,
+from rendezview.sensors.appearance.edges.contours import OUTLINE, POINT_UNIT, RUN_UNIT
+from rendezview.sensors.appearance.edges.predicted import (
+    CROWDED,
+    FOUND,
+    NOT_FOUND,
+    NX,
+    NY,
+    OUTSIDE,
+    RESIDUAL,
+    STATE,
+    WEIGHT,
+    U,
+    V,
+    point_count,
+    predict_edges,
 )
 from rendezview.sensors.appearance.edges.profile import (
-    Kinds,
     ProfileScratch,
     expected_profile,
     profile_scratch,
@@ -32,20 +41,12 @@ from rendezview.sensors.appearance.edges.profile import (
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.view_tables import (
     Lens,
-    ProjectedEdge,
     Two,
     ViewTables,
-    pose_slope_into,
     project_edge,
 )
 
 LONGEST_PX = 40  # px; longest search to either side. Source: by construction, of the stages
-# Columns of the measurements: six of the Jacobian of the residual (rotation about the view
-# centre, rad, translation, m, camera axes, left), then these. N is the normal, outwards.
-RESIDUAL, WEIGHT, STATE, U, V, NX, NY = 6, 7, 8, 9, 10, 11, 12
-COLUMNS = 13  # Source: by construction
-FOUND, NOT_FOUND, OUTSIDE, CROWDED = 1.0, 0.0, -1.0, -2.0  # STATE of a point
-
 _BORDER_PX = 2.0  # px; the lines read stay inside the image by this. Source: by construction
 _MARGIN_PX = 2  # px; read beyond the reach and the slope. Source: by construction
 _LINES_APART_PX = 1.5  # px. Source: by hand, seeds of docs/notes/refinement.md
@@ -135,21 +136,19 @@ def measure_edges(
     eye = views.directions[view] * views.shells_m[shell]
     at_pose = view_at_pose(eye, views.radius_m, rotation, centre, sun, shade)
     scratch, fitted = profile_scratch(), np.empty(2)
-    profile, total = np.empty(2 * LONGEST_PX + 32), _point_count(kind)
-    for j in range(total):
+    profile, total = np.empty(2 * LONGEST_PX + 32), point_count(kind)
+    out[:, WEIGHT], out[:, STATE] = 0.0, OUTSIDE
+    predict_edges(point, tangent, total, stride, lens, unit_m, rotation, centre, out)
+    for j in range(0, total, stride):
         row = out[j]
-        row[WEIGHT], row[STATE], row[NX], row[NY] = 0.0, OUTSIDE, 0.0, 0.0
-        if j % stride:
+        if row[STATE] == OUTSIDE:
             continue
         px, py, pz = point[j, 0] * unit_m, point[j, 1] * unit_m, point[j, 2] * unit_m
-        edge = project_edge(px, py, pz, tangent[j], lens, rotation, centre)
-        if not edge.is_visible:
-            continue
-        row[U], row[V], row[NX], row[NY] = edge.u, edge.v, edge.nx, edge.ny
-        outline, body_px = kind[j] == OUTLINE, radius_px_m * edge.inverse
+        depth_m = centre[2] + rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
+        outline, body_px = kind[j] == OUTLINE, radius_px_m / depth_m
         inner, outer = run[j, 0] * RUN_UNIT * body_px, run[j, 1] * RUN_UNIT * body_px
         state, at, steepness, back, count = _search_edge(
-            image, edge, outline, inner, outer, limits, reach_px, spread_px, smooth_px, room_px,
+            image, row, outline, inner, outer, limits, reach_px, spread_px, smooth_px, room_px,
             lines, profile,
         )  # fmt: skip
         row[STATE] = state
@@ -157,6 +156,7 @@ def measure_edges(
             continue
         steps = 0
         if fit:
+            edge = project_edge(px, py, pz, tangent[j], lens, rotation, centre)
             steps = expected_profile(
                 px, py, pz, tangent[j], edge, outline, strip[j], start[j], body_px, at_pose, scratch
             )
@@ -166,29 +166,19 @@ def measure_edges(
             views.blur_px, views.shape_error * body_px, scratch, fitted,
         )  # fmt: skip
         row[RESIDUAL], row[WEIGHT] = place, weight * np.exp(-0.5 * (place / spread_px) ** 2)
-        pose_slope_into(edge, row)
-    out[total:, WEIGHT], out[total:, STATE] = 0.0, OUTSIDE
     return total
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _point_count(kind: Kinds) -> int:
-    """Points of a view; rows without one stand last."""
-    for j in range(kind.shape[0]):
-        if kind[j] == NO_POINT:
-            return j
-    return kind.shape[0]  # type: ignore[no-any-return]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _search_edge(
-    image: Picture, edge: ProjectedEdge, outline: bool, inner: float, outer: float,
+    image: Picture, row: Array, outline: bool, inner: float, outer: float,
     limits: EdgeLimits, reach_px: int, spread_px: float, smooth_px: int, room_px: float, lines: int,
     profile: Array,
 ) -> tuple[float, float, float, int, int]:  # fmt: skip
     """The steepest slope along the normal of one edge.
 
     Args:
+        row: (COLUMNS,) of it, as predicted.
         inner, outer: pixels to the next edge inwards and outwards.
         reach_px, spread_px, smooth_px, room_px, lines: as of ``measure_edges``.
         profile: gets the grey levels.
@@ -202,7 +192,7 @@ def _search_edge(
     margin = smooth_px + _MARGIN_PX
     back = int(min(reach_px, max(inner, 2.0))) + margin
     ahead = int(min(reach_px, max(outer, 2.0))) + margin
-    if not read_profile(image, edge.u, edge.v, edge.nx, edge.ny, back, ahead, lines, profile):
+    if not read_profile(image, row[U], row[V], row[NX], row[NY], back, ahead, lines, profile):
         return OUTSIDE, 0.0, 0.0, 0, 0
     count = back + ahead + 1
     held = limits.dark and outline

@@ -7,13 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.edge_search import (
-    FOUND,
-    RESIDUAL,
-    STATE,
-    WEIGHT,
-    points_of_slopes,
-)
+from rendezview.sensors.appearance.edges.edge_search import points_of_slopes
+from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
 
 # Components of a symmetric strain, in the order of all arrays. Source: by construction
 STRAINS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))

@@ -17,7 +17,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import AGREEING, CLOSE_PX
 from rendezview.sensors.appearance.edges.contours import Contours
-from rendezview.sensors.appearance.edges.edge_search import FOUND, NOT_FOUND, RESIDUAL, STATE, U, V
+from rendezview.sensors.appearance.edges.predicted import FOUND, NOT_FOUND, RESIDUAL, STATE, U, V
 
 _BEYOND = 1.15  # of a first and last distance: the views still serve. Source: spacing of the shells
 # Of the grey above the sky at the upper quartile of the points with an edge: below it a point lies

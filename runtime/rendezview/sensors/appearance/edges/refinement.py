@@ -34,10 +34,10 @@ from rendezview.sensors.appearance.edges.articulation import (
     JointStep,
 )
 from rendezview.sensors.appearance.edges.contours import Contours
-from rendezview.sensors.appearance.edges.edge_search import COLUMNS
 from rendezview.sensors.appearance.edges.error_model import ErrorModel
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
 from rendezview.sensors.appearance.edges.near_views import NearSphere
+from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.edges.strain import StrainMoves
 from rendezview.sensors.appearance.edges.view_tables import ViewTables

@@ -15,13 +15,8 @@ from numba import njit
 from rendezview.estimation.least_squares import tukey_weight
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.alignment import to_origin
-from rendezview.sensors.appearance.edges.edge_search import (
-    FOUND,
-    RESIDUAL,
-    STATE,
-    WEIGHT,
-    point_of_slope,
-)
+from rendezview.sensors.appearance.edges.edge_search import point_of_slope
+from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
 
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction
 # One σ of a strain: each is as likely before the frame is looked at, since nobody knows how exact

@@ -16,9 +16,11 @@ Six = tuple[float, float, float, float, float, float]
 Lens = tuple[Array, bool]  # ``lens_vector``, and whether the camera distorts
 
 # Of normalised coordinates, for the derivative of the distortion.
-_STEP = 1e-5  # Source: by construction, between rounding and curvature
+LENS_STEP = 1e-5  # Source: by construction, between rounding and curvature
 # m; a point must lie before the camera.
-_LEAST_DEPTH_M = 1e-6  # Source: by construction, no division by 0
+LEAST_DEPTH_M = 1e-6  # Source: by construction, no division by 0
+# px, of an edge's projection; a shorter one has no normal. Source: by construction, the same
+LEAST_LENGTH = 1e-9
 
 
 class ViewTables(NamedTuple):
@@ -44,7 +46,7 @@ def through_lens(x: float, y: float, lens: Lens) -> Six:
     u, v = x, y
     m00, m01, m10, m11 = 1.0, 0.0, 0.0, 1.0
     if lens[1]:
-        h = _STEP
+        h = LENS_STEP
         u, v = distorted(x, y, lens[0])
         u1, v1 = distorted(x + h, y, lens[0])
         u2, v2 = distorted(x, y + h, lens[0])
@@ -80,7 +82,7 @@ def project_edge(
     qy = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
     qz = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
     depth = qz + centre[2]
-    if depth <= _LEAST_DEPTH_M:
+    if depth <= LEAST_DEPTH_M:
         return ProjectedEdge(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     inverse = 1.0 / depth
     x, y = (qx + centre[0]) * inverse, (qy + centre[1]) * inverse
@@ -93,7 +95,7 @@ def project_edge(
     fx, fy = camera[0], camera[1]
     bx, by = fx * (m00 * ax + m01 * ay), fy * (m10 * ax + m11 * ay)
     length = np.sqrt(bx * bx + by * by)
-    if length < 1e-9:  # the edge runs along the line of sight
+    if length < LEAST_LENGTH:  # the edge runs along the line of sight
         return ProjectedEdge(False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     nx, ny = by / length, -bx / length
     gx, gy = nx * fx * m00 + ny * fy * m10, nx * fx * m01 + ny * fy * m11

@@ -22,11 +22,10 @@ from rendezview.sensors.appearance.edges.alignment import (
     nearest_views,
     normal_equations,
 )
-from rendezview.sensors.appearance.edges.contours import CREASE, NO_POINT, OUTLINE, POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import (
+from rendezview.sensors.appearance.edges.contours import CREASE, OUTLINE, POINT_UNIT
+from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
-    NOT_FOUND,
     NX,
     NY,
     OUTSIDE,
@@ -35,30 +34,22 @@ from rendezview.sensors.appearance.edges.edge_search import (
     WEIGHT,
     U,
     V,
+    point_count,
+    predict_edges,
 )
 from rendezview.sensors.appearance.edges.strain import StrainMoves
-from rendezview.sensors.appearance.edges.view_tables import (
-    Lens,
-    ViewTables,
-    pose_slope_into,
-    project_edge,
-)
+from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
 
 Float32s = npt.NDArray[np.float32]
 
 
 class Maps(NamedTuple):
-    """The maps of one sketch that poses are aligned to, and where it lies in the frame."""
+    """The maps of one sketch that poses are aligned to."""
 
     cover: Float32s  # (h, w)
     edge: Float32s  # (h, w) smoothed
     crease: Float32s  # (h, w) smoothed; half of the edges are in it
-    place: Array  # (3,) of ``Sketch.place``
 
-
-# Two more columns for each point: the map at its predicted place, and the cover's step across it.
-AT, CONTRAST = COLUMNS, COLUMNS + 1
-WIDTH = COLUMNS + 2  # Source: by construction
 
 _LEAST_PROBABILITY = 0.08  # of an edge, to be a candidate. Source: experiment photo-accuracy
 # Source: experiment photo-accuracy
@@ -77,11 +68,17 @@ _LEAST_SIGMA_PX = 0.3  # sketch px; one σ of an edge in the best of cases
 _NOTHING_KNOWN = 1e-4
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def lies_in(plane: Float32s, x: float, y: float) -> bool:
+    """Whether a map can be read there."""
+    height, width = plane.shape
+    return x >= 0.0 and y >= 0.0 and x < width - 1.0 and y < height - 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def read_map(plane: Float32s, x: float, y: float) -> float:
     """The map at a place, bilinear; −1 outside."""
-    height, width = plane.shape
-    if not (x >= 0.0 and y >= 0.0 and x < width - 1.0 and y < height - 1.0):
+    if not lies_in(plane, x, y):
         return -1.0
     i, j = int(y), int(x)
     fy, fx = y - i, x - j
@@ -90,53 +87,81 @@ def read_map(plane: Float32s, x: float, y: float) -> float:
     return upper * (1.0 - fy) + lower * fy  # type: ignore[no-any-return]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def predict_edge(
-    point: npt.NDArray[np.int16], tangent: npt.NDArray[np.int8], lens: Lens, place: Array,
-    unit_m: float, rotation: Array, centre: Array, row: Array,
-) -> bool:  # fmt: skip
-    """Place, normal and Jacobian of a contour point in the sketch; False where it has none."""
-    edge = project_edge(
-        point[0] * unit_m, point[1] * unit_m, point[2] * unit_m, tangent, lens, rotation, centre
-    )
-    if not edge.is_visible:
-        return False
-    pose_slope_into(edge, row)
-    for a in range(6):  # not `row[:6] *=`, which compiles for two seconds
-        row[a] *= place[0]
-    row[U], row[V] = place[0] * edge.u + place[1], place[0] * edge.v + place[2]
-    row[NX], row[NY] = edge.nx, edge.ny
-    return True
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def read_line(
+    plane: Float32s, x: float, y: float, nx: float, ny: float, reach_px: int, line: Float32s
+) -> None:
+    """The map at a place and at so many steps (nx, ny) to either side, bilinear; −1 outside.
+
+    ``line`` is (2 reach + 1,). Where both ends lie inside, the loop has no branches, and the
+    compiler makes vectors of it: most of alignment is spent here.
+    """
+    height, width = plane.shape
+    x0, y0, x1, y1 = x - reach_px * nx, y - reach_px * ny, x + reach_px * nx, y + reach_px * ny
+    if not (
+        min(x0, x1) >= 0.0 and min(y0, y1) >= 0.0
+        and max(x0, x1) < width - 1.5 and max(y0, y1) < height - 1.5
+    ):  # fmt: skip
+        for k in range(2 * reach_px + 1):
+            line[k] = read_map(plane, x0 + k * nx, y0 + k * ny)
+        return
+    values, below = plane.reshape(-1), np.uint64(width)
+    left, top = np.float32(x0), np.float32(y0)
+    step_x, step_y = np.float32(nx), np.float32(ny)
+    for k in range(2 * reach_px + 1):
+        u, v = left + np.float32(k) * step_x, top + np.float32(k) * step_y
+        column, row = np.int32(u), np.int32(v)
+        fx, fy = u - np.float32(column), v - np.float32(row)
+        at = np.uint64(np.int64(row) * width + np.int64(column))  # no check for negative ones
+        upper = values[at] + fx * (values[at + np.uint64(1)] - values[at])
+        at += below
+        lower = values[at] + fx * (values[at + np.uint64(1)] - values[at])
+        line[k] = upper + fy * (lower - upper)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def likeliest_edge(
-    plane: Float32s, cover: Float32s, row: Array, reach_px: int, spread_px: float, outline: bool
+    line: Float32s, cover: Float32s, row: Array, reach_px: int, spread_px: float, outline: bool
 ) -> tuple[float, float]:
     """Place along the normal and score of the likeliest edge near a predicted one; score 0: none.
 
-    The edge of an outline must have the target inside and the sky outside.
+    The edge of an outline must have the target inside and the sky outside. ``line`` is the map
+    along the normal, (2 reach + 3,), of ``read_line``.
     """
     u, v, nx, ny = row[U], row[V], row[NX], row[NY]
     best, at = 0.0, 0.0
-    before = read_map(plane, u - nx * (reach_px + 1), v - ny * (reach_px + 1))
-    here = read_map(plane, u - nx * reach_px, v - ny * reach_px)
-    for k in range(-reach_px, reach_px + 1):
-        after = read_map(plane, u + nx * (k + 1), v + ny * (k + 1))
-        peak = here >= before and here > after and here > _LEAST_PROBABILITY
-        if peak and before >= 0.0 and after >= 0.0:
-            bend = before - 2.0 * here + after
-            place = k + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)
-            score = here * np.exp(-0.5 * (place / spread_px) ** 2)
-            if outline:
-                inside, outside = place - _STEP_PX, place + _STEP_PX
-                step = read_map(cover, u + nx * inside, v + ny * inside)
-                step -= read_map(cover, u + nx * outside, v + ny * outside)
-                score *= max(step + _LEAST_CONTRAST, 0.02)
-            if score > best:
-                best, at = score, place
-        before, here = here, after
+    for k in range(1, 2 * reach_px + 2):
+        here = float(line[k])
+        if not (here > _LEAST_PROBABILITY and here >= line[k - 1] and here > line[k + 1]):
+            continue
+        before, after = float(line[k - 1]), float(line[k + 1])
+        if before < 0.0 or after < 0.0:
+            continue
+        bend = before - 2.0 * here + after
+        place = k - reach_px - 1 + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)
+        score = here * np.exp(-0.5 * (place / spread_px) ** 2)
+        if outline:
+            inside, outside = place - _STEP_PX, place + _STEP_PX
+            step = read_map(cover, u + nx * inside, v + ny * inside)
+            step -= read_map(cover, u + nx * outside, v + ny * outside)
+            score *= max(step + _LEAST_CONTRAST, 0.02)
+        if score > best:
+            best, at = score, place
     return at, best
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def predict_view(
+    lens: Lens, views: ViewTables, rotation: Array, centre: Array, stride: int, edges: Array
+) -> tuple[int, int, int]:
+    """``predict_edges`` of the view nearest to a pose; its shell, its number, its points."""
+    nearest = np.zeros(1, dtype=np.int64)
+    shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
+    view = nearest[0]
+    count, unit_m = point_count(views.kind[shell, view]), views.radius_m * POINT_UNIT
+    point, tangent = views.point[shell, view], views.tangent[shell, view]
+    predict_edges(point, tangent, count, stride, lens, unit_m, rotation, centre, edges)
+    return shell, view, count
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -144,46 +169,35 @@ def measure_sketch(
     maps: Maps, lens: Lens, views: ViewTables, rotation: Array, centre: Array, reach_px: int,
     spread_px: float, stride: int, inner_weight: float, edges: Array,
 ) -> int:  # fmt: skip
-    """Look for the contour points of the nearest view; returns how many rows are filled.
+    """Look for the contour points of the nearest view; returns how many it has.
 
     Args:
+        lens: of a camera whose picture the sketch is.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         reach_px: how far to look to either side.
         spread_px: σ of the preference for near edges.
         stride: every so many-th point only.
         inner_weight: of creases and steps, beside the outline.
-        edges: (N, WIDTH) measurements.
+        edges: (N, COLUMNS) measurements.
     """
-    nearest = np.zeros(1, dtype=np.int64)
-    shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
-    view = nearest[0]
-    count = 0
-    for j in range(0, views.point.shape[2], stride):
-        kind = views.kind[shell, view, j]
-        if kind == NO_POINT:
-            break
-        row = edges[count]
-        count += 1
-        row[:] = 0.0
-        row[STATE] = OUTSIDE
-        if not predict_edge(
-            views.point[shell, view, j], views.tangent[shell, view, j], lens, maps.place,
-            views.radius_m * POINT_UNIT, rotation, centre, row,
-        ):  # fmt: skip
+    shell, view, count = predict_view(lens, views, rotation, centre, stride, edges)
+    kinds, line = views.kind[shell, view], np.empty(2 * reach_px + 3, np.float32)
+    for j in range(0, count, stride):
+        row, kind = edges[j], kinds[j]
+        if row[STATE] == OUTSIDE:
             continue
-        plane = maps.crease if kind == CREASE else maps.edge
-        at = read_map(plane, row[U], row[V])
-        if at < 0.0:
+        u, v, nx, ny = row[U], row[V], row[NX], row[NY]
+        if not lies_in(maps.edge, u, v):
+            row[STATE] = OUTSIDE
             continue
+        if kind == CREASE:  # not ``plane = …``: another name of an array costs as much as reading
+            read_line(maps.crease, u, v, nx, ny, reach_px + 1, line)
+        else:
+            read_line(maps.edge, u, v, nx, ny, reach_px + 1, line)
         outline = kind == OUTLINE
-        row[STATE], row[AT] = NOT_FOUND, at
-        if outline:
-            dx, dy = (_STEP_PX + 1.0) * row[NX], (_STEP_PX + 1.0) * row[NY]
-            row[CONTRAST] = read_map(maps.cover, row[U] - dx, row[V] - dy)
-            row[CONTRAST] -= read_map(maps.cover, row[U] + dx, row[V] + dy)
-        place, score = likeliest_edge(plane, maps.cover, row, reach_px, spread_px, outline)
+        off, score = likeliest_edge(line, maps.cover, row, reach_px, spread_px, outline)
         if score > 0.0:
-            row[STATE], row[RESIDUAL] = FOUND, place
+            row[STATE], row[RESIDUAL] = FOUND, off
             row[WEIGHT] = score if outline else inner_weight * score
     return count
 
@@ -197,7 +211,7 @@ def align_to_sketch(
 
     Args:
         stages: (K, 5) reach, spread (sketch px), steps, stride, weight of inner edges.
-        edges: (N, WIDTH) scratch; holds the last measurements afterwards.
+        edges: (N, COLUMNS) scratch; holds the last measurements afterwards.
     """
     matrix, right = np.empty((6, 6)), np.empty(6)
     for stage in stages:
@@ -210,7 +224,7 @@ def align_to_sketch(
             used, weights = normal_equations(edges, CUT_SPREADS * spread, matrix, right)
             if used < _LEAST_EDGES:
                 return False
-            scale = lens[0][0] * maps.place[0] / centre[2]  # sketch px a metre
+            scale = lens[0][0] / centre[2]  # sketch px a metre
             held = _HELD * weights * scale * scale
             moved = gauss_newton_step(
                 matrix, right, held, 1.0, views.radius_m, nearest_distance(views), rotation, centre
@@ -234,23 +248,28 @@ def sketch_agreement(
         Mean probability of an edge on the outline, and on inner edges; mean step of the cover
         across the outline; share of the outline in the sketch.
     """
-    nearest = np.zeros(1, dtype=np.int64)
-    shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
-    kinds = views.kind[shell, nearest[0]]
-    one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
-    count = measure_sketch(maps, lens, views, rotation, centre, one, 1.0, stride, 1.0, edges)
+    shell, view, count = predict_view(lens, views, rotation, centre, stride, edges)
+    kinds, beside_px = views.kind[shell, view], _STEP_PX + 1.0
     outline = inner = contrast = visible = inners = outlines = 1e-9
-    for j in range(count):
-        seen = edges[j, STATE] != OUTSIDE
-        if kinds[j * stride] == OUTLINE:
+    for j in range(0, count, stride):
+        row, kind = edges[j], kinds[j]
+        at = -1.0
+        if row[STATE] != OUTSIDE:
+            if kind == CREASE:
+                at = read_map(maps.crease, row[U], row[V])
+            else:
+                at = read_map(maps.edge, row[U], row[V])
+        if kind == OUTLINE:
             outlines += 1.0
-            if seen:
+            if at >= 0.0:
+                dx, dy = beside_px * row[NX], beside_px * row[NY]
                 visible += 1.0
-                outline += edges[j, AT]
-                contrast += edges[j, CONTRAST]
-        elif seen:
+                outline += at
+                contrast += read_map(maps.cover, row[U] - dx, row[V] - dy)
+                contrast -= read_map(maps.cover, row[U] + dx, row[V] + dy)
+        elif at >= 0.0:
             inners += 1.0
-            inner += edges[j, AT]
+            inner += at
     return outline / visible, inner / inners, contrast / visible, visible / outlines
 
 
@@ -262,7 +281,7 @@ def align_all_to_sketch(
 
     ``scores`` is (K, 4), all −1 for the poses that find no hold.
     """
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     for k in range(rotations.shape[0]):
         scores[k] = -1.0
         if align_to_sketch(maps, lens, views, stages, rotations[k], centres[k], edges):
@@ -281,7 +300,7 @@ def pose_covariance(
             origin's.
         strain: (6, 6) of the strain, see ``StrainMoves``.
     """
-    edges = np.zeros((views.point.shape[2], WIDTH))
+    edges = np.zeros((views.point.shape[2], COLUMNS))
     edges[:, STATE] = OUTSIDE
     spread = float(stage[1])
     measure_sketch(

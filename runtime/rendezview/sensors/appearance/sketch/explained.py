@@ -11,11 +11,9 @@ import numpy.typing as npt
 from numba import njit
 
 from rendezview.geometry.pose import Array
-from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import COLUMNS, NX, NY, U, V
+from rendezview.sensors.appearance.edges.predicted import COLUMNS, NX, NY, OUTSIDE, STATE, U, V
 from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
-from rendezview.sensors.appearance.sketch.alignment import predict_edge
+from rendezview.sensors.appearance.sketch.alignment import predict_view
 from rendezview.sensors.appearance.sketch.network import Float32s
 
 # Half a strip along the edge at a contour point, in steps: half the spacing of the points of a
@@ -30,31 +28,26 @@ _STEP_PX = 0.7
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def explained_share(
-    lines: Float32s, place: Array, lens: Lens, views: ViewTables, rotation: Array, centre: Array,
+    lines: Float32s, lens: Lens, views: ViewTables, rotation: Array, centre: Array,
     seen: npt.NDArray[np.uint8],
 ) -> float:  # fmt: skip
     """Sum of a sketch's lines next to the contour points of the view nearest to a pose.
 
     Args:
         lines: (h, w) how much of a line there is, as a share of the sum; as fine as a first look.
-        place: (3,) of them, as of ``Sketch.place``.
+        lens: of a camera whose picture they are.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
         seen: (h, w) scratch.
     """
     height, width = lines.shape
-    nearest = np.zeros(1, dtype=np.int64)
-    shell = nearest_views(views.directions, views.shells_m, rotation, centre, nearest)
-    view = nearest[0]
-    row = np.empty(COLUMNS)
+    edges = np.empty((views.point.shape[2], COLUMNS))
+    one = int(np.int64(1))  # as a literal, numba would compile a copy of what is called for it
+    _, _, count = predict_view(lens, views, rotation, centre, one, edges)
     seen[:] = 0
     share = 0.0
-    for j in range(views.point.shape[2]):
-        if views.kind[shell, view, j] == NO_POINT:
-            break
-        if not predict_edge(
-            views.point[shell, view, j], views.tangent[shell, view, j], lens, place,
-            views.radius_m * POINT_UNIT, rotation, centre, row,
-        ):  # fmt: skip
+    for k in range(count):
+        row = edges[k]
+        if row[STATE] == OUTSIDE:
             continue
         step_x, step_y = _STEP_PX * row[NX], _STEP_PX * row[NY]
         for along in range(-_ALONG, _ALONG + 1):

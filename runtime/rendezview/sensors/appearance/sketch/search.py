@@ -24,13 +24,13 @@ from rendezview.io.grey_frame import Picture
 from rendezview.sensors.appearance.edges.alignment import nearest_views
 from rendezview.sensors.appearance.edges.contours import NO_POINT, POINT_UNIT
 from rendezview.sensors.appearance.edges.measured import MeasuredEdges
+from rendezview.sensors.appearance.edges.predicted import COLUMNS
 from rendezview.sensors.appearance.edges.shading import SurfaceTables, shading
 from rendezview.sensors.appearance.edges.starts import rotated_about
 from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
 from rendezview.sensors.appearance.model import ViewModel
 from rendezview.sensors.appearance.sketch.alignment import (
     CUT_SPREADS,
-    WIDTH,
     Maps,
     align_all_to_sketch,
     align_to_sketch,
@@ -87,14 +87,15 @@ _NOTHING = 1e-6  # keeps quotients finite. Source: by construction
 _CREASE_SHARE = 0.5  # of the edges in the map of creases: the network confuses the two
 
 
-class _Reading(NamedTuple):
+class Reading(NamedTuple):
     """A sketch as poses are aligned to it and judged by it."""
 
     maps: Maps
-    lines: Float32s  # (h, w) of ``_lines``
-    lines_place: Array  # (3,) of them, as of ``Sketch.place``
     grey: Picture  # (h, w) of the sketch
     lens: Lens  # of a camera whose picture that is
+    last: Array  # (1, 5) of ``_last``
+    lines: Float32s  # (h, w) of ``_lines``
+    lines_lens: Lens  # of a camera whose picture they are
     sky: Array  # (6,) of ``Sky.vector``
 
 
@@ -141,8 +142,9 @@ class SketchSearch:
         if sketch is None:
             return None
         rotations, centres = self.retrieval.starts(sketch, _RETRIEVED)
-        poses = self.aligned(sketch, sky, rotations, centres)
-        return self._closer(frame, sky, sketch, poses, prior=False, turned=turned)
+        reading = self.read(sketch, sky)
+        poses = self.aligned(reading, rotations, centres)
+        return self._closer(frame, sky, reading, poses, prior=False, turned=turned)
 
     def near(self, frame: Picture, sky: Sky, prior: Pose, error_rad: float) -> SketchChoice | None:
         """The best pose within some angle of a prior; None where there is none."""
@@ -155,10 +157,11 @@ class SketchSearch:
         )
         rotations = np.concatenate([around, around, alike])
         centres = np.concatenate([stay, self.retrieval.placed(sketch, around), places])
-        poses = self.aligned(sketch, sky, rotations, centres)
+        reading = self.read(sketch, sky)
+        poses = self.aligned(reading, rotations, centres)
         furthest = 1.1 * error_rad + _VIEW_RAD
         within = [p for p in poses if p.pose.angle_to(prior) < furthest]
-        return self._closer(frame, sky, sketch, within, prior=True, turned=False)
+        return self._closer(frame, sky, reading, within, prior=True, turned=False)
 
     def with_tables(self, model: ViewModel, views: ViewTables, camera: Camera) -> SketchSearch:
         """The same search for the model with its contour points moved, and a camera alike."""
@@ -172,24 +175,24 @@ class SketchSearch:
 
     def measured(self, sketch: Sketch, start: Pose) -> MeasuredEdges | None:
         """The edges of a sketch at the pose next to ``start`` that fits them, sketch px."""
-        maps, edges = _maps(sketch), np.zeros((self._views.point.shape[2], WIDTH))
+        return self._measured(_maps(sketch), self._lens_of(sketch.place), _last(sketch), start)
+
+    def _measured(self, maps: Maps, lens: Lens, last: Array, start: Pose) -> MeasuredEdges | None:
+        edges = np.zeros((self._views.point.shape[2], COLUMNS))
         rotation, centre = start.rotation.copy(), start.apply(self.model.centre_m)
-        last = _last(sketch)
-        if not align_to_sketch(maps, self._lens, self._views, last, rotation, centre, edges):
+        if not align_to_sketch(maps, lens, self._views, last, rotation, centre, edges):
             return None
         return MeasuredEdges.of(edges, CUT_SPREADS * last[-1, 1], rotation, centre)
 
-    def aligned(
-        self, sketch: Sketch, sky: Sky, rotations: Array, centres: Array
-    ) -> list[SketchPose]:
+    def aligned(self, reading: Reading, rotations: Array, centres: Array) -> list[SketchPose]:
         """Poses (K, 3, 3) and view centres (K, 3), changed in place, moved onto a sketch.
 
         All take the first stage, the most promising ones the others. Those that find no hold are
         left out.
         """
-        reading, scores = self._read(sketch, sky), np.empty((len(rotations), 4))
+        scores = np.empty((len(rotations), 4))
         align_all_to_sketch(
-            reading.maps, self._lens, self._views, _COARSE[:1], rotations, centres, scores,
+            reading.maps, reading.lens, self._views, _COARSE[:1], rotations, centres, scores,
             int(_COARSE[0, 3]),
         )  # fmt: skip
         promise = np.where(scores[:, 0] >= 0.0, scores[:, :3] @ _PROMISE, -np.inf)
@@ -197,23 +200,26 @@ class SketchSearch:
         kept = kept[np.isfinite(promise[kept])]
         return self._aligned(reading, rotations[kept], centres[kept], _COARSE[1:])
 
-    def _read(self, sketch: Sketch, sky: Sky) -> _Reading:
-        return _Reading(
-            _maps(sketch), *_lines(sketch), sketch.grey, self._lens_of(sketch), sky.vector
+    def read(self, sketch: Sketch, sky: Sky) -> Reading:
+        """What alignment and judgement read of a sketch of a frame."""
+        lines, place = _lines(sketch)
+        lens, lines_lens = self._lens_of(sketch.place), self._lens_of(place)
+        return Reading(
+            _maps(sketch), sketch.grey, lens, _last(sketch), lines, lines_lens, sky.vector
         )
 
     def _aligned(
-        self, reading: _Reading, rotations: Array, centres: Array, stages: Array
+        self, reading: Reading, rotations: Array, centres: Array, stages: Array
     ) -> list[SketchPose]:
-        maps, lines, lines_place, grey, lens, sky = reading
+        maps, grey, lens, _, lines, lines_lens, sky = reading
         scores = np.empty((len(rotations), 4))
-        align_all_to_sketch(maps, self._lens, self._views, stages, rotations, centres, scores)
+        align_all_to_sketch(maps, lens, self._views, stages, rotations, centres, scores)
         seen = np.empty(lines.shape, np.uint8)
         found = []
         for k in np.flatnonzero(scores[:, 0] >= 0.0):
             at = rotations[k], centres[k]
             pose = Pose(at[0], at[1] - at[0] @ self.model.centre_m)
-            explained = explained_share(lines, lines_place, self._lens, self._views, *at, seen)
+            explained = explained_share(lines, lines_lens, self._views, *at, seen)
             alike = (0.0, 0.0)
             if self._surface is not None:
                 alike = shading(grey, lens, sky, self._surface, *at)
@@ -223,7 +229,7 @@ class SketchSearch:
         return found
 
     def _closer(
-        self, frame: Picture, sky: Sky, first: Sketch, poses: list[SketchPose], *, prior: bool,
+        self, frame: Picture, sky: Sky, first: Reading, poses: list[SketchPose], *, prior: bool,
         turned: bool,
     ) -> SketchChoice | None:  # fmt: skip
         """The best of some poses of a first sketch after a closer look at the target."""
@@ -233,7 +239,7 @@ class SketchSearch:
         sketch = self.closer_sketch(frame, best[0].pose, turned=turned)
         if sketch is None:
             return None
-        centre_m, reading = self.model.centre_m, self._read(sketch, sky)
+        centre_m, reading = self.model.centre_m, self.read(sketch, sky)
         starts, places = rotated_about(best[0].pose, centre_m, _ASIDE_RAD)
         around = self._aligned(reading, starts, places, _FINE)
         starts = np.array([b.pose.rotation for b in best[1:]]).reshape(-1, 3, 3)
@@ -242,15 +248,15 @@ class SketchSearch:
         choice = chosen(looks, self.model.symmetries, prior=prior, cut=sketch.is_cut)
         if choice is None:
             return None
-        pose, spread_deg, scatter = self._mean(choice.best.pose, [first, sketch])
+        pose, spread_deg, scatter = self._mean(choice.best.pose, [first, reading])
         choice = replace(choice, pose=pose, spread_deg=spread_deg, overflows=sketch.overflows)
         covariance, strained, residual_px = pose_covariance(
-            reading.maps, self._lens, self._views, _last(sketch)[-1], pose.rotation.copy(),
+            reading.maps, reading.lens, self._views, reading.last[-1], pose.rotation.copy(),
             pose.apply(centre_m), pose.rotation @ centre_m, self.model.shape_uncertainty,
         )  # fmt: skip
         return choice.with_covariance(covariance, strained + scatter, residual_px / sketch.scale)
 
-    def _mean(self, best: Pose, sketches: list[Sketch]) -> tuple[Pose, float, Array]:
+    def _mean(self, best: Pose, readings: list[Reading]) -> tuple[Pose, float, Array]:
         """The mean of the poses that one leads to in some sketches, weighted by what each knows.
 
         Returns:
@@ -258,7 +264,8 @@ class SketchSearch:
             their scatter shows it, of the rotation vector and the target's origin.
         """
         centre = best.apply(self.model.centre_m)
-        found = [edges for s in sketches if (edges := self.measured(s, best)) is not None]
+        each = (self._measured(r.maps, r.lens, r.last, best) for r in readings)
+        found = [edges for edges in each if edges is not None]
         if not found:
             return best, 0.0, np.zeros((6, 6))
         moves = np.array(
@@ -278,9 +285,9 @@ class SketchSearch:
         spread_deg = float(np.rad2deg(np.linalg.norm(off[:, :3], axis=1).max()))
         return Pose(rotation, centre + move[3:] - arm), spread_deg, scatter
 
-    def _lens_of(self, sketch: Sketch) -> Lens:
-        """The lens of a camera whose picture is the sketch."""
-        scale, left, top = sketch.place
+    def _lens_of(self, place: Array) -> Lens:
+        """The lens of a camera whose picture is a sketch, ``place`` as of ``Sketch.place``."""
+        scale, left, top = place
         vector = self._lens[0].copy()
         vector[:4] *= scale
         vector[2:4] += left, top
@@ -313,7 +320,7 @@ def _maps(sketch: Sketch) -> Maps:
     edge, crease = sketch.maps[EDGE], sketch.maps[CREASE]
     crease = np.maximum(crease, np.float32(_CREASE_SHARE) * edge)
     soft = [np.asarray(cv2.GaussianBlur(m, (0, 0), _SMOOTH_PX)) for m in (edge, crease)]
-    return Maps(np.ascontiguousarray(sketch.maps[COVER]), soft[0], soft[1], sketch.place)
+    return Maps(np.ascontiguousarray(sketch.maps[COVER]), soft[0], soft[1])
 
 
 def _lines(sketch: Sketch) -> tuple[Float32s, Array]:
