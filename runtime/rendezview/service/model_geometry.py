@@ -72,5 +72,6 @@ def _surface(model: ViewModel) -> tuple[Array, Array, Array, float]:
     towards = seen.T @ tables.nodes  # a stored normal points either way; it is seen from outside
     facing = np.sign(np.sum(tables.normal * towards, axis=1, keepdims=True))
     normals = np.where(facing < 0.0, -tables.normal, tables.normal)
-    apart, _ = cKDTree(tables.point).query(tables.point, k=2)
-    return tables.point, normals, tables.albedo, _DISC * float(np.median(apart[:, 1]))
+    points = tables.point.T
+    apart, _ = cKDTree(points).query(points, k=2)
+    return points, normals, tables.albedo, _DISC * float(np.median(apart[:, 1]))

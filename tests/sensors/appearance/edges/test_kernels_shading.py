@@ -64,14 +64,16 @@ class Body:
         self.seen = rng.random((len(nodes), count)) < 0.5
         bits = np.packbits(self.seen, axis=1, bitorder="little")
         albedo = rng.uniform(0.2, 0.9, count)
-        self.tables = SurfaceTables(point, normal, albedo, bits, nodes, RADIUS_M)
+        self.tables = SurfaceTables(
+            np.ascontiguousarray(point.T), normal, albedo, bits, nodes, RADIUS_M
+        )
         self.rotation = np.ascontiguousarray(Rotation.random(random_state=rng).as_matrix())
         self.centre = np.array([0.9, -0.4, 6.0])  # partly out of the picture
         self.image = rng.integers(0, 255, (300, 400)).astype(np.uint8)
 
     def visible(self, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Index, pixel, normal towards the camera and grey level of the points in the picture."""
-        point, normal, _, _, nodes, _ = self.tables
+        point, normal, nodes = self.tables.point.T, self.tables.normal, self.tables.nodes
         eye = -self.rotation.T @ self.centre
         node = np.argmax((eye - point) @ nodes.T, axis=1)
         placed, turned = point @ self.rotation.T + self.centre, normal @ self.rotation.T

@@ -103,7 +103,7 @@ def _order_of(nodes: int) -> int:
 class SurfaceTables(NamedTuple):
     """The surface of one model as the compiled loops read it."""
 
-    point: Array  # (P, 3) metres
+    point: Array  # (3, P) metres: coordinates apart, so that loops become vectors
     normal: Array  # (P, 3)
     albedo: Array  # (P,)
     seen: npt.NDArray[np.uint8]
@@ -114,7 +114,7 @@ class SurfaceTables(NamedTuple):
     def of(cls, surface: Surface, radius_m: float) -> SurfaceTables:
         """Unpacked."""
         return cls(
-            surface.point.astype(np.float64) * (POINT_UNIT * radius_m),
+            np.ascontiguousarray(surface.point.T.astype(np.float64) * (POINT_UNIT * radius_m)),
             surface.normal.astype(np.float64) * DIRECTION_UNIT,
             surface.albedo.astype(np.float64) * ALBEDO_UNIT,
             np.ascontiguousarray(surface.seen),
@@ -138,7 +138,7 @@ def shading(
         frame: (6,) as in ``Sky.vector``.
         rotation: (3, 3), and ``centre``: (3,) of the view centre, camera frame.
     """
-    most = surface.point.shape[0]
+    most = surface.point.shape[1]
     which = np.empty(most, dtype=np.int64)
     u, v = np.empty(most), np.empty(most)
     facing = np.empty((most, 3))  # normals on the side of the camera, camera frame
@@ -230,34 +230,33 @@ def visible_points(
     # The node nearest to the line of sight of a point is one of those near the camera.
     reach = np.arcsin(min(1.0, surface.radius_m / distance)) + _NODE_SPACING_RAD
     cosine = np.cos(min(reach, 3.1)) * distance
-    near = np.empty(surface.nodes.shape[0], dtype=np.int64)
-    nodes = 0
-    for s in range(surface.nodes.shape[0]):
-        if _dot(surface.nodes[s], eye) > cosine:
-            near[nodes] = s
-            nodes += 1
-    found = 0
-    for k in range(surface.point.shape[0]):
-        p = surface.point[k]
-        d0, d1, d2 = eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]
-        best, node = -np.inf, -1
-        for i in range(nodes):
-            n = surface.nodes[near[i]]
-            along = n[0] * d0 + n[1] * d1 + n[2] * d2
-            if along > best:
-                best, node = along, near[i]
-        if node < 0 or not (surface.seen[node, k >> 3] >> (k & 7)) & 1:
+    nodes, normal, seen = surface.nodes, surface.normal, surface.seen
+    px, py, pz = surface.point[0], surface.point[1], surface.point[2]
+    nearest = np.full(len(px), -1, dtype=np.int64)
+    most = np.full(len(px), -np.inf)
+    for s in range(nodes.shape[0]):
+        s0, s1, s2 = nodes[s, 0], nodes[s, 1], nodes[s, 2]
+        towards_eye = s0 * eye[0] + s1 * eye[1] + s2 * eye[2]
+        if towards_eye <= cosine:
             continue
-        x, y, z = centre
-        x += rotation[0, 0] * p[0] + rotation[0, 1] * p[1] + rotation[0, 2] * p[2]
-        y += rotation[1, 0] * p[0] + rotation[1, 1] * p[1] + rotation[1, 2] * p[2]
-        z += rotation[2, 0] * p[0] + rotation[2, 1] * p[1] + rotation[2, 2] * p[2]
+        for k in range(len(px)):  # no branches: the compiler makes vectors of it
+            along = towards_eye - s0 * px[k] - s1 * py[k] - s2 * pz[k]
+            closer = along > most[k]
+            most[k] = along if closer else most[k]
+            nearest[k] = s if closer else nearest[k]
+    found = 0
+    for k in range(len(px)):
+        if nearest[k] < 0 or not (seen[nearest[k], k >> 3] >> (k & 7)) & 1:
+            continue
+        x = centre[0] + rotation[0, 0] * px[k] + rotation[0, 1] * py[k] + rotation[0, 2] * pz[k]
+        y = centre[1] + rotation[1, 0] * px[k] + rotation[1, 1] * py[k] + rotation[1, 2] * pz[k]
+        z = centre[2] + rotation[2, 0] * px[k] + rotation[2, 1] * py[k] + rotation[2, 2] * pz[k]
         if z <= 0.0:
             continue
-        n = surface.normal[k]
-        n0 = rotation[0, 0] * n[0] + rotation[0, 1] * n[1] + rotation[0, 2] * n[2]
-        n1 = rotation[1, 0] * n[0] + rotation[1, 1] * n[1] + rotation[1, 2] * n[2]
-        n2 = rotation[2, 0] * n[0] + rotation[2, 1] * n[1] + rotation[2, 2] * n[2]
+        m0, m1, m2 = normal[k, 0], normal[k, 1], normal[k, 2]
+        n0 = rotation[0, 0] * m0 + rotation[0, 1] * m1 + rotation[0, 2] * m2
+        n1 = rotation[1, 0] * m0 + rotation[1, 1] * m1 + rotation[1, 2] * m2
+        n2 = rotation[2, 0] * m0 + rotation[2, 1] * m1 + rotation[2, 2] * m2
         towards = -(n0 * x + n1 * y + n2 * z)
         if towards * towards < _EDGE_ON * _EDGE_ON * (x * x + y * y + z * z):
             continue

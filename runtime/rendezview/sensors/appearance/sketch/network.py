@@ -209,10 +209,12 @@ def _probabilities(odds: Float32s) -> Float32s:
 
 def channels_of(grey: Float32s) -> Float32s:
     """(2, h, w): the grey levels 0 … 1, and faint differences from the median magnified."""
-    middle = np.median(grey[::4, ::4])
-    return np.stack([grey / np.float32(255.0), np.tanh((grey - middle) / _FAINT_GREY)]).astype(
-        np.float32
-    )
+    channels = np.empty((2, *grey.shape), np.float32)
+    np.divide(grey, np.float32(255.0), out=channels[0])
+    np.subtract(grey, np.float32(np.median(grey[::4, ::4])), out=channels[1])
+    channels[1] /= np.float32(_FAINT_GREY)
+    np.tanh(channels[1], out=channels[1])
+    return channels
 
 
 def to_squares(planes: Float32s) -> Float32s:
