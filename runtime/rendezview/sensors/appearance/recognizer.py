@@ -293,10 +293,10 @@ class Recognizer:
             hopeless = found is None or found.confidence < _HOPELESS
             if sketched is not None and prior is None:
                 # Grey edges judge what the sketch proposes, and are the finer ones.
-                answers = sketched.answers
-                if found is not None and not hopeless:
-                    answers += found.answers
-                proposed = search.proposed(frame, sky, answers, traced.outlines)
+                answers = sketched.answers + ([] if found is None or hopeless else found.answers)
+                doubted = not self._confident(sketched) or sketched.margin < CLOSE_MARGIN
+                bodies = traced.outlines
+                proposed = search.proposed(frame, sky, answers, bodies, half_turns=doubted)
                 clock.lap("refine")
                 if proposed is not None and self._confident(proposed):
                     pose = proposed.best.pose

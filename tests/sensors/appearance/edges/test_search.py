@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.levels import LevelSearch
+from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.edges.starts import half_turns
 from rendezview.sensors.appearance.sky import Sky
 
@@ -35,6 +37,38 @@ def test_a_proposal_that_is_half_a_turn_off_leads_to_the_pose(
     assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
     assert not found.prior  # the proposal is no evidence of its own
     assert found.confidence > 0.9
+
+
+def test_half_turns_are_left_out_where_the_witness_has_ruled_them_out(
+    refining_model, bumpy_mesh, camera, draw, truth
+):
+    search = LevelSearch(refining_model, camera)
+    frame = draw(bumpy_mesh, truth, camera)
+    wrong = turned(truth, half_turns(refining_model)[0], refining_model.centre_m)
+    found = search.proposed(frame, Sky.of(frame), [wrong], [], half_turns=False)
+    assert found is None or found.best.pose.angle_to(truth) > np.deg2rad(90.0)
+    right = search.proposed(frame, Sky.of(frame), [truth], [], half_turns=False)
+    assert right is not None
+    assert right.best.pose.angle_to(truth) < np.deg2rad(0.5)
+
+
+def test_starts_whose_edges_are_not_found_are_not_refined(
+    refining_model, bumpy_mesh, camera, draw, truth
+):
+    refiner, frame = Refiner(refining_model, camera), draw(bumpy_mesh, truth, camera)
+    away = Rotation.random(20, random_state=1).as_matrix()
+
+    def refined(rotations: np.ndarray, least: float) -> list[float]:
+        starts = (
+            rotations.copy(),
+            np.tile(truth.apply(refining_model.centre_m), (len(rotations), 1)),
+        )
+        found = refiner.best(frame, Sky.of(frame), *starts, 6, least=least)
+        return [r.pose.angle_to(truth) for r in found]
+
+    assert min(refined(away, 0.0)) > np.deg2rad(5.0)
+    assert refined(away, 0.6) == []
+    assert refined(truth.rotation[None], 0.6) == pytest.approx([0.0], abs=np.deg2rad(0.5))
 
 
 def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camera, draw, truth):

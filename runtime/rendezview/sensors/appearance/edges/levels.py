@@ -95,11 +95,12 @@ class LevelSearch:
         return self._finished(found, image, sky)
 
     def proposed(
-        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines]
-    ) -> Found | None:
+        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
+        half_turns: bool = True,
+    ) -> Found | None:  # fmt: skip
         """``PoseSearch.proposed``; the first proposal tells the size of the target."""
         level = self._near(image, sky, proposals[0])
-        found = level[0].proposed(*level[1:], proposals, bodies)
+        found = level[0].proposed(*level[1:], proposals, bodies, half_turns=half_turns)
         return self._finished(found, image, sky)
 
     def near(

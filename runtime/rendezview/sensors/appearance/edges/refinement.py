@@ -210,6 +210,7 @@ class Refiner:
         keep: int = 4,
         *,
         thorough: bool = False,
+        least: float = 0.0,
     ) -> list[Refined]:
         """Align starting poses coarsely, refine the ``keep`` best; by inlier ratio, best first.
 
@@ -217,6 +218,7 @@ class Refiner:
             rotations: (K, 3, 3) camera_from_target, changed in place.
             centres: (K, 3) of the view centre in the camera frame, changed in place.
             thorough: align with more points, in more steps.
+            least: inlier ratio after the coarse stages; others are not refined.
         """
         rough, coarse = _THOROUGH if thorough else _QUICK
         ratios = np.empty((len(rotations), 3))
@@ -230,6 +232,8 @@ class Refiner:
         chosen = self._distinct(np.argsort(-merit, kind="stable"), merit, rotations, centres, keep)
         found = []
         for k in chosen:
+            if merit[k] < least:
+                continue
             refined = self._refined(image, frame, self._stages, rotations[k], centres[k])
             if refined is not None:
                 found.append(refined)

@@ -45,6 +45,8 @@ _LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-abl
 # Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
 # 120 frames of Mitsuba. Source: docs/notes/photographs.md
 _WORTH_TURNING = 0.2
+# The same after coarse alignment: of 252 right poses of Mitsuba one had less. Source: the same
+_WORTH_REFINING = 0.15
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
@@ -115,6 +117,7 @@ class PoseSearch:
             give_up: confidence that the likeliest starts must reach, else no others are tried.
             again: after giving up: all starts at once, thoroughly, and one look around the best.
         """
+        least = _WORTH_REFINING if give_up > 0.0 else 0.0
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
         starts = [
@@ -123,7 +126,7 @@ class PoseSearch:
         ]
         candidates = Candidates(self.refiner, self.retrieval, image, sky, bodies, self.ballot)
         if self.ballot is not None and len(bodies) == 1:
-            agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0])
+            agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
             if agreed is not None:
                 return agreed
         if brief:
@@ -139,7 +142,9 @@ class PoseSearch:
             centres = np.concatenate([c[part] for _, c in starts])
             keep = self.options.refined
             candidates.add(
-                self.refiner.best(image, sky, rotations, centres, keep, thorough=thorough)
+                self.refiner.best(
+                    image, sky, rotations, centres, keep, thorough=thorough, least=least
+                )
             )
             best = candidates.most_inliers
             worth = _WORTH_TURNING if give_up > 0.0 else 0.0
@@ -172,12 +177,13 @@ class PoseSearch:
         body: Outlines,
         rotations: Array,
         centres: Array,
+        least: float,
     ) -> Found | None:
         """The pose on which edges and voters agree, from the likeliest starts; None without one."""
         assert self.ballot is not None
         first = slice(0, self.options.voted_first)
         starts = rotations[first].copy(), centres[first].copy()
-        candidates.add(self.refiner.best(image, sky, *starts, _REFINED_OF_VOTED))
+        candidates.add(self.refiner.best(image, sky, *starts, _REFINED_OF_VOTED, least=least))
         found = candidates.choose()
         if found is None or found.confidence < _CONFIDENT or found.votes is None:
             return None
@@ -244,19 +250,22 @@ class PoseSearch:
         return replace(found, single=True)
 
     def proposed(
-        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines]
-    ) -> Found | None:
+        self, image: Picture, sky: Sky, proposals: list[Pose], bodies: list[Outlines], *,
+        half_turns: bool = True,
+    ) -> Found | None:  # fmt: skip
         """The best of some poses that another witness proposes, and of half turns of it.
 
         Args:
             proposals: right to a few degrees, or another answer.
+            half_turns: ``False`` where the witness has ruled them out.
         """
         candidates = Candidates(self.refiner, self.retrieval, image, sky, bodies, self.ballot)
         refined = [self.refiner.refine(image, sky, pose) for pose in proposals]
         candidates.add([r for r in refined if r is not None])
-        best = candidates.most_inliers
-        pose = proposals[0] if best is None else best.pose
-        candidates.add(self._half_turned(image, sky, pose))
+        if half_turns:
+            best = candidates.most_inliers
+            pose = proposals[0] if best is None else best.pose
+            candidates.add(self._half_turned(image, sky, pose))
         return candidates.choose()
 
     def near(
