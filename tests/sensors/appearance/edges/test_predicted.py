@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera, LensModel
-from rendezview.geometry.lens import lens_vector
+from rendezview.geometry.lens import distorted, is_polynomial, lens_vector, polynomial
 from rendezview.geometry.pose import Array
+from rendezview.sensors.appearance.edges.contours import NO_POINT
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     NOT_FOUND,
@@ -18,6 +19,8 @@ from rendezview.sensors.appearance.edges.predicted import (
     STATE,
     U,
     V,
+    edge_of_row,
+    point_count,
     predict_edges,
 )
 from rendezview.sensors.appearance.edges.view_tables import Lens, pose_slope_into, project_edge
@@ -71,6 +74,8 @@ def test_each_row_is_that_of_project_edge(points, lens, centre):
             pose_slope_into(one, slope)
             assert row[:6] == pytest.approx(slope, rel=1e-4, abs=1e-3)
             assert row[[U, V, NX, NY]] == pytest.approx([one.u, one.v, one.nx, one.ny], rel=1e-5)
+            again = edge_of_row(row, *(point * UNIT_M), ROTATION, centre)
+            assert again == pytest.approx(one, rel=1e-4, abs=1e-6)
     assert (hidden > 0) == (centre is AMID)
 
 
@@ -102,3 +107,21 @@ def test_an_edge_along_the_line_of_sight_has_no_place():
     predict_edges(origin, along, 1, 1, lens_of(), UNIT_M, np.eye(3), np.array([0, 0, 7.0]), rows)
     assert rows[0, STATE] == OUTSIDE
     assert np.isfinite(rows).all()
+
+
+def test_a_polynomial_is_all_of_a_lens_without_prism_tilt_or_fisheye():
+    for terms in ((), POLYNOMIAL, (*POLYNOMIAL, 0.01, -0.02, 0.003)):
+        lens, _ = lens_of(terms)
+        assert is_polynomial(lens)
+        assert polynomial(0.2, -0.3, lens) == distorted(0.2, -0.3, lens)
+    for lens, _ in (lens_of(PRISM), lens_of(FISHEYE, LensModel.FISHEYE)):
+        assert not is_polynomial(lens)
+        assert polynomial(0.2, -0.3, lens) != distorted(0.2, -0.3, lens)
+
+
+def test_points_are_counted_up_to_the_first_row_without_one():
+    kind = np.zeros(9, np.uint8)
+    assert point_count(kind) == 9
+    kind[4:] = NO_POINT
+    assert point_count(kind) == 4
+    assert point_count(kind[4:]) == 0

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.lens import lens_vector
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import CREASE, OUTLINE
+from rendezview.sensors.appearance.edges.contours import CREASE, NO_POINT, OUTLINE
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
     FOUND,
@@ -27,8 +27,10 @@ from rendezview.sensors.appearance.sketch.alignment import (
     Maps,
     align_all_to_sketch,
     align_to_sketch,
+    lies_in,
     likeliest_edge,
     measure_sketch,
+    predict_view,
     read_line,
     read_map,
     sketch_agreement,
@@ -70,8 +72,10 @@ def test_read_map_is_bilinear_and_minus_one_outside():
     corners = plane[3:5, 2:4]
     expected = np.array([0.5, 0.5]) @ corners @ np.array([0.75, 0.25])
     assert read_map(plane, x, y) == pytest.approx(expected, rel=1e-6)
+    assert lies_in(plane, x, y)
     for place in ((-0.1, 1.0), (6.0, 1.0), (1.0, 4.0), (np.nan, 1.0)):
         assert read_map(plane, *place) == -1.0
+        assert not lies_in(plane, *place)
 
 
 def test_read_line_is_read_map_along_a_normal():
@@ -102,6 +106,15 @@ def test_likeliest_edge_finds_the_ridge_and_wants_the_target_inside():
     _, wrong = likeliest(-1.0, plane, True)  # the target would be outside
     assert wrong < 0.1 * score
     assert likeliest(1.0, np.zeros_like(plane), False) == (0.0, 0.0)
+
+
+def test_the_view_that_is_predicted_is_the_nearest_one(ideal, refining_model):
+    pose, _, lens, views = ideal
+    for view in (0, 7, 30):
+        eye = views.shells_m[1] * views.directions[view]
+        edges = np.zeros((views.point.shape[2], COLUMNS))
+        seen = predict_view(lens, views, pose.rotation, -pose.rotation @ eye, 1, edges)
+        assert seen == (1, view, np.count_nonzero(views.kind[1, view] != NO_POINT))
 
 
 def test_the_points_of_the_true_pose_lie_on_the_edges_of_its_maps(ideal, refining_model):

@@ -21,14 +21,11 @@ from rendezview.sensors.appearance.edges.predicted import (
     CROWDED,
     FOUND,
     NOT_FOUND,
-    NX,
-    NY,
     OUTSIDE,
     RESIDUAL,
     STATE,
     WEIGHT,
-    U,
-    V,
+    edge_of_row,
     point_count,
     predict_edges,
 )
@@ -41,9 +38,9 @@ from rendezview.sensors.appearance.edges.profile import (
 from rendezview.sensors.appearance.edges.profile_fit import fit_profile
 from rendezview.sensors.appearance.edges.view_tables import (
     Lens,
+    ProjectedEdge,
     Two,
     ViewTables,
-    project_edge,
 )
 
 LONGEST_PX = 40  # px; longest search to either side. Source: by construction, of the stages
@@ -144,11 +141,11 @@ def measure_edges(
         if row[STATE] == OUTSIDE:
             continue
         px, py, pz = point[j, 0] * unit_m, point[j, 1] * unit_m, point[j, 2] * unit_m
-        depth_m = centre[2] + rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-        outline, body_px = kind[j] == OUTLINE, radius_px_m / depth_m
+        edge = edge_of_row(row, px, py, pz, rotation, centre)
+        outline, body_px = kind[j] == OUTLINE, radius_px_m * edge.inverse
         inner, outer = run[j, 0] * RUN_UNIT * body_px, run[j, 1] * RUN_UNIT * body_px
         state, at, steepness, back, count = _search_edge(
-            image, row, outline, inner, outer, limits, reach_px, spread_px, smooth_px, room_px,
+            image, edge, outline, inner, outer, limits, reach_px, spread_px, smooth_px, room_px,
             lines, profile,
         )  # fmt: skip
         row[STATE] = state
@@ -156,7 +153,6 @@ def measure_edges(
             continue
         steps = 0
         if fit:
-            edge = project_edge(px, py, pz, tangent[j], lens, rotation, centre)
             steps = expected_profile(
                 px, py, pz, tangent[j], edge, outline, strip[j], start[j], body_px, at_pose, scratch
             )
@@ -171,14 +167,13 @@ def measure_edges(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=True, forceinline=True)
 def _search_edge(
-    image: Picture, row: Array, outline: bool, inner: float, outer: float,
+    image: Picture, edge: ProjectedEdge, outline: bool, inner: float, outer: float,
     limits: EdgeLimits, reach_px: int, spread_px: float, smooth_px: int, room_px: float, lines: int,
     profile: Array,
 ) -> tuple[float, float, float, int, int]:  # fmt: skip
     """The steepest slope along the normal of one edge.
 
     Args:
-        row: (COLUMNS,) of it, as predicted.
         inner, outer: pixels to the next edge inwards and outwards.
         reach_px, spread_px, smooth_px, room_px, lines: as of ``measure_edges``.
         profile: gets the grey levels.
@@ -192,7 +187,7 @@ def _search_edge(
     margin = smooth_px + _MARGIN_PX
     back = int(min(reach_px, max(inner, 2.0))) + margin
     ahead = int(min(reach_px, max(outer, 2.0))) + margin
-    if not read_profile(image, row[U], row[V], row[NX], row[NY], back, ahead, lines, profile):
+    if not read_profile(image, edge.u, edge.v, edge.nx, edge.ny, back, ahead, lines, profile):
         return OUTSIDE, 0.0, 0.0, 0, 0
     count = back + ahead + 1
     held = limits.dark and outline

@@ -45,7 +45,7 @@ _LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-abl
 # Inlier ratio of the likeliest starts' best pose: below 0.3, no half turn of it has been right in
 # 120 frames of Mitsuba. Source: docs/notes/photographs.md
 _WORTH_TURNING = 0.2
-# The same after coarse alignment: of 252 right poses of Mitsuba one had less. Source: the same
+# The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
 _WORTH_REFINING = 0.15
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
