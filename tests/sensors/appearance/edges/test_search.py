@@ -1,13 +1,16 @@
 """Poses that another witness proposes, judged by the grey edges."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer
 from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.edges.refinement import Refiner
 from rendezview.sensors.appearance.edges.starts import half_turns
+from rendezview.sensors.appearance.observation import StageClock
 from rendezview.sensors.appearance.sky import Sky
 
 
@@ -69,6 +72,22 @@ def test_starts_whose_edges_are_not_found_are_not_refined(
     assert min(refined(away, 0.0)) > np.deg2rad(5.0)
     assert refined(away, 0.6) == []
     assert refined(truth.rotation[None], 0.6) == pytest.approx([0.0], abs=np.deg2rad(0.5))
+
+
+@pytest.mark.parametrize("how", [{}, {"give_up": 0.5}, {"again": True}])
+def test_beside_a_sketch_right_poses_are_found_as_without_and_others_given_up(
+    refining_model, bumpy_mesh, camera, draw, truth, how
+):
+    recognizer = Recognizer(refining_model, camera, trees=False)
+    frame = draw(bumpy_mesh, truth, camera)
+    outlines = recognizer.outline.trace(frame, None, StageClock(), bright_sky=False).outlines
+    found = recognizer.search.anywhere(frame, Sky.of(frame), outlines, **how)
+    assert found is not None
+    assert found.confidence > 0.9
+    assert found.best.pose.angle_to(truth) < np.deg2rad(0.5)
+    blurred = np.asarray(cv2.GaussianBlur(frame, (0, 0), 9.0))  # an outline, and no edge in place
+    found = recognizer.search.anywhere(blurred, Sky.of(blurred), outlines, **how)
+    assert found is None or found.confidence < 0.5
 
 
 def test_of_several_proposals_the_edges_choose(refining_model, bumpy_mesh, camera, draw, truth):

@@ -47,6 +47,7 @@ _LEAST_LEAD = 0.5  # log odds above every half turn. Source: experiment tree-abl
 _WORTH_TURNING = 0.2
 # The same after coarse alignment: of 252 right poses of Mitsuba none had less. Source: the same
 _WORTH_REFINING = 0.15
+_WORTH_REFINING_LAST = 0.08  # in the search after the sketch. Source: the same
 # Source: commits 7a5ba6e and 1cf9b72, experiment pose-accuracy
 _ROUNDS = 2  # of looks around the best two poses where none is confident; after a sketch one
 # rad; a local optimum lies about that far from the right pose. Source: spacing of the nodes' views,
@@ -117,7 +118,9 @@ class PoseSearch:
             give_up: confidence that the likeliest starts must reach, else no others are tried.
             again: after giving up: all starts at once, thoroughly, and one look around the best.
         """
-        least = _WORTH_REFINING if give_up > 0.0 else 0.0
+        least = worth = 0.0
+        if again or give_up > 0.0:  # beside a sketch, which is better at what is hard here
+            least, worth = _WORTH_REFINING_LAST if again else _WORTH_REFINING, _WORTH_TURNING
         each = self.options.retrieved if len(bodies) == 1 else self.options.retrieved_of_several
         first = self.options.retrieved_first // len(bodies)
         starts = [
@@ -125,7 +128,7 @@ class PoseSearch:
             for body in bodies
         ]
         candidates = Candidates(self.refiner, self.retrieval, image, sky, bodies, self.ballot)
-        if self.ballot is not None and len(bodies) == 1:
+        if self.ballot is not None and len(bodies) == 1 and not again:
             agreed = self._agreed(image, sky, candidates, bodies[0], *starts[0], least)
             if agreed is not None:
                 return agreed
@@ -147,7 +150,6 @@ class PoseSearch:
                 )
             )
             best = candidates.most_inliers
-            worth = _WORTH_TURNING if give_up > 0.0 else 0.0
             if best is not None and best not in turned and best.inlier_ratio >= worth:
                 candidates.add(self._half_turned(image, sky, best.pose))
                 turned.append(best)
