@@ -142,10 +142,10 @@ def test_silencing_the_voters_costs_work(refining_model, bumpy_mesh, camera, dra
     first: list[np.ndarray] = []
     best = Refiner.best
 
-    def counted(self, image, sky, rotations, centres, keep=4, *, thorough=False):
+    def counted(self, image, sky, rotations, centres, *args, **options):
         aligned.append(len(rotations))
         first.append(rotations[0].copy())
-        return best(self, image, sky, rotations, centres, keep, thorough=thorough)
+        return best(self, image, sky, rotations, centres, *args, **options)
 
     monkeypatch.setattr(Refiner, "best", counted)
     work, orders = {}, {}

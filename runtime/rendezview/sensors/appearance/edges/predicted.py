@@ -31,7 +31,7 @@ COLUMNS = 13  # Source: by construction
 FOUND, NOT_FOUND, OUTSIDE, CROWDED = 1.0, 0.0, -1.0, -2.0  # STATE of a point
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def predict_edges(
     point: npt.NDArray[np.int16], tangent: npt.NDArray[np.int8], count: int, stride: int,
     lens: Lens, unit_m: float, rotation: Array, centre: Array, rows: Array,
