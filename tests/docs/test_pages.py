@@ -34,15 +34,21 @@ def test_no_page_is_longer_than_a_sitting():
     assert long == {}
 
 
-def test_every_page_is_on_the_site():
+def test_the_sidebar_has_every_page_but_the_notes():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^[\w/-]+$", "\n".join(_BLOCK.findall(index)), re.MULTILINE))
     there = {
         str(path.relative_to(DOCS).with_suffix(""))
-        for pattern in ("*.md", "notes/*.md", "*.ipynb")
+        for pattern in ("*.md", "*.ipynb")
         for path in DOCS.glob(pattern)
     }
     assert listed == there - {"index"}
+
+
+def test_every_note_is_linked():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    notes = {f"notes/{path.name}" for path in DOCS.glob("notes/*.md")}
+    assert {note for note in notes if f"({note}" not in text} == set()
 
 
 def test_the_reference_has_every_public_name():
