@@ -10,7 +10,7 @@ from typing import Any
 
 from sphinx.application import Sphinx
 
-from rendezview import api
+import rendezview
 
 project = "rendezview"
 author = "the authors of rendezview"
@@ -81,7 +81,7 @@ def _field_comments(
     if what != "attribute" or lines:
         return
     owner, _, field = name.rpartition(".")
-    found = getattr(api, owner.removeprefix("rendezview.api."), None)
+    found = getattr(rendezview, owner.removeprefix("rendezview."), None)
     for base in getattr(found, "__mro__", ()):
         if field in getattr(base, "__annotations__", {}):
             comment = _comment_of(inspect.getsource(base).splitlines(), field)

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import typer
 
-from rendezview import api
+import rendezview
 from rendezview.cli.main import make_app
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,8 +53,8 @@ def test_every_note_is_linked():
 
 def test_the_reference_has_every_public_name():
     text = "".join((DOCS / f"{p}.md").read_text() for p in ("api", "api-sensors", "api-ground"))
-    named = re.findall(r"auto\w+:: rendezview\.api\.(\w+)", text)
-    assert sorted(named) == sorted(api.__all__)
+    named = re.findall(r"auto\w+:: rendezview\.(\w+)", text)
+    assert sorted(named) == sorted(rendezview.__all__)
 
 
 def test_the_notebook_is_kept_without_results():
