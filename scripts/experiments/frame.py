@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import inspect
 import json
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import UnionType
@@ -25,7 +27,6 @@ PICTURES = ROOT / "docs" / "pictures"
 
 PeerPython = Annotated[Path | None, "an interpreter with opencv-contrib"]
 Log = Annotated[Path | None, "every answer, JSON lines"]
-Dask = Annotated[str | None, "scheduler of a cluster that has the files too"]
 
 
 def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> object:
@@ -114,6 +115,13 @@ def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     return float(
         np.dot(np.asarray(error), np.linalg.solve(np.asarray(covariance), np.asarray(error)))
     )
+
+
+def tests_module(name: str) -> Any:
+    """A module of the tests' folder: simulators that share no code with the product."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    return importlib.import_module(f"tests.{name}")
 
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:

@@ -6,7 +6,7 @@ import json
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import cv2
 import matplotlib
@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.patches import Circle, Polygon, Rectangle
 
 from experiments.frame import CLIENT, MODELS_CAD, PICTURES
-from experiments.reflectors.run import CAMERA
+from experiments.reflectors.accuracy import CAMERA
 from experiments.stereo.accuracy import (
     AVERAGED,
     POSITIONS,
@@ -62,17 +62,19 @@ FRAMES = 4
 CROP = (slice(50, 410), slice(110, 530))  # the target, without the report's status bar
 
 
-def readme(demo: Annotated[Path, "folder that the demo wrote"]) -> None:
-    """The README's picture: four frames of a finished demo, side by side.
-
-    rendezview demo -o rendezview-demo && python -m experiments readme-picture rendezview-demo
-    """
-    paths = sorted(demo.glob("frame_*.png"))
+def readme(demo: Path | None) -> None:
+    """Four frames of a finished demo, side by side: a folder that ``rendezview demo -o`` wrote."""
+    paths = sorted(needed(demo, "the folder that rendezview demo wrote").glob("frame_*.png"))
     chosen = [paths[k] for k in np.linspace(0, len(paths) - 1, FRAMES).round().astype(int)]
     strip = np.hstack([cv2.imread(str(path))[CROP] for path in chosen])
-    PICTURES.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(PICTURES / "approach.png"), strip)
-    print(PICTURES / "approach.png")
+
+
+def needed(source: Path | None, what: str) -> Path:
+    """The source of a picture that is drawn from one."""
+    if source is None:
+        raise SystemExit(f"this picture needs a source: {what}")
+    return source
 
 
 PHOTOGRAPHS = {
@@ -85,8 +87,8 @@ PHOTOGRAPHS = {
 }
 
 
-def simulation(*, seed: int = 4) -> None:
-    """The picture of docs/simulation.md: one frame with each option that photographs need."""
+def simulation(_: Path | None) -> None:
+    """One frame with each option that photographs need."""
     target = Target.load(MODELS_CAD / "hubble")
     mesh = load_mesh(target.mesh_path, target.unit)
     centre_m, radius_m = mesh.bounding_sphere
@@ -97,22 +99,21 @@ def simulation(*, seed: int = 4) -> None:
     tiles = []
     for caption, options in PHOTOGRAPHS.items():
         changed = dict(options)
-        bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(seed))
+        bent = deformed(mesh, changed.pop("mesh_error", 0.0), np.random.default_rng(4))
         sensor = SensorOptions(
             noise_sigma_grey=1.0,
             **{k: changed.pop(k) for k in ("overexposure", "bloom") if k in changed},
         )
         scene = SceneOptions(sensor=sensor, **changed)
-        tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(seed))
+        tile = render_frame(bent, camera, pose, sun, scene, np.random.default_rng(4))
         cv2.putText(tile, caption, (6, 172), cv2.FONT_HERSHEY_SIMPLEX, 0.4, 255, 1, cv2.LINE_AA)
         tiles.append(tile)
     sheet = np.vstack([np.hstack(tiles[:3]), np.hstack(tiles[3:])])
     cv2.imwrite(str(PICTURES / "simulation.png"), sheet)
-    print(PICTURES / "simulation.png")
 
 
-def ring(output: Path, *, seed: int = 3) -> None:
-    """The picture of docs/ring.md: the client's ring as the sensor reads it."""
+def ring(_: Path | None) -> None:
+    """The client's ring as the sensor reads it."""
     target = Target.load(CLIENT)
     ring = target.docking_ring
     assert ring is not None
@@ -124,30 +125,25 @@ def ring(output: Path, *, seed: int = 3) -> None:
     ((_, pose),) = trajectory("vbar", options)
     mesh = load_mesh(target.mesh_path, target.unit)
     sun = np.array([0.3, -0.35, -0.9])
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(3)
     image = render_frame(mesh, camera, pose, sun / np.linalg.norm(sun), SceneOptions(), rng)
     prior = RingPrior(centre_m=pose.apply(ring.centre_m), axis=pose.rotation @ ring.axis)
     sensor = RingSensor(camera, ring.radius_m, circles=ring.circles)
     reading = sensor.update(0.0, image, prior)
-    cv2.imwrite(str(output), draw_reading(image, reading, camera))
-    if reading.circle is not None:
-        far = np.linalg.norm(prior.centre_m)
-        off = 100.0 * np.linalg.norm(reading.circle.centre_m - prior.centre_m) / far
-        angle = math.degrees(math.acos(min(1.0, float(reading.circle.axis @ prior.axis))))
-        print(f"centre off by {off:.3f} % of range, axis by {angle:.2f} degrees")
+    cv2.imwrite(str(PICTURES / "ring.png"), draw_reading(image, reading, camera))
 
 
 ORANGE, GREY = "#f0922b", "#9a9a9a"
 
 
-def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> None:
-    """The picture of docs/reflectors.md: pair, spots, triplet, windows and pose.
+def reflectors(_: Path | None) -> None:
+    """Pair, spots, triplet, windows and pose.
 
     A simulated pair of the far target at 5 m with crumpled foil and false spots. Left: the lit
     picture. Middle: the difference with every spot (grey) and the triplet (orange). Right: the
     target with the windows that the reading searched, and the face frame at the pose.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(6)
     pattern = patterns_of(Target.load(CLIENT), ("far",))[0]
     six = SixNumbers(5.0, 0.03, 0.02, 0.4, 0.25, -0.2)
     clutter = (foil(CAMERA, rng, 30), glints(CAMERA, rng, 6))
@@ -193,21 +189,18 @@ def reflectors(*, seed: int = 6, output: Path = PICTURES / "reflectors.png") -> 
     middle, reach = shown.mean(axis=0), 0.9 * np.ptp(shown, axis=0).max()
     axes[2].set_xlim(middle[0] - 1.33 * reach, middle[0] + 1.33 * reach)
     axes[2].set_ylim(middle[1] + reach, middle[1] - reach)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(output, dpi=90)
-    print(output, f"seed {seed}")
+    figure.savefig(PICTURES / "reflectors.png", dpi=90)
 
 
-def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
-    """The picture of docs/stereo.md: figure 8 of Welch et al. (1991), one run of 2° steps.
+def stereo(_: Path | None) -> None:
+    """Figure 8 of Welch et al. (1991), one run of 2° steps.
 
     Measured angle minus the line through it, over the stage's angle: the paper's solver on single
-    and on averaged scans of photodiodes, ours, and two picture cameras. stereo-accuracy
-    --part figure8 has the figures of many runs.
+    and on averaged scans of photodiodes, ours, and two picture cameras.
     """
-    craft = Target.load(target)
-    laboratory = OwnLaboratory(leds_of(craft), LaboratoryOptions(), seed)
-    rng = np.random.default_rng(seed)
+    craft = Target.load(MODELS_CAD / "scole")
+    laboratory = OwnLaboratory(leds_of(craft), LaboratoryOptions(), 11)
+    rng = np.random.default_rng(11)
     record = laboratory.calibration(rng)
     rig = calibrate_laboratory(record).rig
     plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
@@ -241,8 +234,7 @@ def stereo(*, target: str = "models_cad/scole", seed: int = 11) -> None:
         axis.set_ylabel("read less its line, °")
         axis.grid(alpha=0.3)
         axis.legend(fontsize=7)
-    figure.savefig((PICTURES / "stereo.png"), dpi=110)
-    print(PICTURES / "stereo.png")
+    figure.savefig(PICTURES / "stereo.png", dpi=110)
 
 
 EDGES_M = np.geomspace(0.99, 60.1, 25)
@@ -261,9 +253,9 @@ def curve(range_m: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarra
     return np.array(middles), np.array(medians)
 
 
-def fusion(samples: Path) -> None:
-    """The picture of docs/fusion.md: errors of sensors and filter over the range, and its σ."""
-    rows = json.loads(samples.read_text())
+def fusion(samples: Path | None) -> None:
+    """Errors of sensors and filter over the range, of the samples of fusion-approach."""
+    rows = json.loads(needed(samples, "what fusion-approach --samples wrote").read_text())
     range_m = np.array([row["range_m"] for row in rows])
     figure, axes = plt.subplots(1, 2, figsize=(10.0, 3.8), constrained_layout=True)
     panels = ((0, 1e3, "ring's centre, mm"), (2, 180.0 / np.pi, "ring's axis, °"))
@@ -280,5 +272,20 @@ def fusion(samples: Path) -> None:
         panel.invert_xaxis()
         panel.grid(True, which="major", alpha=0.3)
     axes[0].legend(frameon=False)
-    figure.savefig((PICTURES / "fusion.png"), dpi=110)
-    print(PICTURES / "fusion.png")
+    figure.savefig(PICTURES / "fusion.png", dpi=110)
+
+
+DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
+         "stereo": stereo, "fusion": fusion}  # fmt: skip
+
+
+def run(
+    name: Literal["readme", "simulation", "ring", "reflectors", "stereo", "fusion"],
+    source: Annotated[
+        Path | None, "readme: a demo; fusion: samples of its flights"
+    ] = None,
+) -> None:
+    """Draw one picture of the README or the docs again, into docs/pictures."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    DRAWN[name](source)
+    print(PICTURES, name)

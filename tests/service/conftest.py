@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.service import page_feed
+from tests.service import approach, page_feed
 
-from experiments.service import approach
 from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose

@@ -14,9 +14,9 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from tests.service.ray_nodes import Gateway, Nodes, seats_of, wait_for
 from websockets.sync.client import connect
 
-from experiments.service.cluster import Gateway, Nodes, seats_of, wait_for
 from experiments.service.kill import states_of
 from rendezview.client import Client
 from rendezview.client.messages import ServiceError

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from tests.service import approach
 
-from experiments.service import approach
 from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
@@ -48,7 +48,7 @@ def open_session(client, flown: Path, **more):
 
 
 def test_frames_and_ranges_alone_give_what_the_commands_give(served, flown):
-    """As experiment service-approach, on a shorter flight; the log repeats it bit for bit."""
+    """The log repeats it bit for bit."""
     model = flown / "client.rvm"
     outcome = approach.Outcome()
     with served.client() as client:

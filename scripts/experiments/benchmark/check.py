@@ -1,13 +1,40 @@
-"""Rows of the benchmark, kept in a file, and the check for rows that have become worse."""
+"""Rows of the benchmark, what all groups share, and the check for rows that have become worse."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
+from experiments.timing import Way, race
+from rendezview.sensors.appearance import ViewModel
+from rendezview.training.mesh import Mesh
+
 ALLOWED = 1.5
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Data of all groups. ``frames``, ``problems``: of each kind; ``seconds``: of each race."""
+
+    mesh: Mesh
+    model_path: Path
+    frames: int
+    problems: int
+    seconds: float
+    seed: int
+    peer_python: Path | None  # an interpreter with opencv-contrib
+
+    @cached_property
+    def model(self) -> ViewModel:
+        return ViewModel.load(self.model_path)
+
+    def race(self, ways: dict[str, Callable[[], object] | Way]) -> dict[str, float]:
+        """Seconds an answer of each way."""
+        entered = {n: w if isinstance(w, Way) else Way(w) for n, w in ways.items()}
+        return race(entered, self.seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +46,7 @@ class Row:
     beside: str  # the peer or floor
     peer: float
     unit: str  # times: "s"; else the unit of the count
-    command: str  # the script that measures it at length
+    command: str  # the experiment that has more of it
 
     @property
     def ratio(self) -> float:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import inspect
 import os
-import shlex
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -14,22 +13,25 @@ from pathlib import Path
 from typing import Annotated
 
 import cv2
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
-from experiments.benchmark.check import ALLOWED, Row, best, worse
+from experiments.benchmark.appearance import flight_code, nodes, poses
+from experiments.benchmark.check import ALLOWED, Bench, Row, best, worse
 from experiments.benchmark.check import write as write_rows
-from experiments.benchmark.rows import Bench, groups
+from experiments.benchmark.estimation import fusion, segments
+from experiments.benchmark.sensors import reflectors, rings, stereo
+from experiments.benchmark.three_points import three_points
 from experiments.flight_code.driver import compiler
-from experiments.frame import ROOT, PeerPython, mesh_of, show
-from experiments.peers import visp as visp_driver
+from experiments.frame import PeerPython, mesh_of, show, table_of
 from rendezview.io.bundled import find_target
+from rendezview.sensors import appearance
 from rendezview.training.job import train
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendezview-benchmark"
 AGAIN = 4  # passes at most
+SIZE, SHORT_SIZE = (6, 1000, 1.5), (3, 200, 0.6)  # frames, problems, seconds of a race
 SMALL = TrainingOptions(
     order=2,
     resolution_px=256,
@@ -40,52 +42,14 @@ SMALL = TrainingOptions(
     contour_resolution_px=400,
     shadowed_silhouettes=False,
 )
-LONG = (  # claim, command; {folder}: where the campaign writes and reads
-    ("default models of four targets", "rendezview train hubble -o {folder}/hubble.rvm"),
-    ("", "rendezview train client -o {folder}/client.rvm"),
-    ("", "rendezview train {data}/HST.obj -o {folder}/HST.rvm"),
-    ("", "rendezview train {data}/SpaceShuttleOrbiter.obj -o {folder}/SpaceShuttleOrbiter.rvm"),
-    ("frames by an independent renderer", "pose-frames {folder}/frames {data}/HST.obj "
-     "{data}/SpaceShuttleOrbiter.obj hubble client --count 200 --seed 77"),
-    ("tracked 99.9 %, 0.06°, 0.03 %; first pose 98.1 %, wrong 0.2 %",
-     "pose-accuracy {folder}/frames {folder}"),
-    ("sequences without a loss", "pose-trials sequences {folder} {data}/HST.obj hubble "
-     "{data}/SpaceShuttleOrbiter.obj client"),
-    ("no pose where there is no target", "pose-trials refusals {folder} {data}/HST.obj hubble "
-     "{data}/SpaceShuttleOrbiter.obj client"),
-    ("beside ViSP's tracker", "visp-tracking hubble --model {folder}/hubble.rvm"),
-    ("", "visp-tracking client --model {folder}/client.rvm"),
-    ("a few minutes of training", "training-speed models_cad/hubble"),
-    ("active nodes, views", "recognition-accuracy models_cad/hubble --views 2000 --seed 77"),
-    ("C identical, 10,000 of 10,000",
-     "export-c-check {folder}/hubble.rvm models_cad/hubble --seed 77 --onnx"),
-    ("attitude that C needs",
-     "flight-code-search {folder}/hubble.rvm models_cad/hubble --frames 400 --seed 77"),
-    ("reflectors: accuracy", "reflector-accuracy --frames 150 --seed 21"),
-    ("reflectors: a million solves", "reflector-solvers --count 1000000 --seed 11"),
-    ("reflectors: acquisition", "reflector-acquisition --frames 2500 --seed 31"),
-    ("ring: accuracy", "ring-accuracy --seed 71"),
-    ("ring: of unknown size", "ring-flyaround --seed 61"),
-    ("stereo: accuracy", "stereo-accuracy --part figure8 --seed 11"),
-    ("stereo: calibration", "stereo-calibration --part laboratory --seed 31"),
-    ("fusion: approaches",
-     "fusion-approach {folder}/runs --model {folder}/client.rvm --seeds 50"),
-    ("fusion: faults", "fusion-faults {folder}/runs --seeds 20"),
-    ("paths from frames", "trajectory-frames {folder}/observations {folder}/client.rvm client "
-     "circular spiral vbar spin tumble"),
-    ("paths: accuracy", "trajectory-accuracy {folder}/observations"),
-    ("closed loop", "closed-loop {folder}/client.rvm client --seeds 0 20"),
-    ("many workers", "scale-out speed --model {folder}/hubble.rvm"),
-    ("a worker killed", "scale-out kill"),
-)  # fmt: skip
 
 
 def small_model(cache: Path) -> Path:
     """The short form's model; trained again when options, mesh or sources have changed."""
     found = find_target("hubble")
     digest = hashlib.sha256(repr(SMALL).encode() + found.mesh_path.read_bytes())
-    for folder in ("training/rendezview/training", "runtime/rendezview/sensors/appearance"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
+    for source in (inspect.getfile(train), appearance.__file__):
+        for path in sorted(Path(str(source)).parent.rglob("*.py")):
             digest.update(path.read_bytes())
     path = cache / f"hubble-{digest.hexdigest()[:16]}.rvm"
     if not path.exists():
@@ -97,7 +61,7 @@ def small_model(cache: Path) -> Path:
     return path
 
 
-def absent(peer_python: Path | None, short: bool) -> Iterator[str]:
+def absent(peer_python: Path | None) -> Iterator[str]:
     """A line for every peer that is not in this run, and why."""
     if peer_python is None:
         yield "linemod, EdgeDrawing, findEllipses: in opencv-contrib only; give --peer-python"
@@ -106,18 +70,12 @@ def absent(peer_python: Path | None, short: bool) -> Iterator[str]:
             yield f"{package}: not installed"
     if compiler() is None:
         yield "flight code: no C compiler here"
-    if short:
-        yield "ViSP: not in the short form"
-    elif visp_driver.missing() is not None:
-        yield f"ViSP: {visp_driver.missing()}"
 
 
 def show_rows(rows: list[Row]) -> None:
     """Print the comparisons."""
-    columns = ("what", "ours", "beside", "peer or floor", "ratio", "at length")
-    table = Table(title="less is better; ratio = ours / beside")
-    for name in columns:
-        table.add_column(name, justify="right" if name in ("ours", "beside", "ratio") else "left")
+    title = "less is better; ratio = ours / beside"
+    table = table_of(title, "what | ours | beside | peer or floor | ratio | more in")
     for row in rows:
         mine, peer, unit = row.shown()
         table.add_row(
@@ -151,44 +109,14 @@ def draw(rows: list[Row], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def campaigns(folder: str) -> int:
-    """Print the long campaigns, or run them one after the other; the number that failed."""
-    data = os.environ.get("RENDEZVIEW_TEST_DATA", "DATA") + "/meshes_42"
-    failed = 0
-    for k, (claim, words) in enumerate(LONG):
-        command = words.format(folder=folder or "FOLDER", data=data)
-        ours = command.startswith("rendezview")
-        full = command if ours else f"python -m experiments {command}"
-        print(f"{full}" + (f"    # {claim}" if claim else ""), flush=True)
-        if not folder:
-            continue
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        arguments = shlex.split(command)
-        program = (
-            [str(Path(sys.executable).with_name(arguments[0]))]
-            if ours
-            else [sys.executable, "-m", "experiments", arguments[0]]
-        )
-        start = time.perf_counter()
-        with (Path(folder) / f"{k:02d}_{arguments[0]}.txt").open("w") as out:
-            done = subprocess.run(
-                [*program, *arguments[1:]], cwd=ROOT, stdout=out, stderr=out, check=False
-            )
-        failed += done.returncode != 0
-        print(
-            f"  exit {done.returncode}, {time.perf_counter() - start:.0f} s, {out.name}", flush=True
-        )
-    return failed
-
-
-def measured(
-    bench: Bench, passes: int, kept: Path | None, short: bool
-) -> tuple[list[Row], dict[str, str]]:
+def measured(bench: Bench, passes: int, kept: Path | None) -> tuple[list[Row], dict[str, str]]:
     """All rows, the best of the passes, and the rows that are worse than the kept ones.
 
     Groups with a row that is worse are measured again: noise disappears, a real slowdown stays.
     """
-    everything = groups(short)
+    everything = [poses, nodes, reflectors, three_points, rings, stereo, fusion, segments]
+    if compiler() is not None:
+        everything.insert(2, flight_code)
     rows: dict[str, Row] = {}
     of_group: dict[str, int] = {}
     again = set(range(len(everything)))
@@ -211,9 +139,6 @@ def run(
     check: Annotated[Path | None, "exit 1 where a ratio is over 1.5 × the kept one"] = None,
     write: Annotated[Path | None, "keep the ratios in a file"] = None,
     figure: Annotated[Path | None, "PNG of the ratios"] = None,
-    long: Annotated[
-        str | None, "print the long campaigns, or run them in a folder", {"nargs": "?", "const": ""}
-    ] = None,
     model: Annotated[Path | None, "default model of hubble; else it is trained"] = None,
     peer_python: PeerPython = None, seed: int = 77, cache: Path = CACHE,
 ) -> None:  # fmt: skip
@@ -221,11 +146,8 @@ def run(
 
     Ours and the peers are timed in turns, in processor time; each figure is the least of the
     medians of 15 turns. Less is better everywhere; the ratio is ours over the peer's. --short
-    trains a small model of its own once, into --cache. linemod and EdgeDrawing need --peer-python,
-    ViSP needs a C++ compiler and ``apt install g++ pkg-config libvisp-mbt-dev``.
+    trains a small model of its own once, into --cache. linemod and EdgeDrawing need --peer-python.
     """
-    if long is not None:
-        sys.exit(1 if campaigns(str(Path(long).resolve()) if long else "") else 0)
     start = time.perf_counter()
     cv2.setNumThreads(1)
     name, mesh = mesh_of("hubble")
@@ -236,12 +158,11 @@ def run(
         if not path.exists():
             cache.mkdir(parents=True, exist_ok=True)
             train(mesh, path, name=name)
-    frames, problems, seconds = (3, 200, 0.6) if short else (6, 1000, 1.5)
     with threadpool_limits(1):
-        bench = Bench(mesh, path, frames, problems, seconds, seed, peers)
-        rows, wrong = measured(bench, 3 if write else 1, check, short)
+        bench = Bench(mesh, path, *(SHORT_SIZE if short else SIZE), seed, peers)
+        rows, wrong = measured(bench, 3 if write else 1, check)
     show_rows(rows)
-    for line in absent(peers, short):
+    for line in absent(peers):
         print(f"absent: {line}")
     size, spent = path.stat().st_size / 1e6, time.perf_counter() - start
     print(f"seed {seed}; model {size:.1f} MB; {spent:.0f} s")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated
@@ -10,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import Dask, show, table_of
+from experiments.frame import show, table_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array, Pose, rotation_angle
@@ -21,7 +20,6 @@ from rendezview.sensors.appearance.outline.silhouette import Missing, find_silho
 from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.simulation import SceneOptions, SensorOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
-from rendezview.training.job import train
 from rendezview.training.learn import IN_EDGES, OUT_EDGES
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.open_executor import open_executor
@@ -31,6 +29,10 @@ from rendezview.training.views import clean_views, look_from
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one
+PRIOR_DEG = 20.0
+PHASES_DEG = ((0.0, 0.0), (0.0, 30.0), (30.0, 60.0))  # of the Sun
+REAL = ("(b) real frames", "(b) Sun 0–30°", "(b) Sun 30–60°", "(c) 20° prior",
+        "(d) 20° prior, Sun 0–30°", "(e) 20° prior, Sun 30–60°")  # fmt: skip
 
 
 @dataclass
@@ -79,13 +81,9 @@ def random_pose(model: ViewModel, camera: Camera, rng: np.random.Generator) -> t
 
 
 def frame_of(
-    mesh: Mesh,
-    model: ViewModel,
-    camera: Camera,
-    pose: Pose,
-    phases_deg: tuple[float, float],
+    mesh: Mesh, model: ViewModel, camera: Camera, pose: Pose, phases_deg: tuple[float, float],
     rng: np.random.Generator,
-) -> np.ndarray:
+) -> np.ndarray:  # fmt: skip
     """A shaded frame with hard shadows, blur of 0.7 px and noise of 3 grey levels."""
     phase = np.deg2rad(rng.uniform(*phases_deg))
     sun = sun_at_phase(pose.apply(model.centre_m), phase, rng.uniform(0.0, 2.0 * np.pi))
@@ -105,22 +103,17 @@ def clean_tally(mesh: Mesh, model: ViewModel, views: int, seed: int) -> Tally:
     geometry = replace(view_geometry(mesh, options, None), sphere_radius_m=model.sphere_radius_m)
     renderer = make_renderer(options.renderer, mesh)
     seen = clean_views(renderer, geometry, options, directions)
-    matcher, tally = Matcher(model), Tally()
+    tally = Tally()
     for k in range(views):
         signature = Signature(seen.readings[k], float(seen.area_sr[k]), np.eye(3))
-        decide(model, matcher, signature, seen.centred_from_target[k], directions[k], 0.0, tally)
+        decide(model, signature, seen.centred_from_target[k], directions[k], 0.0, tally)
     return tally
 
 
 def decide(
-    model: ViewModel,
-    matcher: Matcher,
-    signature: Signature | None,
-    attitude: Array,
-    direction: Array,
-    roll_error_rad: float,
-    tally: Tally,
-) -> None:
+    model: ViewModel, signature: Signature | None, attitude: Array, direction: Array,
+    roll_error_rad: float, tally: Tally,
+) -> None:  # fmt: skip
     """Ask the nodes within three edges, the roll known but for an error."""
     sphere = model.geodesic
     edge = sphere.mean_edge_rad
@@ -131,6 +124,7 @@ def decide(
         tally.direction_deg.append(np.inf)
         return
     rolls = twist(attitude, model.views.centred_from_target[nodes]) + roll_error_rad
+    matcher = Matcher(model)
     trust = matcher.decided(nodes, signature.readings, rolls)
     on = trust > 0.0
     tally.add(on, distance)
@@ -141,29 +135,18 @@ def decide(
     tally.direction_deg.append(float(np.rad2deg(angle_between(found, direction))))
 
 
-def one_real(mesh: Mesh, models: list[ViewModel], camera: Camera, seed: int, k: int) -> list[Tally]:
-    """One pose under (b), the paper's model under the first, then (c), (d) and (e) end to end."""
+def one_real(mesh: Mesh, model: ViewModel, camera: Camera, seed: int, k: int) -> list[Tally]:
+    """One pose under (b), with three kinds of light, then (c), (d) and (e) end to end."""
     rng = np.random.default_rng([seed, 1, k])
-    direction, pose = random_pose(models[0], camera, rng)
+    direction, pose = random_pose(model, camera, rng)
     roll_error = float(np.deg2rad(rng.normal()))
-    image = frame_of(mesh, models[0], camera, pose, (0.0, 0.0), rng)
-    tallies = [
-        at_the_attitude(image, model, camera, pose, direction, roll_error) for model in models
-    ]
-    shadowed = [
-        frame_of(mesh, models[0], camera, pose, phases, rng)
-        for phases in ((0.0, 30.0), (30.0, 60.0))
-    ]
-    tallies += [
-        at_the_attitude(frame, models[0], camera, pose, direction, roll_error) for frame in shadowed
-    ]
+    frames = [frame_of(mesh, model, camera, pose, phases, rng) for phases in PHASES_DEG]
+    tallies = [at_the_attitude(f, model, camera, pose, direction, roll_error) for f in frames]
     error = rng.normal(size=3)
-    error *= np.deg2rad(rng.uniform(0.0, 20.0)) / np.linalg.norm(error)
+    error *= np.deg2rad(rng.uniform(0.0, PRIOR_DEG)) / np.linalg.norm(error)
     prior = Pose(Rotation.from_rotvec(error).as_matrix() @ pose.rotation, pose.translation_m)
-    recognizer = Recognizer(models[0], camera, refine=False)
-    for frame in (image, *shadowed):
-        tallies.append(end_to_end(recognizer, frame, prior, pose, direction))
-    return tallies
+    recognizer = Recognizer(model, camera, refine=False)
+    return tallies + [end_to_end(recognizer, f, prior, pose, direction) for f in frames]
 
 
 def at_the_attitude(
@@ -178,7 +161,7 @@ def at_the_attitude(
         signature = Signature.of_outlines(rays, model.bins, model.smooth_bins)
     if signature is not None:
         attitude = signature.centred_from_camera @ pose.rotation
-    decide(model, Matcher(model), signature, attitude, direction, roll_error_rad, tally)
+    decide(model, signature, attitude, direction, roll_error_rad, tally)
     return tally
 
 
@@ -242,15 +225,12 @@ def row(t: Tally) -> list[str]:
 
 def run(
     target: Annotated[Path, "target.toml, its folder, or a mesh"],
-    *, unit: Annotated[str | None, "of a bare mesh"] = None,
-    model: Annotated[Path | None, "robust model, trained before"] = None,
-    views: int = 2000, seed: Annotated[int, "of the test frames"] = 1, jobs: int = -1,
-    dask: Dask = None,
+    *, model: Annotated[Path, "trained before"], views: int = 2000,
+    seed: Annotated[int, "of the test frames"] = 1,
 ) -> None:  # fmt: skip
     """Node decisions and direction of view on held-out frames.
 
-    Trains the robust model (or takes --model) and the paper's, then evaluates every node within
-    three edges of random views that neither was trained on:
+    Every node within three edges of random views that the model was not trained on:
 
     (a) the paper's conditions: a clean silhouette at the sphere radius, roll known;
     (b) real frames: 640 × 480, shaded, blurred, σ = 3 grey levels, range 1–3 sphere radii,
@@ -263,27 +243,13 @@ def run(
     In-views lie within one edge of a node, out-views between 1.32 and 3 edges. Every frame counts:
     a frame without a silhouette has all its in-decisions wrong and its out-decisions right.
     """
-    found = Target.load(target)
-    mesh = load_mesh(found.mesh_path, unit or found.unit)
-    with tempfile.TemporaryDirectory() as folder:
-
-        def trained(name: str, options: TrainingOptions) -> ViewModel:
-            return train(mesh, Path(folder) / name, name=found.name, options=options).model
-
-        options = TrainingOptions(contour_points=0, shadowed_silhouettes=False)
-        robust = ViewModel.load(model) if model else trained("robust.rvm", options)
-        paper = trained("paper.rvm", replace(options.paper(), held_out_views=0))
-    shared = (mesh, [robust, paper], flight_camera(mesh), seed)
-    with open_executor(jobs, dask) as workers:
+    found, loaded = Target.load(target), ViewModel.load(model)
+    mesh = load_mesh(found.mesh_path, found.unit)
+    shared = (mesh, loaded, flight_camera(mesh), seed)
+    with open_executor(-1, None) as workers:
         done = dict(workers.results(one_real, shared, [(k,) for k in range(views)]))
-    conditions = {
-        "(a) clean, robust": clean_tally(mesh, robust, views, seed),
-        "(a) clean, paper": clean_tally(mesh, paper, views, seed),
-    }
-    names = ("(b) real frames, robust", "(b) real frames, paper", "(b) Sun 0–30°, robust",
-             "(b) Sun 30–60°, robust", "(c) 20° prior, robust", "(d) 20° prior, Sun 0–30°",
-             "(e) 20° prior, Sun 30–60°")  # fmt: skip
-    for place, name in enumerate(names):
+    conditions = {"(a) clean": clean_tally(mesh, loaded, views, seed)}
+    for place, name in enumerate(REAL):
         conditions[name] = joined([done[k][place] for k in range(views)])
     columns = ("condition", "right %", "in %", "out %", "nodes on", "none on %",
                "direction °, median / 95 %", "rotation °, median / 95 %",

@@ -1,22 +1,19 @@
-"""Draw paths, recognise their frames, and keep the observations for trajectory-accuracy."""
+"""Paths of trajectory-accuracy: their truth, their frames, and what both trackers see in them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.io.bundled import find_target
-from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
 from rendezview.simulation.trajectories import looking_at, torque_free
-from rendezview.training.mesh import load_mesh
+from rendezview.training.mesh import Mesh
 
 KINDS = ("circular", "spiral", "vbar", "spin", "tumble")
 FRAMES = 100
@@ -26,6 +23,7 @@ RATE_RAD_S = 1.0 / SPAN_S
 MEAN_MOTION_RAD_S = 0.0011
 JITTER_RAD = np.deg2rad(0.3)
 INERTIA = (1.0, 1.6, 2.0)
+MOST_PHASE_RAD = math.radians(45.0)  # of the Sun, in the middle of a segment
 CAMERA = Camera.from_fov(1024, 768, float(np.deg2rad(53.0)))
 
 
@@ -101,47 +99,29 @@ def suns(rotations: Array, still: Array, phase_rad: float, rng: np.random.Genera
     return np.asarray(np.einsum("nij,nj->ni", still, moved))
 
 
-def observations(
-    model: ViewModel, target: str, kind: str, seed: int, most_phase_rad: float
-) -> dict[str, Array]:
+def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str, Array]:
     """One segment through the renderer and both trackers, as arrays."""
-    found = find_target(target)
-    mesh = load_mesh(found.mesh_path, found.unit)
-    camera = CAMERA
     centre_m = model.centre_m
     places, turns = true_path(kind, model.target_radius_m, centre_m, seed)
     times_s = STEP_S * np.arange(FRAMES)
-    rotations = turns(times_s)[0]
-    truth = places(times_s)
+    rotations, truth = turns(times_s)[0], places(times_s)
     rng = np.random.default_rng([seed, KINDS.index(kind), 1])
     jitter = Rotation.from_rotvec(JITTER_RAD * rng.standard_normal((FRAMES, 3))).as_matrix()
-    phase_rad = rng.uniform(0.0, most_phase_rad)
+    phase_rad = rng.uniform(0.0, MOST_PHASE_RAD)
     # A turning target turns in the axes of the orbit, which are the camera's.
-    turning = kind in ("spin", "tumble")
-    light = suns(jitter @ rotations, jitter if turning else jitter @ rotations, phase_rad, rng)
-    options = SceneOptions()
-    trackers: tuple[Tracker, Tracker] | None = None
-    seen: list[tuple[AppearanceObservation, AppearanceObservation]] = []
-    for k in range(FRAMES):
-        rotation = jitter[k] @ rotations[k]
-        pose = Pose(rotation, -rotation @ truth[k])
-        frame = render_frame(mesh, camera, pose, light[k], options, rng, float(times_s[k]))
-        if trackers is None:
-            trackers = (
-                Tracker(Recognizer(model, camera), pose),
-                Tracker(Recognizer(model, camera, refine=False), pose),
-            )
-        seen.append(
-            (
-                trackers[0].update(float(times_s[k]), frame),
-                trackers[1].update(float(times_s[k]), frame),
-            )
-        )
-    refined = [(k, s) for k, (s, _) in enumerate(seen) if s.pose is not None]
-    nodes = [(k, s) for k, (_, s) in enumerate(seen) if len(s.points_m)]
-    trees = [(k, s.pose) for k, (_, s) in enumerate(seen) if s.pose is not None]
-    outlines = [(k, s.signature) for k, (_, s) in enumerate(seen) if s.signature is not None]
-    poses = [s.pose for _, s in refined if s.pose is not None]
+    turned = jitter @ rotations
+    light = suns(turned, jitter if kind in ("spin", "tumble") else turned, phase_rad, rng)
+    poses = [Pose(j @ r, -(j @ r) @ t) for j, r, t in zip(jitter, rotations, truth, strict=True)]
+    both = (Recognizer(model, CAMERA), Recognizer(model, CAMERA, refine=False))
+    trackers = [Tracker(recognizer, poses[0]) for recognizer in both]
+    refined, outlines, trees, nodes = [], [], [], []
+    for k, (time_s, pose) in enumerate(zip(times_s.tolist(), poses, strict=True)):
+        frame = render_frame(mesh, CAMERA, pose, light[k], SceneOptions(), rng, time_s)
+        fine, rough = (tracker.update(time_s, frame) for tracker in trackers)
+        refined += [(k, fine.pose, fine.covariance)] * (fine.pose is not None)
+        nodes += [(k, rough.points_m, rough.weights)] * bool(len(rough.points_m))
+        trees += [(k, rough.pose)] * (rough.pose is not None)
+        outlines += [(k, rough.signature)] * (rough.signature is not None)
     return {
         "centre_m": centre_m,
         "radius_m": np.array(model.target_radius_m),
@@ -149,13 +129,13 @@ def observations(
         "truth_m": truth,
         "true_rotation": rotations,
         "jitter": jitter,
-        "pose_frame": np.array([k for k, _ in refined]),
-        "rotation": np.array([p.rotation for p in poses]),
-        "translation_m": np.array([p.translation_m for p in poses]),
-        "covariance": np.array([s.covariance for _, s in refined]),
-        "node_frame": np.concatenate([np.full(len(s.points_m), k) for k, s in nodes]),
-        "node_m": np.concatenate([s.points_m for _, s in nodes]),
-        "node_weight": np.concatenate([s.weights for _, s in nodes]),
+        "pose_frame": np.array([k for k, _, _ in refined]),
+        "rotation": np.array([pose.rotation for _, pose, _ in refined]),
+        "translation_m": np.array([pose.translation_m for _, pose, _ in refined]),
+        "covariance": np.array([spread for _, _, spread in refined]),
+        "node_frame": np.concatenate([np.full(len(points), k) for k, points, _ in nodes]),
+        "node_m": np.concatenate([points for _, points, _ in nodes]),
+        "node_weight": np.concatenate([weights for _, _, weights in nodes]),
         "outline_frame": np.array([k for k, _ in outlines]),
         "readings": np.array([s.readings for _, s in outlines], np.float32),
         "area_sr": np.array([s.area_sr for _, s in outlines]),
@@ -163,38 +143,3 @@ def observations(
         "tree_frame": np.array([k for k, _ in trees]),
         "tree_rotation": np.array([pose.rotation for _, pose in trees]),
     }
-
-
-def run(
-    folder: Path, model: Path,
-    target: Annotated[str, "mesh, target.toml, or hubble, client, scole"], kinds: list[str], *,
-    seeds: tuple[int, int] = (0, 20),
-    sun_phase: Annotated[float, "largest in the middle of a segment, degrees"] = 45.0,
-) -> None:  # fmt: skip
-    """Draw paths, recognise their frames, and keep the observations for trajectory-accuracy.
-
-    FOLDER/<target>-<kind>-<seed>.npz has one segment (poses, active nodes, signatures) of 100
-    frames, 2 s apart: 1024 × 768, 53° across. The Sun stands still in space: 0 to --sun-phase
-    from behind the camera in the middle of the segment, and as far aside as the camera flies and
-    the orbit (0.0011 rad/s) turns before and after that. Noise, blur and pointing jitter are those
-    of rendezview simulate; the attitude of the path is random. Two trackers read each frame: one
-    with refinement, one with the trees only. An existing file is kept.
-
-    circular: one radian at 3.5 target radii. spiral: the same from 4.5 to 4 radii. vbar: from 6 to
-    5 radii, with three hops of 3 % of the distance. spin, tumble: the camera is fixed at 3.5 radii,
-    the target turns through one radian about a fixed axis, or freely with moments 1 : 1.6 : 2.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    views = ViewModel.load(model)
-    for seed in range(*seeds):
-        for kind in kinds:
-            path = folder / f"{views.name}-{kind}-{seed}.npz"
-            if path.exists():
-                continue
-            arrays = observations(views, target, kind, seed, math.radians(sun_phase))
-            np.savez_compressed(path, **arrays)
-            print(
-                f"{path.name}: {len(arrays['pose_frame'])} poses, "
-                f"{len(arrays['node_frame'])} active nodes",
-                flush=True,
-            )
