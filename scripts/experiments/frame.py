@@ -118,8 +118,9 @@ def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
 
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:
     """Name and mesh of a bundled target, a target file or a bare mesh."""
-    from rendezview.io.bundled import find_target
     from rendezview.training.mesh import load_mesh
+
+    from rendezview.io.bundled import find_target
 
     found = find_target(str(target))
     return found.name, load_mesh(found.mesh_path, found.unit)

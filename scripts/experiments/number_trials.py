@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.background import Earth
 from scipy.spatial.transform import Rotation
 
 from experiments import sensor_trials
@@ -27,8 +29,6 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.background import Earth
 from rendezview.trajectory import Method, Nothing, fit_spin
 
 

@@ -13,6 +13,30 @@ import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.patches import Circle, Polygon, Rectangle
+from rendezview.sensors.reflectors import (
+    LitDark,
+    ReflectorSensor,
+    SixNumbers,
+    find_spots,
+    patterns_of,
+    pose_of,
+    predict_spots,
+)
+from rendezview.sensors.stereo import MotionOptions, Normalisation
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.simulation import (
+    SceneOptions,
+    SensorOptions,
+    TrajectoryOptions,
+    render_frame,
+    sun_at_phase,
+    trajectory,
+)
+from rendezview.simulation.led_laboratory import LaboratoryOptions
+from rendezview.simulation.led_pictures import PictureOptions
+from rendezview.simulation.mesh_error import deformed
+from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
+from rendezview.training.mesh import load_mesh
 
 from experiments.frame import CLIENT, MODELS_CAD, PICTURES
 from experiments.reflectors.run import CAMERA
@@ -29,32 +53,8 @@ from experiments.stereo.plain import OwnLaboratory
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import (
-    LitDark,
-    ReflectorSensor,
-    SixNumbers,
-    find_spots,
-    patterns_of,
-    pose_of,
-    predict_spots,
-)
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
-from rendezview.sensors.stereo import MotionOptions, Normalisation
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.simulation import (
-    SceneOptions,
-    SensorOptions,
-    TrajectoryOptions,
-    render_frame,
-    sun_at_phase,
-    trajectory,
-)
-from rendezview.simulation.led_laboratory import LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions
-from rendezview.simulation.mesh_error import deformed
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
-from rendezview.training.mesh import load_mesh
 
 matplotlib.use("Agg")
 

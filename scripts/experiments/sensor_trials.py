@@ -6,16 +6,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from experiments.frame import CLIENT, MODELS_CAD, nees
-from experiments.reflectors import acquisition, speed
-from experiments.reflectors.accuracy import random_pose
-from experiments.reflectors.run import CAMERA
-from experiments.ring import accuracy as ring_accuracy
-from experiments.stereo import cases as stereo_cases
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
     Acquirer,
     LitDark,
@@ -24,7 +14,6 @@ from rendezview.sensors.reflectors import (
     patterns_of,
     predict_spots,
 )
-from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.stereo import MotionOptions, Spots, StereoTracker, TrackerOptions
 from rendezview.sensors.stereo.agreement import Disagreement
 from rendezview.sensors.stereo.spots import find_spots as find_lights
@@ -37,6 +26,17 @@ from rendezview.simulation.reflector_frames import (
     render_pair,
 )
 from rendezview.simulation.ring_frames import RingSceneOptions
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import CLIENT, MODELS_CAD, nees
+from experiments.reflectors import acquisition, speed
+from experiments.reflectors.accuracy import random_pose
+from experiments.reflectors.run import CAMERA
+from experiments.ring import accuracy as ring_accuracy
+from experiments.stereo import cases as stereo_cases
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.ring import RingPrior, RingSensor
 
 Figures = dict[str, float]
 Trial = Callable[[], Figures]

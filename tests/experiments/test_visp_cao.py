@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from experiments.peers.visp_cao import Cao, CaoOptions, cao_of
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
 
 
 def mesh_of(*bodies: trimesh.Trimesh) -> Mesh:

@@ -23,10 +23,10 @@ from scipy.spatial.transform import Rotation
 from tests.service import page_feed
 
 from experiments.service import approach
-from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
+from rendezview_service.client import Client
 
 TOUR = 24  # frames
 

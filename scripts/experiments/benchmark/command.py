@@ -14,6 +14,9 @@ from pathlib import Path
 from typing import Annotated
 
 import cv2
+from rendezview.training.job import train
+from rendezview.training.mesh import load_mesh
+from rendezview.training.options import TrainingOptions
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
@@ -24,9 +27,6 @@ from experiments.flight_code.driver import compiler
 from experiments.frame import ROOT, PeerPython, mesh_of, show
 from experiments.peers import visp as visp_driver
 from rendezview.io.bundled import find_target
-from rendezview.training.job import train
-from rendezview.training.mesh import load_mesh
-from rendezview.training.options import TrainingOptions
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendezview-benchmark"
 AGAIN = 4  # passes at most

@@ -14,6 +14,9 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from rendezview.sensors.reflectors import Acquirer, find_spots, patterns_of, solve_p3p_batch
+from rendezview.sensors.stereo import StereoTracker, TrackerOptions, reprocess
+from rendezview.training.mesh import Mesh
 
 from experiments.benchmark.check import Row, times
 from experiments.flight_code.check import LIMIT_BYTES, perturbed
@@ -38,10 +41,7 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.outline.votes import Matcher
-from rendezview.sensors.reflectors import Acquirer, find_spots, patterns_of, solve_p3p_batch
 from rendezview.sensors.ring import RingDetector
-from rendezview.sensors.stereo import StereoTracker, TrackerOptions, reprocess
-from rendezview.training.mesh import Mesh
 from rendezview.trajectory import Shape
 
 MODELS = MODELS_CAD

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.training.mesh import load_mesh
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -17,10 +19,8 @@ from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match, Matcher, MatchOptions
 from rendezview.sensors.observation import Status
-from rendezview.training.mesh import load_mesh
 
 ERRORS_DEG = (0.0, 2.0, 5.0, 10.0, 20.0)
 WAYS = ("rdv_search", "rdv_search_around", "the runtime's matcher")

@@ -13,6 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.approach import ApproachOptions, approach, echo
+from rendezview.simulation.shading import ShadingOptions
+from rendezview.training.mesh import load_mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD
@@ -40,10 +44,6 @@ from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingPrior
 from rendezview.sensors.ring.run import follow as follow_ring
 from rendezview.sensors.ring.run import record as ring_record
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.approach import ApproachOptions, approach, echo
-from rendezview.simulation.shading import ShadingOptions
-from rendezview.training.mesh import load_mesh
 
 CLIENT = MODELS_CAD / "client"
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from rendezview.sensors.appearance.evidence import Evidence, Second
+from rendezview.training.mesh import Mesh
 
 from experiments.frame import mesh_of
 from experiments.integrity.frames import CAMERA, CONDITIONS, Condition, sequence
@@ -18,8 +20,6 @@ from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.files import atomic_write_text
 from rendezview.io.results import json_line
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.evidence import Evidence, Second
-from rendezview.training.mesh import Mesh
 
 SECOND_EVERY = 5  # poses of a track; the sketch is asked beside the first of them
 OFF = np.deg2rad(20.0)  # a wrong pose is farther than that from the truth

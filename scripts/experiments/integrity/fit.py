@@ -11,12 +11,6 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from scipy.optimize import minimize
-from scipy.special import fdtri
-
-from experiments.integrity.logs import Look, tracks
-from rendezview.estimation.protection import Overbound
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
 from rendezview.sensors.appearance.integrity_model import (
     FRAME_FEATURES,
     PACKAGED,
@@ -25,6 +19,12 @@ from rendezview.sensors.appearance.integrity_model import (
     IntegrityModel,
     Spread,
 )
+from scipy.optimize import minimize
+from scipy.special import fdtri
+
+from experiments.integrity.logs import Look, tracks
+from rendezview.estimation.protection import Overbound
+from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
 
 NAMES = FRAME_FEATURES + TRACK_FEATURES
 SMOOTHING, ALLOWANCE, MOST = 0.3, 1.0, 4.0

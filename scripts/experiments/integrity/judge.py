@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.evaluation.palette import png
+from rendezview.evaluation.stanford import Judged, tail_risk, upper_limit
+from rendezview.evaluation.stanford_pictures import stanford_picture
 
 from experiments.frame import PICTURES, show, table_of
 from experiments.integrity.frames import CONDITIONS
 from experiments.integrity.logs import Look, tracks
-from rendezview.evaluation.palette import png
-from rendezview.evaluation.stanford import Judged, tail_risk, upper_limit
-from rendezview.evaluation.stanford_pictures import stanford_picture
 from rendezview.io.files import atomic_write
 from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rendezview.sensors.appearance.evidence import Evidence, Second
 
 from experiments.integrity.draw import SECOND_EVERY
-from rendezview.sensors.appearance.evidence import Evidence, Second
 
 # A pose is another answer than the truth where its error is larger than this and beyond its tails.
 WRONG_DEG = 5.0  # of attitude, as in the experiments of poses

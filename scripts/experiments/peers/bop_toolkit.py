@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from rendezview.evaluation import evaluate
 from rendezview.evaluation.scores import MSPD_640_PX, MSSD_FRACTIONS, scores
 from rendezview.evaluation.surface import ModelPoints, alike_of
+from rendezview.training.mesh import load_mesh
+
 from rendezview.geometry.pose import Array
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_results
 from rendezview.io.sequences import Sequence, open_sequence
 from rendezview.io.target import Target
-from rendezview.training.mesh import load_mesh
 
 DATA_SET, OBJECTS = "icbin", (1, 2)  # its smallest of 640 × 480; the second object is not shown
 FIELDS = {"mssd": "mssd_m", "mspd": "mspd_px", "add": "add_m", "adi": "add_s_m"}

@@ -6,11 +6,11 @@ import math
 
 import cv2
 import numpy as np
+from rendezview.sensors.reflectors import ReflectorObservation, ReflectorPattern
+from rendezview.sensors.stereo import Rig, Sights
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors import ReflectorObservation, ReflectorPattern
-from rendezview.sensors.stereo import Rig, Sights
 
 try:
     import poselib

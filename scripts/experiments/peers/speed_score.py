@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from rendezview.evaluation import pose_errors, speed_terms
 from scipy.spatial.transform import Rotation
 
-from rendezview.evaluation import pose_errors, speed_terms
 from rendezview.geometry.pose import Pose
 
 ERRORS = (1e-3, 3e-3, 1e-2, 0.3, 2.0)  # rad and m

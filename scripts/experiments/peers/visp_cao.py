@@ -13,11 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-
 from rendezview.training.crossings import faces_beside
 from rendezview.training.mesh import Mesh
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 Array = npt.NDArray[np.float64]
 Edge = tuple[int, int]

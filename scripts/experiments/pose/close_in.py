@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.simulation import MitsubaOptions, SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.shading import ShadingOptions
+from rendezview.simulation.trajectories import looking_at
+from rendezview.training.mesh import Mesh, load_mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import Log, show, table_of, write_log
@@ -17,10 +21,6 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.target import DockingRing
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.simulation import MitsubaOptions, SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.shading import ShadingOptions
-from rendezview.simulation.trajectories import looking_at
-from rendezview.training.mesh import Mesh, load_mesh
 
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 RANGES_M = (10.0, 8.0, 6.5, 5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.2, 1.0)

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.command import default_camera
+from rendezview.training.mesh import Mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import mesh_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.command import default_camera
-from rendezview.training.mesh import Mesh
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0

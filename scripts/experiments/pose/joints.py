@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.joints import posed, with_parts
+from rendezview.training.mesh import load_mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import nees
@@ -18,9 +21,6 @@ from rendezview.geometry.symmetry import angle_between
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.tracker import Tracker
-from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.joints import posed, with_parts
-from rendezview.training.mesh import load_mesh
 
 RIGHT_DEG = 5.0
 RANGE_RADII = (3.0, 7.0)

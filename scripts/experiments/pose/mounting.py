@@ -12,17 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from rendezview.sensors.appearance.as_built import AsBuilt, ShapeEstimator
+from rendezview.simulation.scene import SceneOptions, render_frame
+from rendezview.training.job import train
+from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.options import TrainingOptions
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.parts import TrustedPart
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.as_built import AsBuilt, ShapeEstimator
-from rendezview.simulation.scene import SceneOptions, render_frame
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.options import TrainingOptions
 
 CAMERA = Camera.from_fov(480, 360, np.deg2rad(40.0))
 BODIES = (((2.0, 1.2, 0.8), (0.0, 0.0, 0.0)), ((0.5, 0.5, 0.9), (0.9, 0.3, 0.5)))  # m

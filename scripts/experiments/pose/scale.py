@@ -9,11 +9,13 @@ from typing import Annotated, Any
 
 import cv2
 import numpy as np
+from rendezview.evaluation.campaign import second_earlier
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.mesh import Mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import Log, mesh_of, show, table_of, write_log
 from experiments.pose.accuracy import Record, both_looks, row
-from rendezview.evaluation.campaign import second_earlier
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.camera_files import load_camera
@@ -26,8 +28,6 @@ from rendezview.sensors.appearance.outline.silhouette import (
     Threshold,
     find_silhouette,
 )
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.mesh import Mesh
 
 FIELDS_DEG = [5.0, 10.0, 30.0, 60.0, 90.0]
 SIZES = ["640x480", "1920x1200", "5120x3840"]

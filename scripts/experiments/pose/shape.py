@@ -9,18 +9,18 @@ from typing import Annotated
 
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.spatial.transform import Rotation
-
-from experiments.frame import mesh_of
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
 from rendezview.simulation import Earth, SceneOptions, ShadingOptions, render_frame, sun_at_phase
 from rendezview.simulation.command import default_camera
 from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import mesh_of
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.sensors.appearance import Recognizer, ViewModel
 
 PHASE_DEG = 30.0  # of the Sun, at most
 RANGE_RADII = (3.0, 6.0)

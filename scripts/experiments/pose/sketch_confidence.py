@@ -16,17 +16,6 @@ from typing import Annotated
 import cv2
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.optimize import minimize
-from scipy.spatial.transform import Rotation
-from scipy.special import expit
-from scipy.stats import chi2
-from sklearn.ensemble import RandomForestClassifier
-from sklearn.linear_model import LogisticRegression
-
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import Symmetry, angle_between
-from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.sketch.choice import (
     DOUBT,
     PACKAGED,
@@ -41,7 +30,6 @@ from rendezview.sensors.appearance.sketch.choice import (
 )
 from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
 from rendezview.sensors.appearance.sketch.search import SketchSearch
-from rendezview.sensors.appearance.sky import Sky
 from rendezview.simulation.cloudy_skies import cloudy_sky
 from rendezview.simulation.hard_light import photograph
 from rendezview.simulation.mesh_error import deformed
@@ -52,6 +40,18 @@ from rendezview.training.job import train
 from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.training.options import TrainingOptions
 from rendezview.training.symmetries import find_symmetries
+from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
+from scipy.stats import chi2
+from sklearn.ensemble import RandomForestClassifier
+from sklearn.linear_model import LogisticRegression
+
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import Symmetry, angle_between
+from rendezview.sensors.appearance import Recognizer, ViewModel
+from rendezview.sensors.appearance.sky import Sky
 
 SIDE = 320  # px of a frame
 RADIUS_PX = (35.0, 240.0)  # of the target, log; large ones are cut by the border

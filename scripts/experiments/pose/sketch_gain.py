@@ -6,15 +6,15 @@ import time
 from pathlib import Path
 
 import numpy as np
+from rendezview.simulation.background import Earth
+from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.mesh import load_mesh
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.simulation.background import Earth
-from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.mesh import load_mesh
 
 RIGHT_DEG = 5.0
 RANGE_RADII = (3.0, 7.0)

@@ -7,15 +7,15 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Sketch
+from rendezview.training.mesh import load_mesh
 
 from experiments.frame import PICTURES
 from experiments.pose.sketch_confidence import frame
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.sketch.network import COVER, CREASE, EDGE, Sketch
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.training.mesh import load_mesh
 
 SIDE = 300  # px of a picture
 ROWS = 3

@@ -8,6 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from rendezview.sensors.appearance.outline.signature import Signature
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.job import train
+from rendezview.training.mesh import Mesh
 from scipy import fft
 from scipy.spatial.transform import Rotation
 from sklearn.tree import DecisionTreeClassifier
@@ -19,11 +23,7 @@ from experiments.timing import median_ms, medians_in_turns_ms
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
 
 TRACKING, LATER = "tracking, refinement only", "tracking, active nodes not asked for"
 WITH_NODES = "tracking with active nodes"

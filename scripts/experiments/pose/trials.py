@@ -9,13 +9,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from experiments.frame import Dask, mesh_of
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Array, Pose
-from rendezview.geometry.symmetry import angle_between
-from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 from rendezview.simulation import (
     Earth,
     SceneOptions,
@@ -29,6 +22,13 @@ from rendezview.training.job import train
 from rendezview.training.mesh import Mesh
 from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import Dask, mesh_of
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Array, Pose
+from rendezview.geometry.symmetry import angle_between
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 
 WRONG_DEG = 5.0
 FRAMES = 125  # of a sequence

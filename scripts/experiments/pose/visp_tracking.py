@@ -12,6 +12,8 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.training.mesh import Mesh
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
@@ -22,8 +24,6 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.training.mesh import Mesh
 
 CAMERA = Camera.from_fov(1024, 1024, math.radians(40.0))
 OURS, EDGES, KLT = "ours", "ViSP, edges", "ViSP, edges and KLT"

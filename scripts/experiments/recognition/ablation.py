@@ -8,6 +8,10 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
+from rendezview.sensors.appearance.outline.voters import LEAF, ODDS_UNIT
+from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.shading import ShadingOptions
+from rendezview.training.mesh import Mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import Log, mesh_of, show, table_of, write_log
@@ -15,10 +19,6 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.voters import LEAF, ODDS_UNIT
-from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.shading import ShadingOptions
-from rendezview.training.mesh import Mesh
 
 RIGHT_DEG = 5.0
 ALONE_RIGHT_DEG = 8.0  # the trees alone do not refine

@@ -8,17 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from experiments.frame import Dask, show, table_of
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.geodesic import angle_between
-from rendezview.geometry.pose import Array, Pose, rotation_angle
-from rendezview.io.target import Target
-from rendezview.sensors.appearance import Recognizer, SilhouetteOptions, ViewModel
 from rendezview.sensors.appearance.outline.signature import Signature, twist
-from rendezview.sensors.appearance.outline.silhouette import Missing, find_silhouette
-from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.simulation import SceneOptions, SensorOptions, ShadingOptions, render_frame
 from rendezview.simulation.scene import sun_at_phase
 from rendezview.training.job import train
@@ -28,6 +18,16 @@ from rendezview.training.open_executor import open_executor
 from rendezview.training.options import TrainingOptions, view_geometry
 from rendezview.training.renderers import make_renderer
 from rendezview.training.views import clean_views, look_from
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import Dask, show, table_of
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.geodesic import angle_between
+from rendezview.geometry.pose import Array, Pose, rotation_angle
+from rendezview.io.target import Target
+from rendezview.sensors.appearance import Recognizer, SilhouetteOptions, ViewModel
+from rendezview.sensors.appearance.outline.silhouette import Missing, find_silhouette
+from rendezview.sensors.appearance.outline.votes import Matcher
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-
-from experiments.frame import mesh_of, show, table_of
-from rendezview.geometry.geodesic import Geodesic, angle_between
-from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.outline.trees import Forest, split_entropy
 from rendezview.training.job import train
 from rendezview.training.neighbourhood import neighbourhood
 from rendezview.training.options import Neighbourhood, TrainingOptions
 from rendezview.training.views import look_from
+
+from experiments.frame import mesh_of, show, table_of
+from rendezview.geometry.geodesic import Geodesic, angle_between
+from rendezview.geometry.pose import Array
 
 # Cleghorn & Sternberg 1991, Table I; category 1 is the left one.
 TABLE_I = np.array(

@@ -9,6 +9,18 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from rendezview.sensors.appearance.outline.signature import (
+    Signature,
+    radial_maxima,
+    spokes_of,
+    twist,
+)
+from rendezview.simulation import SceneOptions, ShadingOptions, render_frame
+from rendezview.simulation.scene import sun_at_phase
+from rendezview.training.job import train
+from rendezview.training.mesh import Mesh
+from rendezview.training.options import TrainingOptions
+from rendezview.training.views import look_from
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import PeerPython, mesh_of, show, table_of
@@ -17,20 +29,8 @@ from experiments.timing import median_ms
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.signature import (
-    Signature,
-    radial_maxima,
-    spokes_of,
-    twist,
-)
 from rendezview.sensors.appearance.outline.silhouette import outer_borders
 from rendezview.sensors.appearance.outline.tracing import crack_outline
-from rendezview.simulation import SceneOptions, ShadingOptions, render_frame
-from rendezview.simulation.scene import sun_at_phase
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
-from rendezview.training.options import TrainingOptions
-from rendezview.training.views import look_from
 
 SIZE = 1024
 

@@ -9,13 +9,6 @@ from functools import cache
 from typing import Annotated
 
 import numpy as np
-
-from experiments.frame import show, table_of, two
-from experiments.peers.pnp import PEERS, median_deg, one_camera
-from experiments.reflectors.plain import Simulator, plain
-from experiments.reflectors.run import CAMERA, CLIENT
-from rendezview.geometry.pose import Pose, minimal_rotation
-from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
     Acquirer,
     ClosedFormCalibration,
@@ -37,6 +30,13 @@ from rendezview.simulation.reflector_frames import (
     paint_reflector,
     render_pair,
 )
+
+from experiments.frame import show, table_of, two
+from experiments.peers.pnp import PEERS, median_deg, one_camera
+from experiments.reflectors.plain import Simulator, plain
+from experiments.reflectors.run import CAMERA, CLIENT
+from rendezview.geometry.pose import Pose, minimal_rotation
+from rendezview.io.target import Target
 
 RANGES_M = (12.0, 10.0, 8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.25, 1.0)
 NAMES = ("range", "azimuth", "elevation", "roll", "pitch", "yaw")

@@ -8,13 +8,6 @@ from collections import Counter
 from typing import Annotated
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from experiments.reflectors.accuracy import random_pose
-from experiments.reflectors.run import CAMERA, CLIENT
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
-from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import Acquirer, LitDark, find_spots, patterns_of, predict_spots
 from rendezview.simulation.reflector_frames import (
     Clutter,
@@ -24,6 +17,13 @@ from rendezview.simulation.reflector_frames import (
     render_pair,
     sky,
 )
+from scipy.spatial.transform import Rotation
+
+from experiments.reflectors.accuracy import random_pose
+from experiments.reflectors.run import CAMERA, CLIENT
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
+from rendezview.sensors.observation import Status
 
 
 def clear_of(places: np.ndarray, clutter: tuple[Clutter, ...], radius_px: float) -> bool:

@@ -6,13 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-
-from experiments.frame import show, table_of
-from experiments.peers.pnp import PEERS, of_reading
-from experiments.reflectors.plain import CAMERA, PINHOLE, THREE, Simulator, pictures, plain
-from experiments.reflectors.run import CLIENT
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
     ReflectorSensor,
     SixNumbers,
@@ -21,6 +14,13 @@ from rendezview.sensors.reflectors import (
     pose_of,
 )
 from rendezview.sensors.reflectors.acquisition import merged
+
+from experiments.frame import show, table_of
+from experiments.peers.pnp import PEERS, of_reading
+from experiments.reflectors.plain import CAMERA, PINHOLE, THREE, Simulator, pictures, plain
+from experiments.reflectors.run import CLIENT
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
 
 ROLLS_DEG = (0, 45, 90, 120, 160, 180, -160, -100)
 

@@ -13,18 +13,18 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import poselib
-
-from experiments.frame import show, table_of
-from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, Simulator, apart, pictures, plain
-from rendezview.geometry.pose import Pose
-from rendezview.io.results import read_json_lines
-from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import (
     LitDark,
     ReflectorSensor,
     TrackingOptions,
     find_spots,
 )
+
+from experiments.frame import show, table_of
+from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, Simulator, apart, pictures, plain
+from rendezview.geometry.pose import Pose
+from rendezview.io.results import read_json_lines
+from rendezview.sensors.observation import Status
 
 WRONG_DEG, WRONG_SHARE = 5.0, 0.03
 SUBSETS = [s for n in (3, 4, 5) for s in itertools.combinations(range(5), n)]

@@ -7,6 +7,13 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+from rendezview.sensors.reflectors import (
+    LitDark,
+    ReflectorPattern,
+    ReflectorSensor,
+    TrackingOptions,
+)
+from rendezview.sensors.reflectors.registration import register
 
 from experiments.frame import nees, show, table_of
 from experiments.peers.pnp import PEERS, median_deg, of_reading
@@ -22,13 +29,6 @@ from experiments.reflectors.plain import (
 )
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.reflectors import (
-    LitDark,
-    ReflectorPattern,
-    ReflectorSensor,
-    TrackingOptions,
-)
-from rendezview.sensors.reflectors.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
 

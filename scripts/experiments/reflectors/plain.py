@@ -7,12 +7,12 @@ import sys
 from typing import Literal
 
 import numpy as np
+from rendezview.sensors.reflectors import LitDark, ReflectorPattern
+from rendezview.simulation.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
 from experiments.frame import ROOT
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors import LitDark, ReflectorPattern
-from rendezview.simulation.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))

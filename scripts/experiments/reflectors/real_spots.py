@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rendezview.sensors.reflectors import LitDark, find_spots
 from scipy.special import erf
 
 from experiments.frame import show, table_of
-from rendezview.sensors.reflectors import LitDark, find_spots
 
 BLOCK, CARD = 2880, 80  # bytes, of a FITS header
 SKY_GREY = 20.0

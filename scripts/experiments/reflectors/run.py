@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
+from rendezview.sensors.reflectors.acquisition import merged
+from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
 
 from experiments.frame import MODELS_CAD
 from rendezview.geometry.camera import Camera
 from rendezview.io.sequences import BopSceneWriter
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
-from rendezview.sensors.reflectors.acquisition import merged
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
 
 CAMERA = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
 CLIENT = MODELS_CAD / "client"

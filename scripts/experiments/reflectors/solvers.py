@@ -9,15 +9,15 @@ from typing import Annotated
 
 import cv2
 import numpy as np
+from rendezview.sensors.reflectors.judgement import facing_root
+from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
+from rendezview.sensors.reflectors.triangulation import pose_from_distances, triangulate_batch
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import table_of
 from experiments.peers.opencv_contrib import least_ms
-from rendezview.sensors.reflectors.judgement import facing_root
-from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
-from rendezview.sensors.reflectors.triangulation import pose_from_distances, triangulate_batch
 
 BASE, POST = 0.3683, 0.1016
 TARGET = np.array([[0.0, 0.0, POST], [-0.5 * BASE, 0.0, 0.0], [0.5 * BASE, 0.0, 0.0]])

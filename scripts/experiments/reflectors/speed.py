@@ -6,12 +6,6 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-
-from experiments.frame import show, table_of
-from experiments.reflectors.accuracy import OPTIONS, random_pose
-from experiments.reflectors.run import CAMERA, CLIENT
-from experiments.timing import median_ms
-from rendezview.io.target import Target
 from rendezview.sensors.reflectors import (
     Acquirer,
     LitDark,
@@ -33,6 +27,12 @@ from rendezview.sensors.reflectors.spots import (
     SpotTable,
 )
 from rendezview.simulation.reflector_frames import render_pair
+
+from experiments.frame import show, table_of
+from experiments.reflectors.accuracy import OPTIONS, random_pose
+from experiments.reflectors.run import CAMERA, CLIENT
+from experiments.timing import median_ms
+from rendezview.io.target import Target
 
 
 def floor(lit: np.ndarray, dark: np.ndarray) -> list[tuple[float, float]]:

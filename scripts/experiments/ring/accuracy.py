@@ -7,6 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from rendezview.simulation.ring_frames import (
+    Circle,
+    RingScene,
+    RingSceneOptions,
+    random_scene,
+    render_ring_frame,
+)
 
 from experiments.frame import PeerPython, nees, show, table_of, two
 from experiments.peers import opencv_contrib
@@ -20,13 +27,6 @@ from rendezview.sensors.ring import (
     circle_poses,
     shape_of_circle,
     tangent_basis,
-)
-from rendezview.simulation.ring_frames import (
-    Circle,
-    RingScene,
-    RingSceneOptions,
-    random_scene,
-    render_ring_frame,
 )
 
 CAMERA = Camera.from_fov(640, 480, math.radians(40.0))

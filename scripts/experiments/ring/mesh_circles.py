@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
+from rendezview.training.mesh import Mesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-
-from rendezview.training.mesh import Mesh
 
 _SHARP_RAD = math.radians(30.0)  # between the faces of an edge
 _LEAST_SIDES = 30  # of the polygon: its mean radius is then within 0.2 % of its corners'

@@ -9,6 +9,10 @@ from typing import Annotated
 
 import numpy as np
 import trimesh
+from rendezview.simulation.ranger import Ranger, write_echoes
+from rendezview.simulation.scene import SceneOptions, render_frame
+from rendezview.simulation.trajectories import looking_at
+from rendezview.training.mesh import Mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import nees, show, table_of
@@ -17,10 +21,6 @@ from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import BopSceneWriter, open_sequence
 from rendezview.sensors.ring.size_run import SizeResult, measure_pass, read_echoes
-from rendezview.simulation.ranger import Ranger, write_echoes
-from rendezview.simulation.scene import SceneOptions, render_frame
-from rendezview.simulation.trajectories import looking_at
-from rendezview.training.mesh import Mesh
 
 RADIUS_M, WIDTH_M, DISTANCE_M = 0.597, 0.12, 1.68
 SIDES = 360  # of the drawn ring: a polygon within 0.003 % of a circle

@@ -6,12 +6,12 @@ import math
 
 import cv2
 import numpy as np
+from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 
 from experiments.frame import PeerPython, show, table_of
 from experiments.peers import opencv_contrib
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.ring import RingDetector
-from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 
 SIZES = ((640, 480), (1280, 960))
 

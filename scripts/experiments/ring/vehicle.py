@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from rendezview.simulation.mitsuba_renderer import MitsubaOptions
+from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.shading import ShadingOptions
+from rendezview.training.mesh import Mesh, load_mesh
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import CLIENT, Log, nees, show, table_of, write_log
@@ -19,10 +23,6 @@ from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingDetector, RingPrior, RingSensor, tangent_basis
 from rendezview.sensors.ring.detector import Detection
-from rendezview.simulation.mitsuba_renderer import MitsubaOptions
-from rendezview.simulation.scene import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.shading import ShadingOptions
-from rendezview.training.mesh import Mesh, load_mesh
 
 CAMERA = Camera.from_fov(640, 480, math.radians(40.0))
 RIGHT = 0.005  # of the range

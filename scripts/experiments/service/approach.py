@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rendezview.client import Client, pose_of_state
 
 from experiments.service.serving import Served
-from rendezview.client import Client, pose_of_state
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines

@@ -16,13 +16,13 @@ import urllib.request
 from pathlib import Path
 
 import numpy as np
+from rendezview.client import Client
+from rendezview.client.messages import ServiceError
+from rendezview.service.log_repair import mend
 
 from experiments.service.kill import states_of
 from experiments.service.serving import Loop
-from rendezview.client import Client
-from rendezview.client.messages import ServiceError
 from rendezview.errors import RendezviewError
-from rendezview.service.log_repair import mend
 
 _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",

@@ -11,10 +11,10 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from rendezview.client import Client
 
 from experiments.service.cluster import Gateway, Nodes, seats_of, wait_for
 from experiments.service.serving import Loop, Served
-from rendezview.client import Client
 
 
 def spent_s() -> dict[str, float]:

@@ -8,9 +8,9 @@ import time
 from pathlib import Path
 
 import cv2
+from rendezview.client import Client
 
 from experiments.service.serving import Loop, Served
-from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 
 _POINTS = 10

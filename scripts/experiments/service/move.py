@@ -10,10 +10,10 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-from experiments.service.serving import Loop, Served
 from rendezview.client import Client
 from rendezview.client.messages import ServiceError
+
+from experiments.service.serving import Loop, Served
 
 
 def processor_s(pid: int) -> float:

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Browser, Page, sync_playwright
+from rendezview.client import Client
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from experiments.service.serving import Loop, Served
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
 
 RATE_HZ = 30.0

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-
 from rendezview.client import Client
+
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
 

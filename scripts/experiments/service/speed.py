@@ -13,9 +13,9 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
+from rendezview.client import Client, ServiceError
 
 from experiments.service.serving import Loop, Served
-from rendezview.client import Client, ServiceError
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
 
 _BLOCK = 50

@@ -12,17 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from experiments.frame import ROOT
-from rendezview.cli.compiling import recorded
 from rendezview.evaluation.contact import fuse_to_contact
-from rendezview.geometry.camera import Camera
-from rendezview.io.bundled import find_target
-from rendezview.io.results import ResultRow
-from rendezview.io.sequences import BopSceneWriter, open_sequence
-from rendezview.sensors.appearance import AppearanceObservation, ViewModel
-from rendezview.sensors.appearance.following import follow, result_row
-from rendezview.sensors.observation import Status
 from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
 from rendezview.sensors.reflectors.run import Mode, pair_up, record
 from rendezview.sensors.reflectors.run import follow as read
@@ -38,6 +28,16 @@ from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
 from rendezview.training import job
 from rendezview.training.mesh import load_mesh
 from rendezview.training.options import TrainingOptions
+
+from experiments.frame import ROOT
+from rendezview.cli.compiling import recorded
+from rendezview.geometry.camera import Camera
+from rendezview.io.bundled import find_target
+from rendezview.io.results import ResultRow
+from rendezview.io.sequences import BopSceneWriter, open_sequence
+from rendezview.sensors.appearance import AppearanceObservation, ViewModel
+from rendezview.sensors.appearance.following import follow, result_row
+from rendezview.sensors.observation import Status
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
 _SMALL = TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))

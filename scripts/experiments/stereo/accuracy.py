@@ -7,16 +7,6 @@ from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
-from rich.table import Table
-from scipy.spatial.transform import Rotation
-
-from experiments.frame import show
-from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.cases import Job, leds_of, spots_of, squared
-from experiments.stereo.plain import Simulator, Truth
-from experiments.stereo.starts import convergence, faults, identity, recovery
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
 from rendezview.sensors.stereo import (
     MotionOptions,
     Normalisation,
@@ -30,6 +20,16 @@ from rendezview.sensors.stereo.agreement import iterate
 from rendezview.sensors.stereo.laboratory import calibrate_laboratory
 from rendezview.sensors.stereo.spots import find_spots
 from rendezview.simulation.led_pictures import PictureOptions
+from rich.table import Table
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import show
+from experiments.peers.pnp import rig as by_peers
+from experiments.stereo.cases import Job, leds_of, spots_of, squared
+from experiments.stereo.plain import Simulator, Truth
+from experiments.stereo.starts import convergence, faults, identity, recovery
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
 
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
+from rendezview.sensors.stereo.board import BoardViews, Chessboard, calibrate_board
+from rendezview.sensors.stereo.tracker import TrackerOptions
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, nees, show, table_of
@@ -15,9 +18,6 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
-from rendezview.sensors.stereo.board import BoardViews, Chessboard, calibrate_board
-from rendezview.sensors.stereo.tracker import TrackerOptions
 
 Project = Callable[[np.ndarray], np.ndarray]  # (N, 3), first camera's frame → (N, 2) px
 

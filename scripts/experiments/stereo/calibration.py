@@ -11,12 +11,6 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from rich.table import Table
-
-from experiments.frame import show
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
-from rendezview.io.target import Target
 from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
 from rendezview.sensors.stereo.agreement import LightsFit
 from rendezview.sensors.stereo.board import (
@@ -32,6 +26,12 @@ from rendezview.sensors.stereo.motion import difference
 from rendezview.sensors.stereo.response import fit_response
 from rendezview.sensors.stereo.start import intersect
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
+from rich.table import Table
+
+from experiments.frame import show
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
+from rendezview.io.target import Target
 
 BOARD = Chessboard(9, 6, 0.025)
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from rendezview.sensors.stereo import Rig, Sights, Spots, StereoObservation, StereoTracker
+from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
+from rendezview.simulation.led_laboratory import LaboratoryOptions
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import nees
@@ -12,9 +15,6 @@ from experiments.stereo.plain import Simulator, Truth, laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import Rig, Sights, Spots, StereoObservation, StereoTracker
-from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
-from rendezview.simulation.led_laboratory import LaboratoryOptions
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.sensors.stereo.laboratory_files import save_record
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 from rendezview.io.bundled import find_target
 from rendezview.io.files import make_folder
 from rendezview.io.results import JsonLinesWriter
-from rendezview.sensors.stereo.laboratory_files import save_record
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 
 def run(

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from rendezview.sensors.stereo import StereoTracker
+from rendezview.sensors.stereo.multiplex import MultiplexedTracker
+from rendezview.simulation.led_laboratory import LaboratoryOptions
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, nees, show, table_of
@@ -16,9 +19,6 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
 from rendezview.sensors.observation import Status
-from rendezview.sensors.stereo import StereoTracker
-from rendezview.sensors.stereo.multiplex import MultiplexedTracker
-from rendezview.simulation.led_laboratory import LaboratoryOptions
 
 SLOT_S, READING_S = 1.0 / 60.0, 0.1
 _SETTLED = 10  # readings before the errors count

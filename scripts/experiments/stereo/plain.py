@@ -8,14 +8,14 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-
-from experiments.frame import ROOT
-from rendezview.geometry.camera import Camera
-from rendezview.geometry.pose import Pose
 from rendezview.sensors.stereo import Lens, Photodiode, Response, Rig, RigCamera
 from rendezview.sensors.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
 from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
+
+from experiments.frame import ROOT
+from rendezview.geometry.camera import Camera
+from rendezview.geometry.pose import Pose
 
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from itertools import count
 
 import numpy as np
+from rendezview.sensors.stereo import MotionOptions, Rig, StereoTracker, TrackerOptions, reprocess
+from rendezview.sensors.stereo.laboratory import calibrate_laboratory
+from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 from rich.table import Table
 
 from experiments.frame import show
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import MotionOptions, Rig, StereoTracker, TrackerOptions, reprocess
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
 
 READINGS = 4100
 REPEATS = 25

@@ -12,9 +12,9 @@ import onnx
 import optax
 from joblib import Parallel, delayed
 from onnx import TensorProto, helper, numpy_helper
+from rendezview.simulation.foreground_frames import foreground_frame
 
 from rendezview.sensors.appearance.outline.foreground import SQUARE_PX
-from rendezview.simulation.foreground_frames import foreground_frame
 
 BATCH = 8
 SIDE_PX = 192  # of the squares that are cut out of the pictures

@@ -16,12 +16,7 @@ from typing import Annotated, Literal
 import dask
 import distributed
 import psutil
-
-from experiments.frame import mesh_of
-from experiments.training.speed import split
 from rendezview.evaluation.campaign import CampaignOptions, campaign
-from rendezview.geometry.geodesic import Geodesic
-from rendezview.sensors.appearance import ViewModel
 from rendezview.simulation.command import default_camera
 from rendezview.training.cluster import Cluster
 from rendezview.training.cores import Cores
@@ -30,6 +25,11 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
 from rendezview.training.shard_executor import ShardExecutor
 from rendezview.training.surface_points import SURFACE_ORDER
+
+from experiments.frame import mesh_of
+from experiments.training.speed import split
+from rendezview.geometry.geodesic import Geodesic
+from rendezview.sensors.appearance import ViewModel
 
 MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))
 SMALL = replace(MEDIUM, order=1, perturbed_views=1200, held_out_views=200)

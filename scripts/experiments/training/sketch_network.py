@@ -11,7 +11,6 @@ from typing import Annotated
 import numpy as np
 import onnxruntime as ort
 from joblib import Parallel, delayed
-
 from rendezview.sensors.appearance.sketch import network as sketch
 from rendezview.sensors.appearance.sketch.network import SIDE_PX
 from rendezview.simulation.random_craft import any_craft

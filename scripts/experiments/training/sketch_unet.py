@@ -12,10 +12,9 @@ import onnx
 import torch
 from onnx import numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_static
+from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX, to_squares
 from torch import nn
 from torch.nn import functional
-
-from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX, to_squares
 
 CHANNELS = 2  # grey levels, and faint differences magnified
 # Channels at full size, a half, a quarter, an eighth and a sixteenth of the squares.

@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
+from rendezview.training.mesh import Mesh, load_mesh
+from rendezview.training.options import TrainingOptions
 
 from experiments.frame import show, table_of
 from rendezview.io.target import Target
-from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.options import TrainingOptions
 
 TRIANGLES = 200_000
 Kind = Literal["paper", "trees", "default", "many"]

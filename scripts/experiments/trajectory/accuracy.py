@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from rendezview.sensors.appearance.outline.signature import Signature
 
 from experiments.trajectory.frames import CAMERA, KINDS, SPAN_S, true_path
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
     Nothing,

@@ -6,15 +6,15 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.command import default_camera
+from rendezview.simulation.trajectories import looking_at
+from rendezview.training.mesh import Mesh, load_mesh
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.command import default_camera
-from rendezview.simulation.trajectories import looking_at
-from rendezview.training.mesh import Mesh, load_mesh
 
 FAR_RADII, NEAR_RADII, CLOSE_RADII = 3.0, 1.15, 1.6
 WRONG_DEG = 5.0

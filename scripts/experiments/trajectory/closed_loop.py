@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.closed_loop import Flight, FlightErrors, Look, Observed, fly
+from rendezview.simulation.command import default_camera
+from rendezview.training.mesh import Mesh, load_mesh
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.bundled import find_target
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.closed_loop import Flight, FlightErrors, Look, Observed, fly
-from rendezview.simulation.command import default_camera
-from rendezview.training.mesh import Mesh, load_mesh
 from rendezview.trajectory import FollowerOptions, Orbit, PathFollower, Plan, Shape
 
 KINDS = ("circular", "spiral", "vbar")

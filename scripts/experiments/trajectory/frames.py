@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
+from rendezview.simulation.trajectories import looking_at, torque_free
+from rendezview.training.mesh import load_mesh
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.io.bundled import find_target
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.trajectories import looking_at, torque_free
-from rendezview.training.mesh import load_mesh
 
 KINDS = ("circular", "spiral", "vbar", "spin", "tumble")
 FRAMES = 100
