@@ -10,18 +10,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from tests.ground.mesh.mesh_samples import boxes, grey_mesh
 from tests.quick_training import REFINING
-from tests.training.mesh_samples import boxes, grey_mesh
 
 from rendezview.cli.compiling import compile_ahead
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
-from rendezview.training.options import TrainingOptions
-from rendezview.training.projection import Window
-from rendezview.training.rasterizer import NumbaRenderer
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.render.projection import Window
+from rendezview_ground.render.rasterizer import NumbaRenderer
 
 SERVICE = "tests/service/"
 Draw = Callable[..., np.ndarray]

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 if TYPE_CHECKING:
-    from rendezview.training.mesh import Mesh
+    from rendezview_ground.mesh.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parents[2]  # the checkout
 MODELS_CAD = ROOT / "models_cad"
@@ -127,7 +127,7 @@ def tests_module(name: str) -> Any:
 def mesh_of(target: str | Path) -> tuple[str, Mesh]:
     """Name and mesh of a bundled target, a target file or a bare mesh."""
     from rendezview.io.bundled import find_target
-    from rendezview.training.mesh import load_mesh
+    from rendezview_ground.mesh.mesh import load_mesh
 
     found = find_target(str(target))
     return found.name, load_mesh(found.mesh_path, found.unit)

@@ -26,11 +26,14 @@ from experiments.stereo.accuracy import (
 )
 from experiments.stereo.cases import leds_of
 from experiments.stereo.plain import OwnLaboratory
+from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import (
+from rendezview.sensors.beacons import (
     LitDark,
+    MotionOptions,
+    Normalisation,
     ReflectorSensor,
     SixNumbers,
     find_spots,
@@ -40,9 +43,8 @@ from rendezview.sensors.reflectors import (
 )
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.sensors.ring.overlay import draw_reading
-from rendezview.sensors.stereo import MotionOptions, Normalisation
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.simulation import (
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.simulate import (
     SceneOptions,
     SensorOptions,
     TrajectoryOptions,
@@ -50,11 +52,15 @@ from rendezview.simulation import (
     sun_at_phase,
     trajectory,
 )
-from rendezview.simulation.led_laboratory import LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions
-from rendezview.simulation.mesh_error import deformed
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, foil, glints, render_pair
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
+from rendezview_ground.simulate.led_pictures import PictureOptions
+from rendezview_ground.simulate.mesh_error import deformed
+from rendezview_ground.simulate.reflector_frames import (
+    ReflectorFrameOptions,
+    foil,
+    glints,
+    render_pair,
+)
 
 matplotlib.use("Agg")
 
@@ -281,9 +287,7 @@ DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors":
 
 def run(
     name: Literal["readme", "simulation", "ring", "reflectors", "stereo", "fusion"],
-    source: Annotated[
-        Path | None, "readme: a demo; fusion: samples of its flights"
-    ] = None,
+    source: Annotated[Path | None, "readme: a demo; fusion: samples of its flights"] = None,
 ) -> None:
     """Draw one picture of the README or the docs again, into docs/pictures."""
     PICTURES.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ import pytest
 
 from rendezview.cli.main import main
 from rendezview.io.sequences import open_sequence
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
 
 PROGRAM = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 GROUND = ("trimesh", "sklearn", "joblib", "matplotlib", "networkx", "lxml", "PIL",
-          "rendezview.training", "rendezview.simulation", "rendezview.evaluation")  # fmt: skip
+          "rendezview_ground")  # fmt: skip
 BLOCKER = f"""
 import sys
 class Blocker:

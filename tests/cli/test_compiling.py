@@ -15,7 +15,7 @@ from numba import njit, typeof
 from numba.core.event import install_listener
 
 from rendezview.cli import compiling
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
+from rendezview.sensors.appearance.model.view_tables import ViewTables
 
 
 @pytest.mark.parametrize(

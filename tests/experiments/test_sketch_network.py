@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from experiments.training import sketch_network
-from rendezview.sensors.appearance.sketch.network import MAPS, SIDE_PX
-from rendezview.simulation.sketch_frames import DRAWINGS
+from rendezview.sensors.appearance.edges.network import MAPS, SIDE_PX
+from rendezview_ground.simulate.sketch_frames import DRAWINGS
 
 
 def test_without_pytorch_it_says_what_to_install(

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rendezview.client import pose_of_state
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
+from rendezview_service.client import pose_of_state
 
 Json = dict[str, Any]
 

@@ -22,10 +22,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from tests.service import approach, page_feed
 
-from rendezview.client import Client
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
+from rendezview_service.client import Client
 
 TOUR = 24  # frames
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rendezview.client import SessionClient
+from rendezview_service.client import SessionClient
 
 MOST_S = 60.0
 SIZES = {"desk": (1400, 900), "phone": (390, 844)}

@@ -11,8 +11,8 @@ import threading
 import time
 from pathlib import Path
 
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
+from rendezview_service.client import Client
 
 _ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",

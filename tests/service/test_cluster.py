@@ -18,10 +18,10 @@ from tests.service.ray_nodes import Gateway, Nodes, seats_of, wait_for
 from websockets.sync.client import connect
 
 from experiments.service.kill import states_of
-from rendezview.client import Client
-from rendezview.client.messages import ServiceError
 from rendezview.errors import RendezviewError
-from rendezview.service.log_repair import mend
+from rendezview_service.client import Client
+from rendezview_service.client.messages import ServiceError
+from rendezview_service.logs.log_repair import mend
 
 pytest.importorskip("ray", reason="needs ray: pip install 'rendezview[ray]'")
 

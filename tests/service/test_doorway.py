@@ -14,9 +14,9 @@ import httpx
 import pytest
 
 from rendezview.errors import RendezviewError
-from rendezview.service.connections import HEAD_S, MOST_HEAD
-from rendezview.training import mesh_containers
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.mesh import containers as mesh_containers
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_service.http.connections import HEAD_S, MOST_HEAD
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 

@@ -6,7 +6,7 @@ from collections import Counter
 
 from experiments.service.fuzz import SESSION, Fuzz
 from experiments.service.serving import Processes
-from rendezview.client import Client
+from rendezview_service.client import Client
 
 CASES = 600
 

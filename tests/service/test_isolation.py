@@ -15,12 +15,12 @@ import httpx
 import numpy as np
 import pytest
 
-from rendezview.client import Client, ServiceError
-from rendezview.service.clock import SessionClock
-from rendezview.service.lease import Lease, Taken
-from rendezview.service.replay import model_of, read_log
-from rendezview.service.sessions import Session
-from rendezview.service.worker_handle import WorkerHandle
+from rendezview_service.client import Client, ServiceError
+from rendezview_service.hub.clock import SessionClock
+from rendezview_service.hub.lease import Lease, Taken
+from rendezview_service.hub.sessions import Session
+from rendezview_service.hub.worker_handle import WorkerHandle
+from rendezview_service.logs.replay import model_of, read_log
 
 # Runs before the service: `time.time` is off by what the file says.
 CLOCK = """
@@ -37,9 +37,9 @@ time.time = time_with_steps
 # A decoder that never ends, for one file.
 SLOW_DECODER = """
 import sys
-if "rendezview.service.worker" in sys.orig_argv:
+if "rendezview_service.worker.worker" in sys.orig_argv:
     import rendezview.io.sequences.decoding as decoding
-    import rendezview.service.frames as frames
+    import rendezview_service.messages.frames as frames
     real = frames.read_frame
     def read_frame(content, camera):
         while bytes(content[:7]) == b"\\xff\\xd8\\xffslow":

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from rendezview.client import ServiceError
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.service.log_repair import mend
-from rendezview.service.model_messages import JobInfo, ModelInfo
-from rendezview.service.replay import read_log
-from rendezview.service.service import Service
-from rendezview.service.settings import Settings
+from rendezview_service.client import ServiceError
+from rendezview_service.hub.service import Service
+from rendezview_service.logs.log_repair import mend
+from rendezview_service.logs.replay import read_log
+from rendezview_service.messages.model_messages import JobInfo, ModelInfo
+from rendezview_service.settings import Settings
 
 
 def test_the_service_says_that_it_lives_and_is_ready(service):

@@ -14,9 +14,9 @@ from mcap.reader import make_reader
 from scipy.spatial.transform import Rotation
 from tests.service.page_feed import MOST_S, Feed, until, word_is
 
-from rendezview.client import Client, SessionClient
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview_service.client import Client, SessionClient
 
 pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from tests.service.page_feed import MOST_S, SIZES, text_has, until, word_is
 
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.camera_files import save_camera
+from rendezview_service.client import Client
 
 pytest.importorskip("playwright.sync_api", reason="the page's tests want playwright")
 

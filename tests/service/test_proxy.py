@@ -16,7 +16,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from rendezview.client import Client
+from rendezview_service.client import Client
 
 CADDYFILE = Path(__file__).resolve().parents[2] / "deploy" / "Caddyfile"
 TOKEN = "behind-the-proxy-0123"

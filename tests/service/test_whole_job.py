@@ -15,12 +15,12 @@ import pytest
 from mcap.reader import make_reader
 from tests.service import approach
 
-from rendezview.client import ServiceError, fused_pose_of_state, pose_of_state
 from rendezview.io.bundled import find_target
 from rendezview.io.results import read_json_lines
 from rendezview.io.sequences import open_sequence
-from rendezview.service.messages import SessionInfo, State
-from rendezview.service.replay import model_of, read_log, repeat
+from rendezview_service.client import ServiceError, fused_pose_of_state, pose_of_state
+from rendezview_service.logs.replay import model_of, read_log, repeat
+from rendezview_service.messages.messages import SessionInfo, State
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,6 @@ from tests.trajectory.paths import circle, off
 
 from rendezview.geometry.pose import Pose
 from rendezview.io.ccsds import attitude_message, orbit_message
-from rendezview.simulation.closed_loop import FlightErrors, fly
-from rendezview.simulation.trajectories import looking_at
 from rendezview.trajectory import (
     Correction,
     FollowerOptions,
@@ -26,6 +24,8 @@ from rendezview.trajectory import (
     Spin,
 )
 from rendezview.trajectory.follower import record
+from rendezview_ground.simulate.closed_loop import FlightErrors, fly
+from rendezview_ground.simulate.trajectories import looking_at
 
 CENTRE = np.array([0.5, -1.0, 2.0])
 TIMES = np.linspace(0.0, 400.0, 101)

@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.simulation.trajectories import torque_free
 from rendezview.trajectory import Nothing, Spin, fit_spin, fit_spin_of_directions, in_line_of_sight
 from rendezview.trajectory.rotation import rotations
+from rendezview_ground.simulate.trajectories import torque_free
 
 TIMES = np.linspace(0.0, 200.0, 101)
 INERTIA = (1.0, 1.6, 2.0)

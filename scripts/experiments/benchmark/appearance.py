@@ -22,7 +22,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.outline.signature import (
+from rendezview.sensors.appearance.model.signature import (
     Signature,
     radial_maxima,
     spokes_of,
@@ -31,9 +31,9 @@ from rendezview.sensors.appearance.outline.signature import (
 from rendezview.sensors.appearance.outline.silhouette import outer_borders, outlines_of_mask
 from rendezview.sensors.appearance.outline.tracing import crack_outline
 from rendezview.sensors.appearance.outline.votes import Matcher
-from rendezview.simulation import SceneOptions, ShadingOptions, render_frame, sun_at_phase
-from rendezview.training.mesh import Mesh
-from rendezview.training.views import look_from
+from rendezview_ground.learn.views.views import look_from
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import SceneOptions, ShadingOptions, render_frame, sun_at_phase
 
 SIZE = 1024  # px a side
 SKY_GREY, NODES_SKY_GREY = 30.0, 25.0  # the thresholds of the floors

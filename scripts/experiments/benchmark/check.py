@@ -10,7 +10,7 @@ from pathlib import Path
 
 from experiments.timing import Way, race
 from rendezview.sensors.appearance import ViewModel
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
 
 ALLOWED = 1.5
 

@@ -25,9 +25,9 @@ from experiments.flight_code.driver import compiler
 from experiments.frame import PeerPython, mesh_of, show, table_of
 from rendezview.io.bundled import find_target
 from rendezview.sensors import appearance
-from rendezview.training.job import train
-from rendezview.training.mesh import load_mesh
-from rendezview.training.options import TrainingOptions
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import load_mesh
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendezview-benchmark"
 AGAIN = 4  # passes at most

@@ -14,21 +14,24 @@ from experiments.frame import CLIENT, MODELS_CAD
 from experiments.peers import opencv_contrib
 from experiments.reflectors.accuracy import CAMERA, OPTIONS, random_pose
 from experiments.timing import Way
+from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.camera import Camera
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import (
+from rendezview.sensors.beacons import (
     Acquirer,
     LitDark,
     ReflectorSensor,
+    Rig,
+    StereoTracker,
+    TrackerOptions,
     find_spots,
     patterns_of,
+    reprocess,
 )
 from rendezview.sensors.ring import RingDetector
-from rendezview.sensors.stereo import Rig, StereoTracker, TrackerOptions, reprocess
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.reflector_frames import render_pair
-from rendezview.simulation.ring_frames import RingSceneOptions, random_scene, render_ring_frame
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview_ground.simulate.reflector_frames import render_pair
+from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scene, render_ring_frame
 
 REFLECTOR_SEED, RING_SEED, STEREO_SEED = 41, 81, 21
 REFLECTOR_RANGE_M = 6.0

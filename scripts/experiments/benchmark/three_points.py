@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from experiments.benchmark.check import Bench, Row, times
 from experiments.timing import Way
-from rendezview.sensors.reflectors.p3p import solve_p3p, solve_p3p_batch
+from rendezview.estimation.p3p import solve_p3p, solve_p3p_batch
 
 BASE, POST = 0.3683, 0.1016  # m, of the paper's target
 TARGET = np.array([[0.0, 0.0, POST], [-0.5 * BASE, 0.0, 0.0], [0.5 * BASE, 0.0, 0.0]])

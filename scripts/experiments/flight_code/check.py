@@ -24,16 +24,16 @@ from experiments.flight_code.driver import (
     same_search,
 )
 from experiments.recognition.accuracy import flight_camera, frame_of, random_pose
-from rendezview.flight_code import write_onnx
+from rendezview.export import write_onnx
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.outline.signature import Readings, Signature, twist
+from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, Silhouette, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher, MatchOptions
 from rendezview.sensors.observation import Status
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.mesh.mesh import load_mesh
 
 PERTURBED = 9  # signatures for each that a frame gave
 PRIOR_DEG = 20.0

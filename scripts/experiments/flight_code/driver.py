@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.peers.pipe import Array, Pipe
-from rendezview.flight_code import write_c
+from rendezview.export import write_c
 from rendezview.geometry.camera import Camera
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.outline.signature import Readings, Signature
+from rendezview.sensors.appearance.model.signature import Readings, Signature
 from rendezview.sensors.appearance.outline.votes import Matcher
 from rendezview.sensors.observation import Status
 

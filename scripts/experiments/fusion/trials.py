@@ -40,10 +40,10 @@ from rendezview.sensors.observation import Status
 from rendezview.sensors.ring import RingPrior
 from rendezview.sensors.ring.run import follow as follow_ring
 from rendezview.sensors.ring.run import record as ring_record
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.approach import ApproachOptions, approach, echo
-from rendezview.simulation.shading import ShadingOptions
-from rendezview.training.mesh import load_mesh
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
+from rendezview_ground.simulate.approach import ApproachOptions, approach, echo
+from rendezview_ground.simulate.shading import ShadingOptions
 
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 FRAME_EVERY = 4  # of the true poses: 2 s

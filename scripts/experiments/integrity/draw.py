@@ -18,8 +18,8 @@ from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.files import atomic_write_text
 from rendezview.io.results import json_line
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.evidence import Evidence, Second
-from rendezview.training.mesh import Mesh
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview_ground.mesh.mesh import Mesh
 
 SECOND_EVERY = 5  # poses of a track; the sketch is asked beside the first of them
 OFF = np.deg2rad(20.0)  # a wrong pose is farther than that from the truth

@@ -16,8 +16,7 @@ from scipy.special import fdtri
 
 from experiments.integrity.logs import Look, tracks
 from rendezview.estimation.protection import Overbound
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.integrity_model import (
+from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
     PACKAGED,
     SPREAD_FEATURES,
@@ -25,6 +24,7 @@ from rendezview.sensors.appearance.integrity_model import (
     IntegrityModel,
     Spread,
 )
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 
 NAMES = FRAME_FEATURES + TRACK_FEATURES
 SMOOTHING, ALLOWANCE, MOST = 0.3, 1.0, 4.0

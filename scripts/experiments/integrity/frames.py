@@ -12,9 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
-from rendezview.simulation import Earth, SceneOptions, ShadingOptions, render_frame, sun_at_phase
-from rendezview.simulation.sensor import SensorOptions
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import (
+    Earth,
+    SceneOptions,
+    ShadingOptions,
+    render_frame,
+    sun_at_phase,
+)
+from rendezview_ground.simulate.sensor import SensorOptions
 
 CAMERA = Camera.from_fov(320, 240, math.radians(53.0))  # small pictures: many frames
 RANGE_RADII = (3.0, 5.5)

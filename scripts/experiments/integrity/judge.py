@@ -12,11 +12,11 @@ import numpy as np
 from experiments.frame import PICTURES, show, table_of
 from experiments.integrity.frames import CONDITIONS
 from experiments.integrity.logs import Look, tracks
-from rendezview.evaluation.palette import png
-from rendezview.evaluation.stanford import Judged, tail_risk, upper_limit
-from rendezview.evaluation.stanford_pictures import stanford_picture
 from rendezview.io.files import atomic_write
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview_ground.evaluate.pictures.palette import png
+from rendezview_ground.evaluate.pictures.stanford_pictures import stanford_picture
+from rendezview_ground.evaluate.stanford import Judged, tail_risk, upper_limit
 
 RISKS = (1e-2, 1e-3, 1e-4)
 SETTLED = 12  # poses, after which the second witness has been asked three times

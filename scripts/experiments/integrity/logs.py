@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.integrity.draw import SECOND_EVERY
-from rendezview.sensors.appearance.evidence import Evidence, Second
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
 
 # A pose is another answer than the truth where its error is larger than this and beyond its tails.
 WRONG_DEG = 5.0  # of attitude, as in the experiments of poses

@@ -9,8 +9,7 @@ import numpy as np
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors import ReflectorObservation, ReflectorPattern
-from rendezview.sensors.stereo import Rig, Sights
+from rendezview.sensors.beacons import ReflectorObservation, ReflectorPattern, Rig, Sights
 
 try:
     import poselib

@@ -9,14 +9,14 @@ from typing import Annotated, Any
 import numpy as np
 
 from experiments.frame import Log, show, table_of, two, write_log
-from rendezview.evaluation.campaign import pose_error, second_earlier
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import angle_between
 from rendezview.io.sequences import open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, Recognizer, ViewModel
-from rendezview.sensors.appearance.edges.confidence import Found
+from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.training.open_executor import open_executor
+from rendezview_ground.evaluate.campaign import pose_error, second_earlier
+from rendezview_ground.learn.jobs.open_executor import open_executor
 
 WRONG_DEG = 5.0
 PRIOR_RAD = np.deg2rad(6.0)  # the prior's error that is given to the recognizer

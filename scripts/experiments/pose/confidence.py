@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize
 from sklearn.linear_model import LogisticRegression
 
-from rendezview.sensors.appearance.edges.error_model import ErrorModel, inflation_features
+from rendezview.sensors.appearance.model.error_model import ErrorModel, inflation_features
 
 WRONG_DEG = 5.0
 _DARK = 7  # the feature that marks dark skies

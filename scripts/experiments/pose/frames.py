@@ -13,9 +13,15 @@ from experiments.frame import mesh_of
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.sequences import BopSceneWriter
-from rendezview.simulation import Earth, MitsubaOptions, SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.command import default_camera
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import (
+    Earth,
+    MitsubaOptions,
+    SceneOptions,
+    render_frame,
+    sun_at_phase,
+)
+from rendezview_ground.simulate.command import default_camera
 
 RADIUS_PX = (100.0, 220.0)
 MARGIN_PX = 6.0

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from rendezview.calibration.as_built import ShapeEstimator, strained
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.as_built import ShapeEstimator, strained
 
 RIGHT_DEG, WRONG_DEG, CLOSE_DEG = 5.0, 10.0, 2.0
 PRIOR_DEG, PRIOR_SHARE = 5.0, 0.02  # errors of the priors

@@ -27,7 +27,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.sketch.choice import (
+from rendezview.sensors.appearance.judge.probability_forest import ProbabilityForest
+from rendezview.sensors.appearance.judge.sketch_choice import (
     DOUBT,
     PACKAGED,
     PACKAGED_TREES,
@@ -39,19 +40,18 @@ from rendezview.sensors.appearance.sketch.choice import (
     opinion_features,
     packaged,
 )
-from rendezview.sensors.appearance.sketch.forest import ProbabilityForest
-from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
-from rendezview.simulation.cloudy_skies import cloudy_sky
-from rendezview.simulation.hard_light import photograph
-from rendezview.simulation.mesh_error import deformed
-from rendezview.simulation.random_craft import any_craft
-from rendezview.simulation.scene import sun_at_phase
-from rendezview.simulation.shading import ShadingOptions, render
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.options import TrainingOptions
-from rendezview.training.symmetries import find_symmetries
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.mesh.symmetries import find_symmetries
+from rendezview_ground.simulate.cloudy_skies import cloudy_sky
+from rendezview_ground.simulate.hard_light import photograph
+from rendezview_ground.simulate.mesh_error import deformed
+from rendezview_ground.simulate.random_craft import any_craft
+from rendezview_ground.simulate.scene import sun_at_phase
+from rendezview_ground.simulate.shading import ShadingOptions, render
 
 SIDE = 320  # px of a frame
 RADIUS_PX = (35.0, 240.0)  # of the target, log; large ones are cut by the border

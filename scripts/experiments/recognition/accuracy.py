@@ -15,17 +15,17 @@ from rendezview.geometry.geodesic import angle_between
 from rendezview.geometry.pose import Array, Pose, rotation_angle
 from rendezview.io.target import Target
 from rendezview.sensors.appearance import Recognizer, SilhouetteOptions, ViewModel
-from rendezview.sensors.appearance.outline.signature import Signature, twist
+from rendezview.sensors.appearance.model.signature import Signature, twist
 from rendezview.sensors.appearance.outline.silhouette import Missing, find_silhouette
 from rendezview.sensors.appearance.outline.votes import Matcher
-from rendezview.simulation import SceneOptions, SensorOptions, ShadingOptions, render_frame
-from rendezview.simulation.scene import sun_at_phase
-from rendezview.training.learn import IN_EDGES, OUT_EDGES
-from rendezview.training.mesh import Mesh, load_mesh
-from rendezview.training.open_executor import open_executor
-from rendezview.training.options import TrainingOptions, view_geometry
-from rendezview.training.renderers import make_renderer
-from rendezview.training.views import clean_views, look_from
+from rendezview_ground.learn.jobs.open_executor import open_executor
+from rendezview_ground.learn.options import TrainingOptions, view_geometry
+from rendezview_ground.learn.trees.node_trees import IN_EDGES, OUT_EDGES
+from rendezview_ground.learn.views.views import clean_views, look_from
+from rendezview_ground.mesh.mesh import Mesh, load_mesh
+from rendezview_ground.render.renderers import make_renderer
+from rendezview_ground.simulate import SceneOptions, SensorOptions, ShadingOptions, render_frame
+from rendezview_ground.simulate.scene import sun_at_phase
 
 WIDTH, HEIGHT = 640, 480
 WRONG_DEG = 8.0  # rotation error of an answer that is not one

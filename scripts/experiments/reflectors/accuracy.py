@@ -14,7 +14,7 @@ from experiments.reflectors.plain import Simulator, plain
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose, minimal_rotation
 from rendezview.io.target import Target
-from rendezview.sensors.reflectors import (
+from rendezview.sensors.beacons import (
     Acquirer,
     LitDark,
     SixNumbers,
@@ -24,9 +24,9 @@ from rendezview.sensors.reflectors import (
     predict_spots,
     six_numbers,
 )
-from rendezview.sensors.reflectors.pattern import Face, ReflectorPattern
-from rendezview.sensors.reflectors.refinement import refine
-from rendezview.simulation.reflector_frames import (
+from rendezview.sensors.beacons.constellation import Face, ReflectorPattern
+from rendezview.sensors.beacons.pose.refinement import refine
+from rendezview_ground.simulate.reflector_frames import (
     ReflectorFrameOptions,
     exposure,
     paint_reflector,

@@ -17,8 +17,8 @@ from experiments.peers.pnp import PEERS, one_camera
 from experiments.reflectors.plain import CAMERA, FIVE, PINHOLE, Simulator, apart, pictures, plain
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import read_json_lines
+from rendezview.sensors.beacons import LitDark, ReflectorSensor, TrackingOptions, find_spots
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors import LitDark, ReflectorSensor, TrackingOptions, find_spots
 
 WRONG_DEG, WRONG_SHARE = 5.0, 0.03
 RANGES_M, TILT_RAD = (1.0, 8.0), math.radians(35.0)

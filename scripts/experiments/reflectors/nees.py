@@ -23,13 +23,13 @@ from experiments.reflectors.plain import (
 )
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
-from rendezview.sensors.reflectors import (
+from rendezview.sensors.beacons import (
     LitDark,
     ReflectorPattern,
     ReflectorSensor,
     TrackingOptions,
 )
-from rendezview.sensors.reflectors.registration import register
+from rendezview.sensors.beacons.detect.registration import register
 
 RANGES_M = (0.8, 1.5, 3.0, 6.0)
 TILT_RAD, WRONG_DEG = 0.5, 5.0

@@ -10,8 +10,8 @@ import numpy as np
 from experiments.frame import tests_module
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.reflectors import LitDark, ReflectorPattern
-from rendezview.simulation.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
+from rendezview.sensors.beacons import LitDark, ReflectorPattern
+from rendezview_ground.simulate.reflector_frames import Clutter, ReflectorFrameOptions, render_pair
 
 plain = tests_module("plain_pictures")
 

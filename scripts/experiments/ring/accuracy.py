@@ -21,7 +21,7 @@ from rendezview.sensors.ring import (
     shape_of_circle,
     tangent_basis,
 )
-from rendezview.simulation.ring_frames import (
+from rendezview_ground.simulate.ring_frames import (
     Circle,
     RingScene,
     RingSceneOptions,

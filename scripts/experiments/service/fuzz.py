@@ -22,7 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 from experiments.service.fuzz_cases import CAMERA, RING, Cases
 from experiments.service.fuzz_routes import Routes, raw_bytes, send_raw
 from experiments.service.serving import Processes, Served
-from rendezview.client import Client, ServiceError
+from rendezview_service.client import Client, ServiceError
 
 SLOW_S = 10.0
 MOST_PROCESSOR_S = 5.0  # of the service and its workers for one case; a whole search takes 1

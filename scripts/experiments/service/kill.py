@@ -15,11 +15,11 @@ import numpy as np
 from mcap.reader import make_reader
 
 from experiments.service.serving import Served
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
-from rendezview.service.log_repair import mend
-from rendezview.service.replay import read_log
+from rendezview_service.client import Client
+from rendezview_service.logs.log_repair import mend
+from rendezview_service.logs.replay import read_log
 
 
 def serve(model: Path, folder: Path, models: Path) -> Served:

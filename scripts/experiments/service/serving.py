@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rendezview.client import Client
 from rendezview.errors import RendezviewError
 from rendezview.io.sequences import open_sequence
+from rendezview_service.client import Client
 
 
 class Loop:

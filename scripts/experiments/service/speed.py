@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from experiments.service.serving import Loop, Served
-from rendezview.client import Client, ServiceError
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview_service.client import Client, ServiceError
 
 _BLOCK = 50
 

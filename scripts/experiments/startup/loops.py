@@ -14,30 +14,36 @@ from typing import Any
 import numpy as np
 
 from experiments.frame import ROOT
+from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.cli.compiling import recorded
-from rendezview.evaluation.contact import fuse_to_contact
 from rendezview.geometry.camera import Camera
 from rendezview.io.bundled import find_target
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import BopSceneWriter, open_sequence
 from rendezview.sensors.appearance import AppearanceObservation, ViewModel
 from rendezview.sensors.appearance.following import follow, result_row
+from rendezview.sensors.beacons import (
+    MotionOptions,
+    SixNumbers,
+    StereoTracker,
+    TrackerOptions,
+    patterns_of,
+    pose_of,
+)
+from rendezview.sensors.beacons.run import Mode, pair_up, record
+from rendezview.sensors.beacons.run import follow as read
 from rendezview.sensors.observation import Status
-from rendezview.sensors.reflectors import SixNumbers, patterns_of, pose_of
-from rendezview.sensors.reflectors.run import Mode, pair_up, record
-from rendezview.sensors.reflectors.run import follow as read
-from rendezview.sensors.stereo import MotionOptions, StereoTracker, TrackerOptions
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.service.tracking import warm_up
-from rendezview.simulation.command import default_camera
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.ranger import Ranger, write_echoes
-from rendezview.simulation.reflector_frames import ReflectorFrameOptions, render_pair
-from rendezview.simulation.scene import SceneOptions, simulate
-from rendezview.simulation.trajectories import TrajectoryOptions, trajectory
-from rendezview.training import job
-from rendezview.training.mesh import load_mesh
-from rendezview.training.options import TrainingOptions
+from rendezview_ground.evaluate.pictures.contact import fuse_to_contact
+from rendezview_ground.learn import job
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import load_mesh
+from rendezview_ground.simulate.command import default_camera
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview_ground.simulate.ranger import Ranger, write_echoes
+from rendezview_ground.simulate.reflector_frames import ReflectorFrameOptions, render_pair
+from rendezview_ground.simulate.scene import SceneOptions, simulate
+from rendezview_ground.simulate.trajectories import TrajectoryOptions, trajectory
+from rendezview_service.tracker.tracking import warm_up
 
 # Few nodes, but views enough that lists of shown faces are made. Source: by construction
 _SMALL = TrainingOptions(order=1, perturbed_views=6000, held_out_views=100, contour_radii=(1.0,))

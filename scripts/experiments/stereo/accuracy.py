@@ -15,9 +15,10 @@ from experiments.peers.pnp import rig as by_peers
 from experiments.stereo.cases import Job, leds_of, spots_of, squared
 from experiments.stereo.plain import Simulator, Truth
 from experiments.stereo.starts import convergence, faults, identity, recovery
+from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import (
+from rendezview.sensors.beacons import (
     MotionOptions,
     Normalisation,
     Rig,
@@ -26,10 +27,9 @@ from rendezview.sensors.stereo import (
     TrackerOptions,
     yaw_pitch_roll,
 )
-from rendezview.sensors.stereo.agreement import iterate
-from rendezview.sensors.stereo.laboratory import calibrate_laboratory
-from rendezview.sensors.stereo.spots import find_spots
-from rendezview.simulation.led_pictures import PictureOptions
+from rendezview.sensors.beacons.detect.led_spots import find_spots
+from rendezview.sensors.beacons.match.agreement import iterate
+from rendezview_ground.simulate.led_pictures import PictureOptions
 
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it

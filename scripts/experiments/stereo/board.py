@@ -11,13 +11,13 @@ from experiments.frame import MODELS_CAD, nees, show, table_of
 from experiments.peers.pnp import PEERS, median_deg
 from experiments.peers.pnp import rig as by_peers
 from experiments.stereo.plain import Simulator, plain
+from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import Rig, RigCamera, Spots, StereoTracker
-from rendezview.sensors.stereo.board import BoardViews, Chessboard, calibrate_board
-from rendezview.sensors.stereo.tracker import TrackerOptions
+from rendezview.sensors.beacons import Rig, RigCamera, Spots, StereoTracker
+from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
 
 Project = Callable[[np.ndarray], np.ndarray]  # (N, 3), first camera's frame → (N, 2) px
 

@@ -12,9 +12,9 @@ from experiments.stereo.plain import Simulator, Truth, laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import Rig, Sights, Spots, StereoObservation, StereoTracker
-from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
-from rendezview.simulation.led_laboratory import LaboratoryOptions
+from rendezview.sensors.beacons import Rig, Sights, Spots, StereoObservation, StereoTracker
+from rendezview.sensors.beacons.match.agreement import Disagreement, LightsFit, distance, iterate
+from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 
 
 @dataclass(frozen=True)

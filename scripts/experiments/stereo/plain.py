@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 
 from experiments.frame import ROOT
+from rendezview.calibration.laboratory import CameraRecord, LaboratoryRecord, PlateView
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
-from rendezview.sensors.stereo import Lens, Photodiode, Response, Rig, RigCamera
-from rendezview.sensors.stereo.laboratory import CameraRecord, LaboratoryRecord, PlateView
-from rendezview.simulation.led_laboratory import Laboratory, LaboratoryOptions
-from rendezview.simulation.led_pictures import PictureOptions, draw, picture_bound, picture_rig
+from rendezview.sensors.beacons import Lens, Photodiode, Response, Rig, RigCamera
+from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
+from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_bound, picture_rig
 
 if str(ROOT) not in sys.path:
     sys.path.insert(0, str(ROOT))

@@ -15,10 +15,10 @@ from experiments.stereo.cases import Job, at_pose, judge, random_pose, spots_of
 from experiments.stereo.plain import PlainLaboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.stereo import Rig, Spots, StereoTracker
-from rendezview.sensors.stereo.agreement import Disagreement, LightsFit, distance, iterate
-from rendezview.sensors.stereo.spots import find_spots
-from rendezview.simulation.led_pictures import PictureOptions
+from rendezview.sensors.beacons import Rig, Spots, StereoTracker
+from rendezview.sensors.beacons.detect.led_spots import find_spots
+from rendezview.sensors.beacons.match.agreement import Disagreement, LightsFit, distance, iterate
+from rendezview_ground.simulate.led_pictures import PictureOptions
 
 
 def far_off(answer: Pose | None, truth: Pose) -> bool:

@@ -14,7 +14,7 @@ from joblib import Parallel, delayed
 from onnx import TensorProto, helper, numpy_helper
 
 from rendezview.sensors.appearance.outline.foreground import SQUARE_PX
-from rendezview.simulation.foreground_frames import foreground_frame
+from rendezview_ground.simulate.foreground_frames import foreground_frame
 
 BATCH = 8
 SIDE_PX = 192  # of the squares that are cut out of the pictures

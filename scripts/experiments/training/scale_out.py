@@ -18,15 +18,15 @@ import distributed
 import psutil
 
 from experiments.frame import mesh_of
-from rendezview.evaluation.campaign import CampaignOptions, campaign
 from rendezview.sensors.appearance import ViewModel
-from rendezview.simulation.command import default_camera
-from rendezview.training.cluster import Cluster
-from rendezview.training.cores import Cores
-from rendezview.training.job import train
-from rendezview.training.mesh import Mesh
-from rendezview.training.options import TrainingOptions
-from rendezview.training.shard_executor import ShardExecutor
+from rendezview_ground.evaluate.campaign import CampaignOptions, campaign
+from rendezview_ground.learn.job import train
+from rendezview_ground.learn.jobs.cluster import Cluster
+from rendezview_ground.learn.jobs.cores import Cores
+from rendezview_ground.learn.jobs.shard_executor import ShardExecutor
+from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate.command import default_camera
 
 WORKERS, TARGET = 4, "hubble"
 MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))

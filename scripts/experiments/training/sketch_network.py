@@ -12,10 +12,10 @@ import numpy as np
 import onnxruntime as ort
 from joblib import Parallel, delayed
 
-from rendezview.sensors.appearance.sketch import network as sketch
-from rendezview.sensors.appearance.sketch.network import SIDE_PX
-from rendezview.simulation.random_craft import any_craft
-from rendezview.simulation.sketch_frames import (
+from rendezview.sensors.appearance.edges import network as sketch
+from rendezview.sensors.appearance.edges.network import SIDE_PX
+from rendezview_ground.simulate.random_craft import any_craft
+from rendezview_ground.simulate.sketch_frames import (
     DRAWINGS,
     CraftDrawing,
     draw_craft,

@@ -15,7 +15,7 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 from torch import nn
 from torch.nn import functional
 
-from rendezview.sensors.appearance.sketch.network import COVER, MAPS, SQUARE_PX, to_squares
+from rendezview.sensors.appearance.edges.network import COVER, MAPS, SQUARE_PX, to_squares
 
 CHANNELS = 2  # grey levels, and faint differences magnified
 # Channels at full size, a half, a quarter, an eighth and a sixteenth of the squares.

@@ -12,8 +12,8 @@ from experiments.frame import mesh_of
 from experiments.trajectory.frames import CAMERA, KINDS, SPAN_S, observations, true_path
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import ViewModel
+from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
-from rendezview.sensors.appearance.outline.signature import Signature
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
     Nothing,

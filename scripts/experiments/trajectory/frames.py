@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
-from rendezview.simulation import SceneOptions, render_frame, sun_at_phase
-from rendezview.simulation.trajectories import looking_at, torque_free
-from rendezview.training.mesh import Mesh
+from rendezview_ground.mesh.mesh import Mesh
+from rendezview_ground.simulate import SceneOptions, render_frame, sun_at_phase
+from rendezview_ground.simulate.trajectories import looking_at, torque_free
 
 KINDS = ("circular", "spiral", "vbar", "spin", "tumble")
 FRAMES = 100

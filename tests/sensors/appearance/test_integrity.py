@@ -17,11 +17,9 @@ from rendezview.geometry import so3
 from rendezview.geometry.pose import Pose
 from rendezview.io.results import json_line
 from rendezview.sensors.appearance import AppearanceObservation
-from rendezview.sensors.appearance.edges.confidence import Found
 from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.evidence import Evidence, Second
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.integrity_model import (
+from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
     PACKAGED,
     SPREAD_FEATURES,
@@ -32,6 +30,8 @@ from rendezview.sensors.appearance.integrity_model import (
     frame_features,
     track_features,
 )
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.judge.confidence import Found
 from rendezview.sensors.appearance.outline.reading import OutlineReading
 from rendezview.sensors.observation import Status
 from rendezview.sensors.protection import Levels, Protection

@@ -13,8 +13,8 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.io.results import ResultRow
 from rendezview.io.sequences import Frame, Sequence
 from rendezview.io.sequences.frame import GreyImage
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.recognizer import Recognizer

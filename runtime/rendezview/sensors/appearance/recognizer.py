@@ -13,26 +13,26 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.grey_frame import Picture, check_frame
+from rendezview.sensors.appearance.by_outline import OutlineRecognition
 from rendezview.sensors.appearance.edges.alignment import NEAREST_RADII
 from rendezview.sensors.appearance.edges.articulation import LEAST_SUPPORT
-from rendezview.sensors.appearance.edges.close import CloseSearch
-from rendezview.sensors.appearance.edges.confidence import Found
-from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.edges.refinement import Refined
-from rendezview.sensors.appearance.evidence import Second
-from rendezview.sensors.appearance.joint_angles import JointAngles
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.integrity.evidence import Second
+from rendezview.sensors.appearance.joint_configurations import around, best_of
+from rendezview.sensors.appearance.judge.confidence import Found
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
+from rendezview.sensors.appearance.model.joint_angles import JointAngles
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.observation import (
     CLOSE_MARGIN,
     AppearanceObservation,
     StageClock,
 )
-from rendezview.sensors.appearance.outline.recognition import OutlineRecognition
 from rendezview.sensors.appearance.outline.silhouette import SilhouetteOptions
 from rendezview.sensors.appearance.outline.votes import MatchOptions
-from rendezview.sensors.appearance.sheets import around, best_of
-from rendezview.sensors.appearance.sketch.found import SketchFound
-from rendezview.sensors.appearance.sketch.search import SketchSearch
+from rendezview.sensors.appearance.search.close import CloseSearch
+from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
 

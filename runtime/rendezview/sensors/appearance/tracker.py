@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 from rendezview.estimation.motion import extrapolate, rates_between
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.integrity import IntegrityMonitor, IntegrityOptions
-from rendezview.sensors.appearance.joint_filter import JointFilter
+from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
+from rendezview.sensors.appearance.joints import JointFilter
+from rendezview.sensors.appearance.judge.sketch_found import SketchFound
 from rendezview.sensors.appearance.observation import AppearanceObservation
 from rendezview.sensors.appearance.recognizer import Recognizer
-from rendezview.sensors.appearance.sketch.found import SketchFound
 from rendezview.sensors.observation import Status
 
 # rad; rivals nearer than this are the same answer. Source: by hand; pose-trials sequences

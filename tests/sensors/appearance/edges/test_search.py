@@ -7,10 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer
-from rendezview.sensors.appearance.edges.levels import LevelSearch
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.edges.starts import half_turns
 from rendezview.sensors.appearance.observation import StageClock
+from rendezview.sensors.appearance.search.levels import LevelSearch
+from rendezview.sensors.appearance.search.starts import half_turns
 from rendezview.sensors.appearance.sky import Sky
 
 

@@ -12,9 +12,7 @@ from rendezview.geometry.geodesic import angle_between, cosine_within
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import Recognizer, ViewModel
 from rendezview.sensors.appearance.edges.refinement import Refiner
-from rendezview.sensors.appearance.outline.signature import Signature, rebinning, twist
-from rendezview.sensors.appearance.outline.voted import VotedPose
-from rendezview.sensors.appearance.outline.voters import (
+from rendezview.sensors.appearance.model.forest import (
     BINS,
     LEAF,
     ODDS_UNIT,
@@ -22,6 +20,8 @@ from rendezview.sensors.appearance.outline.voters import (
     Voters,
     roll_readings,
 )
+from rendezview.sensors.appearance.model.signature import Signature, rebinning, twist
+from rendezview.sensors.appearance.outline.voted import VotedPose
 from rendezview.sensors.appearance.outline.votes import Matcher
 
 SILENT = -35  # the share of a node's views among its samples, in ODDS_UNIT

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import Symmetry
 from rendezview.sensors.appearance import Recognizer, ViewModel
-from rendezview.sensors.appearance.sketch import choice as choice_module
-from rendezview.sensors.appearance.sketch.choice import (
+from rendezview.sensors.appearance.judge import sketch_choice as choice_module
+from rendezview.sensors.appearance.judge.sketch_choice import (
     CHOICE_FEATURES,
     PACKAGED,
     POSE_FEATURES,
@@ -24,15 +24,22 @@ from rendezview.sensors.appearance.sketch.choice import (
     distinct,
     packaged,
 )
-from rendezview.sensors.appearance.sketch.network import EDGE, MAPS
-from rendezview.sensors.appearance.sketch.retrieval import PartialViews
-from rendezview.sensors.appearance.sketch.search import SketchSearch, _last, _lines
-from rendezview.sensors.appearance.sketch.views import GRID, REACH, ViewSketches, centroid, on_grid
+from rendezview.sensors.appearance.model.sketches import (
+    EDGE,
+    GRID,
+    MAPS,
+    REACH,
+    ViewSketches,
+    centroid,
+    on_grid,
+)
+from rendezview.sensors.appearance.search.by_sketch import PartialViews
+from rendezview.sensors.appearance.search.sketch_search import SketchSearch, _last, _lines
 from rendezview.sensors.appearance.sky import Sky
 from rendezview.sensors.observation import Status
-from rendezview.simulation.scene import SceneOptions, render_frame
-from rendezview.training.options import ViewGeometry
-from rendezview.training.sketch_maps import sketched_view
+from rendezview_ground.learn.options import ViewGeometry
+from rendezview_ground.learn.views.sketch_maps import sketched_view
+from rendezview_ground.simulate.scene import SceneOptions, render_frame
 
 
 @pytest.fixture(scope="module")

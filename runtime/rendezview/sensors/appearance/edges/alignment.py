@@ -13,8 +13,7 @@ from rendezview.estimation.linear_algebra import largest_at, solve_scaled
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import hat, orthonormalise, perturb_into
 from rendezview.io.grey_frame import Picture
-from rendezview.sensors.appearance.edges.contours import NO_POINT, OUTLINE
-from rendezview.sensors.appearance.edges.edge_search import measure_edges
+from rendezview.sensors.appearance.edges.grey import measure_edges
 from rendezview.sensors.appearance.edges.lighting import fit_light
 from rendezview.sensors.appearance.edges.predicted import (
     COLUMNS,
@@ -24,7 +23,8 @@ from rendezview.sensors.appearance.edges.predicted import (
     STATE,
     WEIGHT,
 )
-from rendezview.sensors.appearance.edges.view_tables import Lens, ViewTables
+from rendezview.sensors.appearance.model.contours import NO_POINT, OUTLINE
+from rendezview.sensors.appearance.model.view_tables import Lens, ViewTables
 
 
 class Stage(NamedTuple):

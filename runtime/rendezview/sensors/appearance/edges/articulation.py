@@ -12,11 +12,11 @@ from rendezview.geometry.joint import apart, hinges_of, within
 from rendezview.geometry.pose import Array
 from rendezview.geometry.so3 import exp
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import POINT_UNIT
-from rendezview.sensors.appearance.edges.edge_search import point_of_slope
+from rendezview.sensors.appearance.edges.grey import point_of_slope
 from rendezview.sensors.appearance.edges.predicted import FOUND, NOT_FOUND, RESIDUAL, STATE, WEIGHT
-from rendezview.sensors.appearance.edges.view_tables import ViewTables
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.contours import POINT_UNIT
+from rendezview.sensors.appearance.model.view_model import ViewModel
+from rendezview.sensors.appearance.model.view_tables import ViewTables
 
 _CONE_COSINE = np.cos(np.deg2rad(15.0))  # of views that a refinement may reach. Source: twice 5°
 _STALE_RAD = 1e-5  # rad; a smaller turn is below the unit of the points. Source: by construction

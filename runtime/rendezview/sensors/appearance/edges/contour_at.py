@@ -11,8 +11,8 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.joint import apart, hinges_of
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance.edges.alignment import nearest_views
-from rendezview.sensors.appearance.edges.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
-from rendezview.sensors.appearance.model import ViewModel
+from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, NO_POINT, POINT_UNIT
+from rendezview.sensors.appearance.model.view_model import ViewModel
 
 _FARTHEST_PX = 1e5  # from the picture, of a point that is kept. Source: a chosen limit
 _STEP_RADII = 0.01  # of the target's radius, along an edge, for its direction. Source: chosen

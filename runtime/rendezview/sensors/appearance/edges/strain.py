@@ -15,7 +15,7 @@ from numba import njit
 from rendezview.estimation.least_squares import tukey_weight
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.edges.alignment import to_origin
-from rendezview.sensors.appearance.edges.edge_search import point_of_slope
+from rendezview.sensors.appearance.edges.grey import point_of_slope
 from rendezview.sensors.appearance.edges.predicted import FOUND, RESIDUAL, STATE, WEIGHT
 
 _HALF_ROOT = np.sqrt(0.5)  # of a shear, which stands twice in its matrix. Source: by construction

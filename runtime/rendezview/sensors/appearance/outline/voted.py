@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rendezview.geometry.pose import Array, Pose
-from rendezview.sensors.appearance.edges.retrieval import Retrieval
-from rendezview.sensors.appearance.model import HeldOut, ViewModel
+from rendezview.sensors.appearance.model.forest import Ballot
+from rendezview.sensors.appearance.model.signature import Signature
+from rendezview.sensors.appearance.model.view_model import HeldOut, ViewModel
 from rendezview.sensors.appearance.outline.placement import covariance_of_place
-from rendezview.sensors.appearance.outline.signature import Signature
-from rendezview.sensors.appearance.outline.voters import Ballot
+from rendezview.sensors.appearance.outline.retrieval import Retrieval
 
 _STARTS = 60  # most similar silhouettes, whole and sunlit. Source: that of the search on edges
 _STARTS_NEAR = 1000  # before those far from a prior are left out. Source: by construction

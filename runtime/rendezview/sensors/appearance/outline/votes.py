@@ -10,8 +10,8 @@ from numba import njit
 
 from rendezview.geometry.geodesic import cosine_within
 from rendezview.geometry.pose import Array, Pose, rotation_angle
-from rendezview.sensors.appearance.model import ViewModel
-from rendezview.sensors.appearance.outline.signature import Readings, Signature, twist
+from rendezview.sensors.appearance.model.signature import Readings, Signature, twist
+from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview.sensors.appearance.outline.silhouette import Missing
 from rendezview.sensors.appearance.outline.similarity import Indices, ViewSimilarity
 from rendezview.sensors.observation import Status
