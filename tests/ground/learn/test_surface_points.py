@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
-from rendezview.sensors.appearance.model.view_model.surface import ALBEDO_UNIT
 
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.sensors.appearance.model.contours import POINT_UNIT
+from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT
 from rendezview_ground.learn.options import TrainingOptions, view_geometry
 from rendezview_ground.learn.views.surface_points import (
     candidate_points,

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from rendezview.sensors.appearance.model.view_model.surface import Surface
 
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.geodesic import Geodesic
@@ -20,6 +19,7 @@ from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model.signature import Readings
 from rendezview.sensors.appearance.model.sketches import ViewSketches
+from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
 from rendezview.sensors.appearance.model.view_model import ViewModel
 from rendezview_ground.learn.jobs.shard_executor import ShardExecutor, Shared, Task

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from rendezview.sensors.appearance.model.view_model.surface import ALBEDO_UNIT, Surface
 
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
+from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT, Surface
 from rendezview_ground.learn.options import TrainingOptions, ViewGeometry
 from rendezview_ground.learn.views.drawn_view import draw_view
 from rendezview_ground.mesh.mesh import Mesh

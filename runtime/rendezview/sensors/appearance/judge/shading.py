@@ -27,8 +27,8 @@ from rendezview.sensors.appearance.edges.lighting import (
     light_strengths,
 )
 from rendezview.sensors.appearance.model.contours import DIRECTION_UNIT, POINT_UNIT
+from rendezview.sensors.appearance.model.surface import ALBEDO_UNIT, Surface
 from rendezview.sensors.appearance.model.view_model import ViewModel
-from rendezview.sensors.appearance.model.view_model.surface import ALBEDO_UNIT, Surface
 from rendezview.sensors.appearance.model.view_tables import Lens
 from rendezview.sensors.appearance.sky import Sky
 

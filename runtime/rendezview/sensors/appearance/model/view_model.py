@@ -23,8 +23,8 @@ from rendezview.sensors.appearance.model.forest import Ballot, Voters
 from rendezview.sensors.appearance.model.near_views import NearSphere
 from rendezview.sensors.appearance.model.shadowed_silhouettes import ShadowedSilhouettes
 from rendezview.sensors.appearance.model.sketches import ViewSketches
+from rendezview.sensors.appearance.model.surface import Surface
 from rendezview.sensors.appearance.model.trees import Forest
-from rendezview.sensors.appearance.model.view_model.surface import Surface
 
 _Part = TypeVar("_Part")
 
