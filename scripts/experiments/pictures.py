@@ -16,24 +16,11 @@ from matplotlib.patches import Circle, Polygon, Rectangle
 
 from experiments.frame import CLIENT, MODELS_CAD, PICTURES
 from experiments.reflectors.accuracy import CAMERA
-from experiments.stereo.accuracy import (
-    AVERAGED,
-    POSITIONS,
-    by_paper,
-    by_pictures,
-    by_tracker,
-    turned_deg,
-)
-from experiments.stereo.cases import leds_of
-from experiments.stereo.plain import OwnLaboratory
-from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
 from rendezview.sensors.beacons import (
     LitDark,
-    MotionOptions,
-    Normalisation,
     ReflectorSensor,
     SixNumbers,
     find_spots,
@@ -52,8 +39,6 @@ from rendezview_ground.simulate import (
     sun_at_phase,
     trajectory,
 )
-from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
-from rendezview_ground.simulate.led_pictures import PictureOptions
 from rendezview_ground.simulate.mesh_error import deformed
 from rendezview_ground.simulate.reflector_frames import (
     ReflectorFrameOptions,
@@ -198,51 +183,6 @@ def reflectors(_: Path | None) -> None:
     figure.savefig(PICTURES / "reflectors.png", dpi=90)
 
 
-def stereo(_: Path | None) -> None:
-    """Figure 8 of Welch et al. (1991), one run of 2° steps.
-
-    Measured angle minus the line through it, over the stage's angle: the paper's solver on single
-    and on averaged scans of photodiodes, ours, and two picture cameras.
-    """
-    craft = Target.load(MODELS_CAD / "scole")
-    laboratory = OwnLaboratory(leds_of(craft), LaboratoryOptions(), 11)
-    rng = np.random.default_rng(11)
-    record = laboratory.calibration(rng)
-    rig = calibrate_laboratory(record).rig
-    plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
-    angles = 2.0 * (np.arange(POSITIONS) - POSITIONS // 2)
-    poses = laboratory.stage(np.deg2rad(angles))
-    single = laboratory.currents(poses, rng)
-    noise = laboratory.noise / np.sqrt(AVERAGED)
-    mean = laboratory.currents(poses, None) + rng.normal(0.0, noise, single.shape)
-    options = PictureOptions(signal_to_noise=200.0)
-    panels = {
-        "photodiodes, one scan a reading": {
-            "the paper's solver": by_paper(plain, craft, single, poses[0]),
-            "ours": turned_deg(by_tracker(rig, craft, single, None, poses)[0]),
-            "ours, filter": turned_deg(by_tracker(rig, craft, single, MotionOptions(), poses)[0]),
-        },
-        f"the mean of {AVERAGED} scans, and single pictures": {
-            "the paper's solver": by_paper(plain, craft, mean, poses[0]),
-            "ours": turned_deg(by_tracker(rig, craft, mean, None, poses)[0]),
-            "ours, two picture cameras, no mean": turned_deg(
-                by_pictures(laboratory, craft, poses, options, rng)[0]
-            ),
-        },
-    }
-    colours = ("#d9731a", "#2b7bba", "#222222")
-    figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    for axis, (title, lines) in zip(axes, panels.items(), strict=True):
-        for colour, (name, read) in zip(colours, lines.items(), strict=True):
-            left = read - np.polyval(np.polyfit(angles, read, 1), angles)
-            axis.plot(angles, left, ".-", color=colour, lw=0.8, ms=4, label=name)
-        axis.set(title=title, xlabel="stage, °")
-        axis.set_ylabel("read less its line, °")
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=7)
-    figure.savefig(PICTURES / "stereo.png", dpi=110)
-
-
 EDGES_M = np.geomspace(0.99, 60.1, 25)
 COLOURS = {"fused": "#222222", "appearance": "#d9731a", "ring": "#2b7bba", "laser": "#4a9a4a"}
 
@@ -282,11 +222,11 @@ def fusion(samples: Path | None) -> None:
 
 
 DRAWN = {"readme": readme, "simulation": simulation, "ring": ring, "reflectors": reflectors,
-         "stereo": stereo, "fusion": fusion}  # fmt: skip
+         "fusion": fusion}  # fmt: skip
 
 
 def run(
-    name: Literal["readme", "simulation", "ring", "reflectors", "stereo", "fusion"],
+    name: Literal["readme", "simulation", "ring", "reflectors", "fusion"],
     source: Annotated[Path | None, "readme: a demo; fusion: samples of its flights"] = None,
 ) -> None:
     """Draw one picture of the README or the docs again, into docs/pictures."""

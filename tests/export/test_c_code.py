@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-from experiments.flight_code.driver import (
+from tests.export.driver import (
     MORE_WARNINGS,
     SANITIZED,
     STRICT,
@@ -27,6 +26,7 @@ from experiments.flight_code.driver import (
     runtime_search_around,
     same_search,
 )
+
 from rendezview.errors import RendezviewError
 from rendezview.export import write_c
 from rendezview.export.c_code import model_files

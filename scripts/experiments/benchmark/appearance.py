@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.tree import DecisionTreeClassifier
 
 from experiments.benchmark.check import Bench, Row, times
-from experiments.flight_code.check import LIMIT_BYTES, perturbed
-from experiments.flight_code.driver import FlightCode, build, object_bytes
+from experiments.flight_code.check import LIMIT_BYTES, OPTIMISE, driver, perturbed
 from experiments.peers import opencv_contrib
 from experiments.timing import Way, race
 from rendezview.geometry.camera import Camera
@@ -215,7 +214,7 @@ def flight_code(bench: Bench) -> Iterator[Row]:
     ours, loop, differ = "all trees in C", "the runtime's loop", 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with FlightCode(build(model, folder, ["-O2"]), model) as code:
+        with driver.FlightCode(driver.build(model, folder, [OPTIMISE]), model) as code:
             for view, roll in zip(readings, rolls, strict=True):
                 trust = matcher.trust_of(model.forest.leaves(view, trees, roll))
                 differ += not np.array_equal(code.trees(view, roll), trust)
@@ -228,5 +227,5 @@ def flight_code(bench: Bench) -> Iterator[Row]:
             spent = bench.race({ours: Way(in_c, own_clock=True), loop: Way(here, len(stacked))})
         yield from times(command, spent, {ours: (loop,)})
         yield Row("signatures that C decides otherwise", differ, "none may", 0, "", command)
-        size = sum(object_bytes(model, folder).values())
+        size = sum(driver.object_bytes(model, folder).values())
     yield Row("object files of C", size / 1e3, "limit", LIMIT_BYTES / 1e3, "kB", command)

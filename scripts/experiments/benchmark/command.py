@@ -21,7 +21,7 @@ from experiments.benchmark.check import write as write_rows
 from experiments.benchmark.estimation import fusion, segments
 from experiments.benchmark.sensors import reflectors, rings, stereo
 from experiments.benchmark.three_points import three_points
-from experiments.flight_code.driver import compiler
+from experiments.flight_code.check import driver
 from experiments.frame import PeerPython, mesh_of, show, table_of
 from rendezview.io.bundled import find_target
 from rendezview.sensors import appearance
@@ -68,7 +68,7 @@ def absent(peer_python: Path | None) -> Iterator[str]:
     for package in ("poselib", "nlopt"):
         if importlib.util.find_spec(package) is None:
             yield f"{package}: not installed"
-    if compiler() is None:
+    if driver.compiler() is None:
         yield "flight code: no C compiler here"
 
 
@@ -85,37 +85,13 @@ def show_rows(rows: list[Row]) -> None:
     show(table, width=170)
 
 
-def draw(rows: list[Row], path: Path) -> None:
-    """Bars of the ratios on a logarithmic scale, ours better to the left."""
-    from matplotlib.figure import Figure
-
-    drawn = [row for row in rows if row.unit in ("s", "°") and 0.0 < row.ratio < 1e6]
-    figure = Figure(figsize=(9.0, 0.24 * len(drawn) + 1.0), layout="constrained")
-    axes = figure.subplots()
-    for k, row in enumerate(drawn):
-        axes.barh(k, row.ratio - 1.0, left=1.0, color="#3b7dd8" if row.ratio <= 1 else "#d9822b")
-        axes.annotate(
-            f"{row.ratio:.2g}", (row.ratio, k), (4 if row.ratio > 1 else -4, 0),
-            textcoords="offset points", va="center", fontsize=7,
-            ha="left" if row.ratio > 1 else "right",
-        )  # fmt: skip
-    axes.set_xscale("log")
-    axes.set_xlim(0.15 * min(r.ratio for r in drawn), 2.5 * max(r.ratio for r in drawn))
-    axes.axvline(1.0, color="black", linewidth=0.8)
-    labels = [f"{row.name}  |  {row.beside}" for row in drawn]
-    axes.set_yticks(range(len(drawn)), labels, fontsize=7)
-    axes.invert_yaxis()
-    axes.set_xlabel("ours / beside: time, or error in degrees (left of 1: ours is better)")
-    figure.savefig(path, dpi=110)
-
-
 def measured(bench: Bench, passes: int, kept: Path | None) -> tuple[list[Row], dict[str, str]]:
     """All rows, the best of the passes, and the rows that are worse than the kept ones.
 
     Groups with a row that is worse are measured again: noise disappears, a real slowdown stays.
     """
     everything = [poses, nodes, reflectors, three_points, rings, stereo, fusion, segments]
-    if compiler() is not None:
+    if driver.compiler() is not None:
         everything.insert(2, flight_code)
     rows: dict[str, Row] = {}
     of_group: dict[str, int] = {}
@@ -138,7 +114,6 @@ def run(
     *, short: Annotated[bool, "small model, less than a minute"] = False,
     check: Annotated[Path | None, "exit 1 where a ratio is over 1.5 × the kept one"] = None,
     write: Annotated[Path | None, "keep the ratios in a file"] = None,
-    figure: Annotated[Path | None, "PNG of the ratios"] = None,
     model: Annotated[Path | None, "default model of hubble; else it is trained"] = None,
     peer_python: PeerPython = None, seed: int = 77, cache: Path = CACHE,
 ) -> None:  # fmt: skip
@@ -166,8 +141,6 @@ def run(
         print(f"absent: {line}")
     size, spent = path.stat().st_size / 1e6, time.perf_counter() - start
     print(f"seed {seed}; model {size:.1f} MB; {spent:.0f} s")
-    if figure:
-        draw(rows, figure)
     if write:
         write_rows(rows, write)
     if check:

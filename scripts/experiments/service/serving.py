@@ -52,14 +52,10 @@ class Processes:
             ticks += int(fields[11]) + int(fields[12])
         return ticks / os.sysconf("SC_CLK_TCK")
 
-    def each_mb(self) -> list[float]:
-        """Resident memory of the service and of each worker."""
-        pages = [int(Path(f"/proc/{p}/statm").read_text().split()[1]) for p in self.pids()]
-        return [count * resource.getpagesize() / 1e6 for count in pages]
-
     def resident_mb(self) -> float:
-        """Of the service and its workers."""
-        return sum(self.each_mb())
+        """Memory of the service and its workers."""
+        pages = [int(Path(f"/proc/{p}/statm").read_text().split()[1]) for p in self.pids()]
+        return sum(pages) * resource.getpagesize() / 1e6
 
     def forget_peak(self) -> None:
         """`peak_mb` begins again. Source: the kernel's `proc(5)`, clear_refs."""

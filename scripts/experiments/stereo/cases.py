@@ -1,20 +1,23 @@
-"""Cases of the stereo tracker in its simulated laboratory, and whether an answer is right."""
+"""The simulated laboratory of the stereo experiments, and what they ask of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from experiments.frame import nees
-from experiments.stereo.plain import Simulator, Truth, laboratory
+from experiments.frame import nees, tests_module
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import Rig, Sights, Spots, StereoObservation, StereoTracker
-from rendezview.sensors.beacons.match.agreement import Disagreement, LightsFit, distance, iterate
+from rendezview.sensors.beacons import Rig, Spots, StereoObservation
 from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
+
+Simulator = Literal["own", "plain"]
+SIGNAL_TO_NOISE = 200.0
+
+both = tests_module("plain_laboratory")
 
 
 @dataclass(frozen=True)
@@ -23,53 +26,30 @@ class Job:
 
     seed: int
     cases: int | None
-    snr: float
     simulator: Simulator = "own"
 
-    def laboratory(self, target: Target, *, distorted: bool = False) -> Truth:
-        """By default cameras without distortion, which nobody has to calibrate."""
-        options = LaboratoryOptions(signal_to_noise=self.snr, distorted=distorted)
-        return laboratory(self.simulator, leds_of(target), options, self.seed)
+    def laboratory(self, target: Target, *, distorted: bool = False) -> Any:
+        """Of one of the two simulators, which share no code.
+
+        By default its cameras are without distortion, and nobody has to calibrate them.
+        """
+        options = LaboratoryOptions(signal_to_noise=SIGNAL_TO_NOISE, distorted=distorted)
+        made = both.PlainLaboratory if self.simulator == "plain" else both.OwnLaboratory
+        return made(leds_of(target), options, self.seed)
 
 
 def leds_of(target: Target) -> np.ndarray:
+    """(L, 3) places of the lights, target frame."""
     return np.array([led.position_m for led in target.leds])
 
 
 def spots_of(rig: Rig, currents: np.ndarray) -> list[Spots]:
+    """The spots of each camera of a reading (C, L, 4)."""
     return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
 
 
-def squared(rig: Rig, observation: StereoObservation, rig_from_target: Pose) -> float:
-    """NEES of a pose; 6 is right."""
-    truth, pose = rig.cameras[0].camera_from_rig @ rig_from_target, observation.pose
+def squared_error(observation: StereoObservation, truth: Pose) -> float:
+    """NEES of a pose in the first camera's frame; 6 is right."""
+    pose = observation.pose
     turned, moved = between(pose.rotation, truth.rotation), pose.translation_m - truth.translation_m
     return nees(np.append(turned, moved), observation.covariance)
-
-
-def random_pose(rng: np.random.Generator, tilt_deg: float) -> Pose:
-    """Any yaw, tilted up to so much any way, lights towards the cameras."""
-    tilt = np.deg2rad(tilt_deg) * np.sqrt(rng.uniform())
-    around = rng.uniform(0.0, 2.0 * np.pi)
-    tilted = Rotation.from_rotvec(tilt * np.array([np.cos(around), np.sin(around), 0.0]))
-    turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
-    place = rng.uniform(-1.0, 1.0, 3) * (0.1, 0.1, 0.5)
-    return Pose((tilted * turn).as_matrix(), place)
-
-
-def at_pose(pose: Pose, found: LightsFit) -> LightsFit:
-    """A pose in the place of that of a fit."""
-    return LightsFit(pose.rotation, pose.translation_m, found.information, 0.0, 0, 0, found.sights)
-
-
-def judge(
-    tracker: StereoTracker, sights: Sights, found: LightsFit | Disagreement, pose: Pose
-) -> str:
-    """right: the minimum next to the truth, and the truth within its covariance."""
-    if isinstance(found, Disagreement):
-        return "refused"
-    near = iterate(tracker.rig, tracker.leds, found.sights, pose.rotation, pose.translation_m)
-    same = near is not None and distance(found, near) < 0.5
-    if same and distance(found, at_pose(pose, found)) < 60.0:
-        return "right"
-    return "wrong"

@@ -1,110 +1,82 @@
-"""Steps, starts, faults and unnamed lights of the stereo tracker: right, refused or wrong."""
+"""Starts and faults of the stereo tracker: right, refused or wrong."""
 
 from __future__ import annotations
 
 import time
 
 import numpy as np
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import show
+from experiments.frame import show, table_of
 from experiments.peers.pnp import PEERS
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.cases import Job, at_pose, judge, random_pose, spots_of
-from experiments.stereo.plain import PlainLaboratory
+from experiments.stereo.cases import Job, spots_of
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import Rig, Spots, StereoTracker
-from rendezview.sensors.beacons.detect.led_spots import find_spots
+from rendezview.sensors.beacons import Sights, StereoTracker
 from rendezview.sensors.beacons.match.agreement import Disagreement, LightsFit, distance, iterate
-from rendezview_ground.simulate.led_pictures import PictureOptions
+
+RECOVERY_CASES, TRACKED_CASES, START_CASES = 10_000, 2000, 500
+FAR_RAD = np.deg2rad(10.0)
+STEP_RAD = np.deg2rad(2.0)  # from the reading before, one σ each axis
+SAME, INSIDE = 0.5, 60.0  # squared distance of two minima; of the truth from one
 
 
-def far_off(answer: Pose | None, truth: Pose) -> bool:
-    """More than 10° off, or no answer."""
-    return answer is None or answer.angle_to(truth) > np.deg2rad(10.0)
+def random_pose(rng: np.random.Generator, tilt_deg: float) -> Pose:
+    """Any yaw, tilted up to so much any way, lights towards the cameras."""
+    tilt = np.deg2rad(tilt_deg) * np.sqrt(rng.uniform())
+    around = rng.uniform(0.0, 2.0 * np.pi)
+    tilted = Rotation.from_rotvec(tilt * np.array([np.cos(around), np.sin(around), 0.0]))
+    turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    place = rng.uniform(-1.0, 1.0, 3) * (0.1, 0.1, 0.5)
+    return Pose((tilted * turn).as_matrix(), place)
 
 
-def convergence(job: Job, target: Target) -> None:
-    cases = job.cases or 10_000
-    laboratory = job.laboratory(target)
-    rng = np.random.default_rng(job.seed)
-    rig, leds = laboratory.rig, laboratory.leds
-    from_end, from_truth, end_truth, unsolved = [], [], [], 0
-    squares: list[list[float]] = [[], []]
-    beside: dict[str, list[float]] = {name: [] for name in PEERS}
-    for _ in range(cases):
-        before = random_pose(rng, 20.0)
-        after = Pose(Rotation.from_rotvec([0.0, 0.0, np.deg2rad(2.0)]).as_matrix(), np.zeros(3))
-        after = after @ before
-        first, second = laboratory.currents([before, after], rng)
-        last = iterate(rig, leds, rig.sights(spots_of(rig, first), len(leds)),
-                       before.rotation, before.translation_m)  # fmt: skip
-        sights = rig.sights(spots_of(rig, second), len(leds))
-        if last is None:
-            unsolved += 1
-            continue
-        once = iterate(rig, leds, sights, last.rotation, last.translation, iterations=1)
-        end = iterate(rig, leds, sights, last.rotation, last.translation)
-        if once is None or end is None:
-            unsolved += 1
-            continue
-        from_end.append(Rotation.from_matrix(once.rotation @ end.rotation.T).as_rotvec())
-        from_truth.append(Rotation.from_matrix(once.rotation @ after.rotation.T).as_rotvec())
-        end_truth.append(Rotation.from_matrix(end.rotation @ after.rotation.T).as_rotvec())
-        for k, fit in enumerate((once, end)):
-            squares[k].append(distance(fit, at_pose(after, fit)))
-        for name, pose in by_peers(leds, sights, rig).items():
-            if pose is not None:
-                beside[name].append(pose.angle_to(after))
-    print(f"{cases} steps of 2° from the last estimate, tilt to 20°, any yaw; {unsolved} unsolved")
-    print(
-        f"NEES (6 is right): one iteration {np.mean(squares[0]):.2f}, all {np.mean(squares[1]):.2f}"
-    )
-    for name, turns in beside.items():
-        print(f"{name}, the same spots: attitude r.m.s. "
-              f"{np.rad2deg(np.sqrt(np.mean(np.square(turns)))):.3f}°")  # fmt: skip
-    for name, vectors in (("one iteration, from where iteration ends", from_end),
-                          ("one iteration, from the truth", from_truth),
-                          ("all iterations, from the truth", end_truth)):  # fmt: skip
-        turn = np.rad2deg(np.abs(vectors))
-        for what, angle in (("yaw", turn[:, 2]), ("attitude", np.linalg.norm(turn, axis=1))):
-            print(f"{name}, {what}: below 1° in {(angle < 1.0).sum()}, r.m.s. "
-                  f"{np.sqrt((angle**2).mean()):.3f}°, worst {angle.max():.3f}°")  # fmt: skip
+def squared(pose: Pose, found: LightsFit) -> float:
+    """Distance of the truth from a fit, normalised: 6 is right in the mean."""
+    truth = LightsFit(pose.rotation, pose.translation_m, found.information, 0.0, 0, 0, found.sights)
+    return distance(found, truth)
+
+
+def judge(tracker: StereoTracker, found: LightsFit | Disagreement, pose: Pose) -> str:
+    """right: the minimum next to the truth, and the truth within its covariance."""
+    if isinstance(found, Disagreement):
+        return "refused"
+    near = iterate(tracker.rig, tracker.leds, found.sights, pose.rotation, pose.translation_m)
+    same = near is not None and distance(found, near) < SAME
+    return "right" if same and squared(pose, found) < INSIDE else "wrong"
+
+
+def far_off(tracker: StereoTracker, sights: Sights, truth: Pose) -> dict[str, bool]:
+    """Whether a peer has no answer on the same lights, or one more than 10° off."""
+    answers = by_peers(tracker.leds, sights, tracker.rig)
+    return {n: p is None or p.angle_to(truth) > FAR_RAD for n, p in answers.items()}
 
 
 def recovery(job: Job, target: Target) -> None:
-    cases = job.cases or 10_000
-    laboratory = job.laboratory(target)
-    rng = np.random.default_rng(job.seed)
+    """The pose from one reading, any yaw, tilt to 60°, nothing known."""
+    laboratory, rng = job.laboratory(target), np.random.default_rng(job.seed)
     tracker = StereoTracker.of_target(laboratory.rig, target)
-    outcome = {"right": 0, "refused": 0, "wrong": 0}
-    spent, yaws, squares = [], [], []
-    wrong = dict.fromkeys(PEERS, 0)
-    for _ in range(cases):
+    outcome, wrong = dict.fromkeys(("right", "refused", "wrong"), 0), dict.fromkeys(PEERS, 0)
+    spent, squares = [], []
+    for _ in range(job.cases or RECOVERY_CASES):
         pose = random_pose(rng, 60.0)
         sights = tracker.rig.sights(spots_of(tracker.rig, laboratory.currents([pose], rng)[0]), 6)
         start = time.perf_counter()
         found = tracker.locate(sights)
         spent.append(time.perf_counter() - start)
-        verdict = judge(tracker, sights, found, pose)
-        outcome[verdict] += 1
+        outcome[judge(tracker, found, pose)] += 1
         if isinstance(found, LightsFit):
-            yaws.append(abs(Rotation.from_matrix(found.rotation @ pose.rotation.T).as_rotvec()[2]))
-            squares.append(distance(found, at_pose(pose, found)))
-        for name, other in by_peers(tracker.leds, sights, tracker.rig).items():
-            wrong[name] += far_off(other, pose)
-    print(f"{cases} readings, any yaw, tilt to 60°, nothing known: {outcome}, "
-          f"median {1e3 * np.median(spent):.1f} ms")  # fmt: skip
+            squares.append(squared(pose, found))
+        for name, far in far_off(tracker, sights, pose).items():
+            wrong[name] += far
+    print(f"{len(spent)} readings: {outcome}, median {1e3 * np.median(spent):.1f} ms")
     print(f"NEES (6 is right) {np.mean(squares):.2f}; more than 10° off on the same spots: {wrong}")
-    print(f"turn about the boresight against the truth: worst {np.rad2deg(max(yaws)):.2f}°")
 
 
 def faults(job: Job, target: Target) -> None:
-    cases = job.cases or 2000
-    laboratory = job.laboratory(target)
-    rng = np.random.default_rng(job.seed)
+    """Lights missing, exchanged, or reflected, while tracking and from nothing."""
+    laboratory, rng = job.laboratory(target), np.random.default_rng(job.seed)
     tracker = StereoTracker.of_target(laboratory.rig, target)
     count = len(tracker.leds)
 
@@ -129,92 +101,34 @@ def faults(job: Job, target: Target) -> None:
     def one_camera(light: np.ndarray) -> None:
         light[1] = np.nan
 
-    table = Table("fault", "start", "right", "refused", "wrong", "NEES", *PEERS)
+    title = "the peers have the same lights, solvePnP of the first camera: more than 10° off"
+    table = table_of(title, ["fault", "start", "right", "refused", "wrong", "NEES", *PEERS], left=2)
     for fault in (missing, half_missing, exchanged, exchanged_once, reflected, one_camera):
         for known in (True, False):
             outcome, squares = dict.fromkeys(("right", "refused", "wrong"), 0), []
             beside = dict.fromkeys(PEERS, 0)
-            for _ in range(cases if known else cases // 4):
+            cases = job.cases or TRACKED_CASES
+            for _ in range(cases if known else cases * START_CASES // TRACKED_CASES):
                 pose = random_pose(rng, 20.0)
                 light = laboratory.currents([pose], rng)[0]
                 fault(light)
                 sights = tracker.rig.sights(spots_of(tracker.rig, light), count)
                 found: LightsFit | Disagreement
                 if known:
-                    last = pose.perturbed(np.append(rng.normal(0.0, np.deg2rad(2.0), 3), [0, 0, 0]))
+                    last = pose.perturbed(np.append(rng.normal(0.0, STEP_RAD, 3), [0, 0, 0]))
                     other = StereoTracker.of_target(tracker.rig, target)
                     other.update(0.0, spots_of(tracker.rig, laboratory.currents([last], rng)[0]))
                     observation = other.update(0.1, spots_of(tracker.rig, light))
                     found = observation.fit or Disagreement(observation.reason or "")
                 else:
                     found = tracker.locate(sights)
-                verdict = judge(tracker, sights, found, pose)
+                verdict = judge(tracker, found, pose)
                 outcome[verdict] += 1
                 if verdict == "right":
-                    squares.append(distance(found, at_pose(pose, found)))
-                for name, answer in by_peers(tracker.leds, sights, tracker.rig).items():
-                    beside[name] += far_off(answer, pose)
+                    squares.append(squared(pose, found))
+                for name, far in far_off(tracker, sights, pose).items():
+                    beside[name] += far
             cells = [*map(str, outcome.values()), f"{np.mean(squares):.1f}"]
-            cells += map(str, beside.values())
-            start = "tracking" if known else "nothing"
-            table.add_row(fault.__name__.replace("_", " "), start, *cells)
+            start, name = "tracking" if known else "nothing", fault.__name__.replace("_", " ")
+            table.add_row(name, start, *cells, *map(str, beside.values()))
     show(table, width=100)
-    print("solvePnP (first camera) and poselib (all) have the same lights: more than 10° off")
-
-
-def scattered(
-    rig: Rig, lights: np.ndarray, sigma_px: float, rng: np.random.Generator, hidden: int, false: int
-) -> list[Spots]:
-    """Spots of lights in no order, with noise; some hidden, some false."""
-    spots = []
-    for camera in rig.cameras:
-        seen = camera.project(lights)
-        seen = seen[rng.permutation(len(seen))[hidden:]]
-        seen = np.concatenate([seen, rng.uniform(0.0, 1023.0, (false, 2))])
-        seen = seen[rng.permutation(len(seen))]
-        seen = seen + rng.normal(0.0, sigma_px, seen.shape)
-        spots.append(Spots(seen, np.full(seen.shape, sigma_px), np.full(len(seen), -1)))
-    return spots
-
-
-def identity(job: Job, target: Target) -> None:
-    cases = job.cases or 300
-    laboratory = job.laboratory(target)
-    rig = laboratory.picture_rig
-    rng = np.random.default_rng(job.seed)
-    sigma_px = 0.05
-    # Of so much noise the places in a picture have that error: √(2/π) / 16 px.
-    options = PictureOptions(signal_to_noise=16.0)
-    table = Table("spots", "right", "refused", "wrong", "NEES", "median ms", *PEERS)
-    for name, hidden, false in (("all six", 0, 0), ("one hidden", 1, 0), ("two false", 0, 2),
-                                ("one hidden, two false", 1, 2)):  # fmt: skip
-        outcome, spent = {"right": 0, "refused": 0, "wrong": 0}, []
-        squares: list[float] = []
-        beside = dict.fromkeys(PEERS, 0)
-        for _ in range(cases):
-            pose = random_pose(rng, 30.0)
-            tracker = StereoTracker.of_target(rig, target)
-            if isinstance(laboratory, PlainLaboratory):
-                drawn = laboratory.pictures(pose, options, rng, hidden, false)
-                spots = [find_spots(picture) for picture in drawn]
-            else:
-                spots = scattered(rig, pose.apply(tracker.leds), sigma_px, rng, hidden, false)
-            start = time.perf_counter()
-            observation = tracker.update(0.0, spots)
-            spent.append(1e3 * (time.perf_counter() - start))
-            if observation.fit is None:
-                outcome["refused"] += 1
-                continue
-            sights = rig.sights(observation.spots, len(tracker.leds))
-            verdict = judge(tracker, sights, observation.fit, pose)
-            outcome[verdict] += 1
-            if verdict == "right":
-                squares.append(distance(observation.fit, at_pose(pose, observation.fit)))
-            for peer, answer in by_peers(tracker.leds, observation.fit.sights, rig).items():
-                beside[peer] += far_off(answer, pose)
-        cells = [*map(str, outcome.values()), f"{np.mean(squares):.1f}"]
-        table.add_row(name, *cells, f"{np.median(spent):.0f}", *map(str, beside.values()))
-    show(table, width=100)
-    print(
-        "solvePnP (first camera) and poselib (all) have the lights that we named: more than 10° off"
-    )

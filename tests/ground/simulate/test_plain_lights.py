@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests import plain_lights as plain
+from tests.plain_laboratory import OwnLaboratory, PlainLaboratory
 
-from experiments.stereo.plain import OwnLaboratory, PlainLaboratory, plain
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Lens, StereoTracker

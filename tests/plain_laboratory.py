@@ -1,30 +1,21 @@
-"""The plain laboratory of the tests (tests/plain_lights.py), and the product's view of it."""
+"""The plain laboratory of lights (plain_lights.py) as the product sees it, and the product's own.
+
+For tests and experiments, which ask both the same questions.
+"""
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
+from tests import plain_lights as plain
 
-from experiments.frame import ROOT
 from rendezview.calibration.laboratory import CameraRecord, LaboratoryRecord, PlateView
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.beacons import Lens, Photodiode, Response, Rig, RigCamera
 from rendezview_ground.simulate.led_laboratory import Laboratory, LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions, draw, picture_bound, picture_rig
-
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
-
-from tests import plain_lights as plain
-
-__all__ = ["PlainLaboratory", "Simulator", "Truth", "laboratory", "plain", "pose_of"]
-
-Simulator = Literal["own", "plain"]
 
 _STEP = 1e-6  # rad, m; of numeric derivatives
 _UP = np.array([0.0, 0.0, -1.0])  # a light's normal in the target's frame
@@ -89,13 +80,6 @@ class PlainLaboratory:
         normals = np.array([p.rotation @ _UP for p in poses])[:, None, :]
         exact = np.moveaxis(self._seen(points, normals), 0, 1)
         return exact if rng is None else exact + self.noise * rng.standard_normal(exact.shape)
-
-    def scan(
-        self, pose_at: Callable[[float], Pose], times_s: np.ndarray, rng: np.random.Generator | None
-    ) -> np.ndarray:
-        """(C, L, 4) currents of lights that shine one after the other."""
-        poses = [pose_at(float(time_s)) for time_s in times_s]
-        return np.stack([self.currents([p], rng)[0][:, k] for k, p in enumerate(poses)], axis=1)
 
     def light(self, camera: int, positions_m: np.ndarray) -> np.ndarray:
         """(..., 4) currents of a beam at places (..., 2) on a detector."""
@@ -183,22 +167,15 @@ class PlainLaboratory:
         return peak * plain.brightness(points, normals, eye.place.position, self._far)
 
     def pictures(
-        self, pose: Pose, options: PictureOptions, rng: np.random.Generator,
-        hidden: int = 0, false: int = 0,
-    ) -> list[np.ndarray]:  # fmt: skip
-        """A picture of each camera; in each some lights are hidden and false ones shine."""
+        self, pose: Pose, options: PictureOptions, rng: np.random.Generator
+    ) -> list[np.ndarray]:
+        """A picture of each camera."""
         points, made = self.leds @ pose.rotation.T + pose.translation_m, []
         for eye in self.eyes:
-            shown = rng.permutation(len(points))[hidden:]
-            spots = eye.project(points[shown])
+            shown = rng.permutation(len(points))
             peaks = self._peaks(eye, pose, points[shown], options.peak_grey)
-            spots = np.concatenate([spots, rng.uniform(0.0, eye.size[0] - 1.0, (false, 2))])
-            peaks = np.append(peaks, np.full(false, options.peak_grey))
-            made.append(
-                eye.picture(
-                    spots, peaks, options.spot_sigma_px, options.sky_grey, options.noise_grey, rng
-                )
-            )
+            light = (options.spot_sigma_px, options.sky_grey, options.noise_grey)
+            made.append(eye.picture(eye.project(points[shown]), peaks, *light, rng))
         return made
 
     def picture_bound(self, pose: Pose, options: PictureOptions) -> np.ndarray:
@@ -239,13 +216,3 @@ class OwnLaboratory(Laboratory):
     def picture_bound(self, pose: Pose, options: PictureOptions) -> np.ndarray:
         """(6, 6) Cramér–Rao bound from one picture of each camera."""
         return picture_bound(self.picture_rig, self.leds, pose, options)
-
-
-Truth = OwnLaboratory | PlainLaboratory
-
-
-def laboratory(
-    simulator: Simulator, leds: np.ndarray, options: LaboratoryOptions, seed: int
-) -> Truth:
-    """The laboratory of one of the two simulators, which share no code."""
-    return (PlainLaboratory if simulator == "plain" else OwnLaboratory)(leds, options, seed)
