@@ -53,18 +53,12 @@ def requirements(path: Path = REQUIREMENTS) -> dict[str, Requirement]:
 def count_results(junit: Path, known: dict[str, Requirement]) -> list[str]:
     """Add the results of a JUnit file to the requirements; returns ids that are not known."""
     unknown = []
+    outcomes = {"failure": "failed", "error": "failed", "skipped": "skipped"}
     for case in ElementTree.parse(junit).iter("testcase"):
-        ids = [
-            prop.get("value", "")
-            for prop in case.iter("property")
-            if prop.get("name") == "requirement"
-        ]
-        outcome = "passed"
-        if case.find("failure") is not None or case.find("error") is not None:
-            outcome = "failed"
-        elif case.find("skipped") is not None:
-            outcome = "skipped"
-        for name in ids:
+        marks = [p for p in case.iter("property") if p.get("name") == "requirement"]
+        found = (outcomes[kind] for kind in outcomes if case.find(kind) is not None)
+        outcome = next(found, "passed")
+        for name in (mark.get("value", "") for mark in marks):
             if name in known:
                 known[name].results[outcome] += 1
             else:

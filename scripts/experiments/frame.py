@@ -103,18 +103,15 @@ def write_log(path: Path | None, records: Iterable[dict[str, Any]]) -> None:
         path.write_text("".join(json.dumps(record) + "\n" for record in records))
 
 
-def two(
-    values: Sequence[float] | np.ndarray, high: float = 95, form: str = "{:.3f} / {:.3f}"
-) -> str:
+def two(values: npt.ArrayLike, high: float = 95, form: str = "{:.3f} / {:.3f}") -> str:
     """Median and a high percentile."""
     return form.format(np.median(values), np.percentile(values, high))
 
 
 def nees(error: npt.ArrayLike, covariance: npt.ArrayLike) -> float:
     """Normalised estimation error squared."""
-    return float(
-        np.dot(np.asarray(error), np.linalg.solve(np.asarray(covariance), np.asarray(error)))
-    )
+    off = np.asarray(error)
+    return float(np.dot(off, np.linalg.solve(np.asarray(covariance), off)))
 
 
 def tests_module(name: str) -> Any:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 
-from experiments.service.fuzz import SESSION, Fuzz
+from tests.service.fuzz import SESSION, Fuzz
+
 from experiments.service.serving import Processes
 from rendezview_service.client import Client
 

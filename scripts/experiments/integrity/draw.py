@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,8 +18,8 @@ from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import nearest_alike
 from rendezview.io.files import atomic_write_text
 from rendezview.io.results import json_line
-from rendezview.sensors.appearance import AppearanceObservation, Recognizer, Tracker, ViewModel
-from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
+from rendezview.sensors.appearance import Recognizer, Tracker, ViewModel
+from rendezview.sensors.appearance.integrity.evidence import Evidence
 from rendezview_ground.mesh.mesh import Mesh
 
 SECOND_EVERY = 5  # poses of a track; the sketch is asked beside the first of them
@@ -35,20 +36,6 @@ def error(found: Pose, truth: Pose | None, model: ViewModel) -> list[float] | No
     near = nearest_alike(found, truth, model.symmetries)
     turn = so3.between(truth.rotation, near.rotation)
     return [*turn.tolist(), *(truth.translation_m - near.translation_m).tolist()]
-
-
-def line(
-    k: int, seen: AppearanceObservation, evidence: Evidence | None,
-    second: Second | None, truth: Pose | None, model: ViewModel, spent_s: float,
-) -> dict[str, Any]:  # fmt: skip
-    return {
-        "frame": k,
-        "status": str(seen.status),
-        "error": None if seen.pose is None else error(seen.pose, truth, model),
-        "spent_s": round(spent_s, 4),
-        "evidence": None if evidence is None else evidence.record(),
-        "second": second,
-    }
 
 
 def alike(recognizer: Recognizer, picture: np.ndarray, truth: Pose, mesh: Mesh) -> Iterator[Pose]:
@@ -117,7 +104,12 @@ def looks(
             second = recognizer.second_look(picture, seen.pose)
         poses += seen.pose is not None
         lost = 0 if seen.pose is not None else lost + 1
-        lines.append(line(k, seen, evidence, second, truth, model, spent_s))
+        lines.append({
+            "frame": k, "status": str(seen.status),
+            "error": None if seen.pose is None else error(seen.pose, truth, model),
+            "spent_s": round(spent_s, 4), "second": second,
+            "evidence": None if evidence is None else evidence.record(),
+        })  # fmt: skip
         if lost > MOST_LOST:
             break
     return lines
@@ -125,16 +117,11 @@ def looks(
 
 def run(
     models: Annotated[Path, "folder of hubble.rvm, client.rvm, scole.rvm, or some of them"],
-    output: Annotated[Path, "folder of the logs"],
-    *,
-    shards: Annotated[str, "numbers of the shards of each condition, first-last"] = "0-9",
+    output: Annotated[Path, "folder of the logs"], *,
+    shards: Annotated[tuple[int, int], "of each condition: first, end"] = (0, 10),
     seed: int = 1,
-    minutes: Annotated[float, "no new shard is begun after them"] = 8.0,
-    only: Annotated[str | None, "one condition"] = None,
-    mislead: Annotated[
-        bool, "begin at wrong poses that look alike, and end where they are left"
-    ] = False,
-) -> None:
+    mislead: Annotated[bool, "begin at wrong poses, end where they are left"] = False,
+) -> None:  # fmt: skip
     """Draw and track sequences; each shard of four is a file.
 
     A sequence ends early where the target is lost for good. A shard that is there is not drawn
@@ -143,33 +130,23 @@ def run(
     cv2.setNumThreads(1)
     names = [name for name in TARGETS if (models / f"{name}.rvm").is_file()]
     meshes = {name: mesh_of(name)[1] for name in TARGETS}
-    recognizers = {
-        name: Recognizer(ViewModel.load(models / f"{name}.rvm"), CAMERA) for name in names
-    }
+    stored = {name: ViewModel.load(models / f"{name}.rvm") for name in names}
+    recognizers = {name: Recognizer(model, CAMERA) for name, model in stored.items()}
     output.mkdir(parents=True, exist_ok=True)
-    began_s = time.monotonic()
-    first, last = (int(part) for part in shards.split("-"))
-    for shard in range(first, last + 1):
-        for c, (name, condition) in enumerate(CONDITIONS.items()):
-            kind = name.replace(" ", "_").replace("_%", "") + "-misled" * mislead
-            path = output / f"{kind}-{seed}-{shard:03d}.jsonl"
-            if path.exists() or (only is not None and name != only):
-                continue
-            if mislead and condition.other:
-                continue  # no pose of it is right
-            if time.monotonic() - began_s > 60.0 * minutes:
-                print(f"time is up before {path.name}: run again to continue")
-                return
-            lines = []
-            for k in range(SHARD):
-                target = names[k % len(names)]
-                others = [name for name in TARGETS if name != target]
-                shown = others[k // len(names) % len(others)] if condition.other else target
-                rng = np.random.default_rng([seed, c, shard, k])
-                head = {"condition": name, "target": target, "sequence": [seed, c, shard, k],
-                        "misled": mislead}  # fmt: skip
-                seen = looks(recognizers[target], meshes[shown], condition, rng, mislead)
-                lines += [head | one for one in seen]
-            atomic_write_text(path, "".join(json_line(one) + "\n" for one in lines))
-            print(f"{path.name}: {len(lines)} frames, {time.monotonic() - began_s:.0f} s",
-                  flush=True)  # fmt: skip
+    for shard, (c, (name, condition)) in product(range(*shards), enumerate(CONDITIONS.items())):
+        kind = name.replace(" ", "_").replace("_%", "") + "-misled" * mislead
+        path = output / f"{kind}-{seed}-{shard:03d}.jsonl"
+        if path.exists() or (mislead and condition.other):  # no pose of another target is right
+            continue
+        lines = []
+        for k in range(SHARD):
+            target = names[k % len(names)]
+            others = [name for name in TARGETS if name != target]
+            shown = others[k // len(names) % len(others)] if condition.other else target
+            place = [seed, c, shard, k]
+            head = {"condition": name, "target": target, "sequence": place, "misled": mislead}
+            rng = np.random.default_rng(place)
+            seen = looks(recognizers[target], meshes[shown], condition, rng, mislead)
+            lines += [head | one for one in seen]
+        atomic_write_text(path, "".join(json_line(one) + "\n" for one in lines))
+        print(f"{path.name}: {len(lines)} frames", flush=True)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import fdtri
 
-from experiments.integrity.logs import Look, tracks
+from experiments.integrity.logs import tracks
 from rendezview.estimation.protection import Overbound
 from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,
@@ -81,36 +81,26 @@ def gather(folder: Path) -> Poses:
         attitude_spread=Spread.none(), position_spread=Spread.none(),
         at_rival=0.0, smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=math.inf,
     )  # fmt: skip
-    rows: dict[str, list] = {field.name: [] for field in dataclasses.fields(Poses)}
+    rows = []
     for number, track in enumerate(tracks(folder)):
         monitor = IntegrityMonitor(IntegrityOptions(), plain)
         for look in track:
             if look.evidence is None:
                 continue
             protection = monitor.judge(look.evidence, look.ask)
-            rows["features"].append(monitor.features)
-            rows["wrong"].append(look.wrong)
-            rows["at_rival"].append(_at_rival(look))
-            rows["turn"].append(_normalised(look.turn_rad, look.evidence.covariance[:3, :3], 1.0))
-            covariance, range_m = look.evidence.covariance[3:6, 3:6], look.evidence.range_m
-            rows["move"].append(_normalised(look.move_m, covariance, range_m))
-            rows["drift"].append(protection.drift)
-            rows["condition"].append(look.condition)
-            rows["track"].append(number)
-            rows["misled"].append(look.misled)
-    return Poses(**{name: np.array(values) for name, values in rows.items()})
+            spread, range_m = look.evidence.covariance, look.evidence.range_m
+            # A wrong pose is at the rival where that is as far from it as the truth is.
+            rival = abs(look.turn_rad - look.evidence.rival_rad) < np.deg2rad(10.0)
+            rows.append((
+                monitor.features, look.wrong, look.wrong and rival,
+                _normalised(look.turn_rad, spread[:3, :3], 1.0),
+                _normalised(look.move_m, spread[3:6, 3:6], range_m),
+                protection.drift, look.condition, number, look.misled,
+            ))  # fmt: skip
+    return Poses(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def _at_rival(look: Look) -> bool:
-    """A wrong pose whose rival is as far from it as the truth is."""
-    evidence = look.evidence
-    assert evidence is not None
-    return look.wrong and bool(abs(look.turn_rad - evidence.rival_rad) < np.deg2rad(10.0))
-
-
-def _normalised(
-    length: float, covariance: np.ndarray, unit: float
-) -> tuple[float, float, float, float]:
+def _normalised(length: float, covariance: np.ndarray, unit: float) -> tuple[float, ...]:
     largest = float(np.linalg.eigvalsh(covariance)[-1])
     return length, largest, float(np.trace(covariance)) / largest, unit
 
@@ -265,10 +255,9 @@ def _least_scale(over: np.ndarray, reach: np.ndarray) -> float:
 
 
 def run(
-    folder: Annotated[Path, "logs of integrity-draw"],
-    *,
+    folder: Annotated[Path, "logs of integrity-draw"], *,
     write: Annotated[bool, "into the package"] = False,
-) -> None:
+) -> None:  # fmt: skip
     """Fit tails, the odds of a wrong pose and the limit of drifts to logs of integrity-draw."""
     everything = gather(folder)
     weights = wrong_odds(everything)
@@ -283,29 +272,21 @@ def run(
     turn, move = (
         widened(one, shown, e) for one, e in zip(spreads, (sure.turn, sure.move), strict=True)
     )
+    drift = float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))
     model = IntegrityModel(
         attitude=overbound(turn, sure.condition, sure.track, TURN_BIASES),
         position=overbound(move, sure.condition, sure.track, MOVE_BIASES),
-        attitude_spread=spreads[0],
-        position_spread=spreads[1],
-        wrong=weights,
+        attitude_spread=spreads[0], position_spread=spreads[1], wrong=weights,
         at_rival=float((poses.at_rival.sum() + 1) / (poses.wrong.sum() + 2)),  # Laplace's rule
-        smoothing=SMOOTHING,
-        allowance=ALLOWANCE,
-        most=MOST,
-        limit=max(LEAST_LIMIT, float(np.ceil(np.quantile(poses.drift[right], 1.0 - DRIFT_SHARE)))),
+        smoothing=SMOOTHING, allowance=ALLOWANCE, most=MOST, limit=max(LEAST_LIMIT, drift),
         provenance={
-            "experiment": "integrity-fit",
-            "logs": folder.name,
-            "poses": len(poses.wrong),
-            "tracks": len(np.unique(poses.track)),
-            "wrong": int(poses.wrong.sum()),
+            "experiment": "integrity-fit", "logs": folder.name, "poses": len(poses.wrong),
+            "tracks": len(np.unique(poses.track)), "wrong": int(poses.wrong.sum()),
             "misled": int(everything.misled.sum()),
             "misled_tracks": len(np.unique(everything.track[everything.misled])),
-            "raised": lift,
-            "prior": PRIOR,
+            "raised": lift, "prior": PRIOR,
         },
-    )
+    )  # fmt: skip
     for name in names:
         these = poses.condition == name
         print(f"{name}: {these.sum()} poses, {poses.wrong[these].sum()} wrong")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.integrity.draw import SECOND_EVERY
+from rendezview.io.results import read_json_lines
 from rendezview.sensors.appearance.integrity.evidence import Evidence, Second
 
 # A pose is another answer than the truth where its error is larger than this and beyond its tails.
@@ -24,13 +24,11 @@ class Look:
     """One look at one frame."""
 
     condition: str
-    sequence: tuple[int, ...]
-    frame: int
     evidence: Evidence | None  # None: no pose
     second: Second | None
     asked: bool  # whether the second witness was
     error: np.ndarray | None  # (6,) from the pose to the truth; None: another target
-    misled: bool = False  # the track began at a wrong prior on purpose
+    misled: bool  # the track began at a wrong prior on purpose
 
     @property
     def ask(self) -> Callable[[], Second | None] | None:
@@ -64,24 +62,15 @@ def tracks(folder: Path) -> Iterator[list[Look]]:
     for path in sorted(folder.glob("*.jsonl")):
         tracked: dict[tuple[int, ...], list[Look]] = {}
         poses: Counter[tuple[int, ...]] = Counter()
-        for text in path.read_text(encoding="utf-8").splitlines():
-            line = json.loads(text)
-            name = tuple(line["sequence"])
-            asked = line["evidence"] is not None and poses[name] % SECOND_EVERY == 0
-            poses[name] += line["evidence"] is not None
-            tracked.setdefault(name, []).append(_look(line, asked))
+        for line in read_json_lines(path):
+            name, evidence, second = tuple(line["sequence"]), line["evidence"], line["second"]
+            asked = evidence is not None and poses[name] % SECOND_EVERY == 0
+            poses[name] += evidence is not None
+            look = Look(
+                line["condition"],
+                None if evidence is None else Evidence.of_record(evidence),
+                None if second is None else Second(**second), asked,
+                None if line["error"] is None else np.array(line["error"]), line["misled"],
+            )  # fmt: skip
+            tracked.setdefault(name, []).append(look)
         yield from tracked.values()
-
-
-def _look(line: dict, asked: bool) -> Look:
-    evidence, second, error = line["evidence"], line["second"], line["error"]
-    return Look(
-        line["condition"],
-        tuple(line["sequence"]),
-        line["frame"],
-        None if evidence is None else Evidence.of_record(evidence),
-        None if second is None else Second(**second),
-        asked,
-        None if error is None else np.array(error),
-        line.get("misled", False),
-    )

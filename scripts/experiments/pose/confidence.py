@@ -1,8 +1,9 @@
-"""Confidence and covariance of a pose, fitted to logs of ``pose_accuracy`` and ``pose_cut``."""
+"""Confidence and covariance of a pose, fitted to logs of ``pose-accuracy``."""
 
 from __future__ import annotations
 
 import json
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -61,7 +62,7 @@ def inflation(records: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
 def run(
     logs: list[Path], *, output: Annotated[Path | None, "JSON file of the coefficients"] = None
 ) -> None:
-    """Fit confidence and covariance of a pose to logs of pose-accuracy and pose-cut.
+    """Fit confidence and covariance of a pose to logs of pose-accuracy.
 
     Prints, with each target left out in turn, how many answers would be given and wrong at several
     minimum confidences. --output writes the coefficients as edges/error_model.json has them, where
@@ -96,14 +97,11 @@ def run(
         inflation_now = np.round(ErrorModel.packaged().log_inflation + theta, 2)
         made = ErrorModel(log_odds, inflation_now, provenance)
         output.write_text(json.dumps(made.record(), indent=2) + "\n", encoding="utf-8")
-    for mode in ("first", "tracked"):
-        for condition in conditions:
-            these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
-            total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
-            for least in (0.5, 0.6, 0.7, 0.8, 0.9):
-                given = these & (held_out >= least)
-                print(
-                    f"{mode} {condition}: least {least}: right "
-                    f"{100 * np.sum(given & right) / total:.1f} %, wrong "
-                    f"{100 * np.sum(given & ~right) / total:.1f} %"
-                )
+    for mode, condition in product(("first", "tracked"), conditions):
+        these = np.array([(r["mode"], r["condition"]) == (mode, condition) for r in chosen])
+        total = sum((r["mode"], r["condition"]) == (mode, condition) for r in records)
+        for least in (0.5, 0.6, 0.7, 0.8, 0.9):
+            given = these & (held_out >= least)
+            shares = (np.sum(given & which) / total for which in (right, ~right))
+            print("{} {}: least {}: right {:.1%}, wrong {:.1%}".format(mode, condition, least,
+                                                                       *shares))  # fmt: skip

@@ -23,6 +23,7 @@ from scipy.stats import chi2
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 
+from experiments.frame import nees
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.geometry.symmetry import Symmetry, angle_between
@@ -65,6 +66,7 @@ TREES, LEAST_IN_LEAF = 100, 10
 RIDGE = 0.02  # of the weights of the merit
 UNKNOWNS = 6
 WIDER = 2.0  # of the inflation: real craft differ more from their meshes than drawn ones
+CRAFT = 12  # random ones besides
 FOLDS = 5  # of the targets; the frames of each are judged by a fit to those of the others
 # Of random craft: what the search on sketches reads, and next to no trees.
 CRAFT_OPTIONS = TrainingOptions(
@@ -173,14 +175,9 @@ def look(path: Path, mesh: Mesh, target: int, seed: int, k: int) -> list[Searche
 
 
 def _searched(
-    search: SketchSearch,
-    picture: np.ndarray,
-    truth: Pose,
-    prior: Pose | None,
-    target: int,
-    *,
+    search: SketchSearch, picture: np.ndarray, truth: Pose, prior: Pose | None, target: int, *,
     turned: bool = False,
-) -> Searched | None:
+) -> Searched | None:  # fmt: skip
     sky = Sky.of(picture)
     if prior is None:
         choice = search.anywhere(picture, sky, turned=turned)
@@ -188,15 +185,14 @@ def _searched(
         choice = search.near(picture, sky, prior, np.deg2rad(SEARCH_DEG))
     if choice is None:
         return None
-    nees, best = None, choice.pose
+    squared, best, model = None, choice.pose, search.model
     spin = Rotation.from_matrix(best.rotation @ truth.rotation.T).as_rotvec()
     if np.rad2deg(np.linalg.norm(spin)) < NEES_DEG and choice.covariance is not None:
         error = np.concatenate([spin, best.translation_m - truth.translation_m])
-        nees = float(error @ np.linalg.solve(choice.covariance, error))
-    model = search.model
+        squared = nees(error, choice.covariance)
     return Searched(
         choice.looks, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
-        choice.best.pose, choice.pose, choice.spread_deg, nees, target,
+        choice.best.pose, choice.pose, choice.spread_deg, squared, target,
     )  # fmt: skip
 
 
@@ -244,42 +240,9 @@ def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) 
     return found
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Looks: whether the pose is right, whether it is wrong, and whether it is given."""
-
-    good: np.ndarray  # (N,) bool
-    wrong: np.ndarray  # (N,) bool
-    given: np.ndarray  # (N,) bool
-
-    def __str__(self) -> str:
-        return (
-            f"given and right {(self.given & self.good).mean():.3f}, "
-            f"given and wrong {(self.given & self.wrong).mean():.4f}"
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Decided:
-    """Looks whose first opinion is in doubt: which opinion is the more confident one, and why."""
-
-    which: np.ndarray  # (M,) of all looks
-    turned: np.ndarray  # (M,) whether it is the second one
-    features: np.ndarray  # (M, 4) of ``opinion_features``
-
-    @classmethod
-    def of(cls, some: list[Searched], first: np.ndarray, second: np.ndarray) -> Decided:
-        """From the probabilities (N,) of both opinions."""
-        which, turned, features = [], [], []
-        for k, one in enumerate(some):
-            if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
-                continue
-            apart = angle_between(one.choice.pose, one.second.choice.pose, one.symmetries)
-            own, other = sorted((first[k], second[k]), reverse=True)
-            which.append(k)
-            turned.append(second[k] > first[k])
-            features.append(opinion_features(own, other, agree=bool(apart < RIVAL_RAD)))
-        return cls(np.array(which), np.array(turned), np.array(features))
+def shares(good: np.ndarray, wrong: np.ndarray, given: np.ndarray) -> str:
+    """Of looks (N,) each: whether the pose is right, whether wrong, whether it is given."""
+    return f"given and right {(given & good).mean():.3f}, and wrong {(given & wrong).mean():.4f}"
 
 
 def opinion_weights(features: np.ndarray, good: np.ndarray) -> np.ndarray:
@@ -289,35 +252,44 @@ def opinion_weights(features: np.ndarray, good: np.ndarray) -> np.ndarray:
 
 
 def with_second_opinions(
-    some: list[Searched], found: list[np.ndarray], folds: np.ndarray, judged: Judged
-) -> np.ndarray:
+    some: list[Searched], found: list[np.ndarray], folds: np.ndarray, good: np.ndarray,
+    wrong: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """The weights (4,) of the opinions; prints what is given then, by fits to the other folds.
 
-    ``found``: probabilities (N,) of both opinions; ``judged``: by the first one alone.
+    ``found``: probabilities (N,) of both opinions; ``good``, ``wrong``: of the first one's poses.
     """
-    doubted = Decided.of(some, *found)
-    now = Judged(judged.good.copy(), judged.wrong.copy(), judged.given.copy())
-    for k in doubted.which[doubted.turned]:
-        other = some[k].second
-        assert other is not None
-        pose = other.choice.pose
-        now.good[k], now.wrong[k] = other.right(pose), other.error_deg(pose) > WRONG_DEG
-    right = now.good[doubted.which]
+    first, second = found
+    good, wrong, given = good.copy(), wrong.copy(), first > LEAST_CONFIDENCE
+    which, features = [], []
+    for k, one in enumerate(some):
+        if one.second is None or not DOUBT[0] <= first[k] < DOUBT[1]:
+            continue
+        pose, other = one.choice.pose, one.second.choice.pose
+        apart = angle_between(pose, other, one.symmetries)
+        low, high = sorted((first[k], second[k]))
+        which.append(k)
+        features.append(opinion_features(high, low, agree=bool(apart < RIVAL_RAD)))
+        if second[k] > first[k]:  # the second one is more confident
+            good[k], wrong[k] = one.second.right(other), one.second.error_deg(other) > WRONG_DEG
+    doubted, told = np.array(which), np.array(features)
+    right = good[doubted]
     for fold in np.unique(folds):
-        out = folds[doubted.which] == fold
-        weights = opinion_weights(doubted.features[~out], right[~out])
-        now.given[doubted.which[out]] = expit(doubted.features[out] @ weights) > LEAST_CONFIDENCE
-    print(f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: {now}")
-    return opinion_weights(doubted.features, right)
+        out = folds[doubted] == fold
+        weights = opinion_weights(told[~out], right[~out])
+        given[doubted[out]] = expit(told[out] @ weights) > LEAST_CONFIDENCE
+    print(
+        f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: "
+        f"{shares(good, wrong, given)}"
+    )
+    return opinion_weights(told, right)
 
 
-def searched(
-    models: list[Path], meshes: list[Mesh], craft: int, frames: int, seed: int
-) -> list[Searched]:
+def searched(models: list[Path], meshes: list[Mesh], frames: int, seed: int) -> list[Searched]:
     """What the searches find in frames of the targets, and of as many random craft."""
     with tempfile.TemporaryDirectory() as folder, Parallel(n_jobs=-1) as parallel:
         targets = list(zip(models, meshes, strict=True))
-        targets += parallel(delayed(random_target)(Path(folder), seed, k) for k in range(craft))
+        targets += parallel(delayed(random_target)(Path(folder), seed, k) for k in range(CRAFT))
         drawn = parallel(
             delayed(look)(path, mesh, target, seed, k)
             for target, (path, mesh) in enumerate(targets)
@@ -327,67 +299,53 @@ def searched(
 
 
 def run(
-    models: list[Path],
-    *,
-    meshes: str = "hubble.stl,client.stl",
-    craft: Annotated[int, "random craft besides"] = 12,
+    models: list[Path], *, meshes: str = "hubble.stl,client.stl",
     frames: Annotated[int, "of each target"] = 150,
     seeds: Annotated[str, "each with frames and random craft of its own"] = "3,4",
-    opinions: Annotated[bool, "fit the two opinions alone: merit and trees stay"] = False,
-    write: bool = False,
-) -> None:
-    """Fit to MODELS, whose MESHES (in metres) are named in the same order.
+    write: Annotated[bool, "into the package"] = False,
+) -> None:  # fmt: skip
+    """Fit to MODELS, whose MESHES (in metres) are named in the same order, and to 12 random craft.
 
     The shares printed are of targets that the fit did not see (five folds).
     """
     read = [load_mesh(Path(name), "m") for name in meshes.split(",")]
     each = [int(seed) for seed in seeds.split(",")]
-    searches = [s for seed in each for s in searched(models, read, craft, frames, seed)]
+    searches = [s for seed in each for s in searched(models, read, frames, seed)]
     record = json.loads(PACKAGED.read_text(encoding="utf-8"))
-    if not opinions:
-        merit = fitted_merit(searches)
-        record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
-        packaged().merit[:] = merit  # the features and choices are those of the new merit
+    merit = fitted_merit(searches)
+    record["merit"] = dict(zip(POSE_FEATURES, merit.tolist(), strict=True))
+    packaged().merit[:] = merit  # the features and choices are those of the new merit
     arrays: dict[str, np.ndarray] = {}
     for kind, prior in (("anywhere", False), ("near", True)):
         some = [s for s in searches if s.prior == prior]
         choices = [s.choice for s in some]
         features = np.array([c.features for c in choices])
-        good = np.array([s.right(c.pose) for s, c in zip(some, choices, strict=True)])
-        wrong = np.array(
-            [s.error_deg(c.pose) > WRONG_DEG for s, c in zip(some, choices, strict=True)]
-        )
+        pairs = list(zip(some, choices, strict=True))
+        good = np.array([s.right(c.pose) for s, c in pairs])
+        wrong = np.array([s.error_deg(c.pose) > WRONG_DEG for s, c in pairs])
         asked = [features]
         if not prior:
-            both = [c if s.second is None else s.second.choice
-                    for s, c in zip(some, choices, strict=True)]  # fmt: skip
+            both = [c if s.second is None else s.second.choice for s, c in pairs]
             asked.append(np.array([c.features for c in both]))
         folds = np.array([s.target for s in some]) % FOLDS
-        if opinions:
-            kept = packaged().near if prior else packaged().anywhere
-            found = [np.array([kept.probability(one) for one in each]) for each in asked]
-        else:
-            found = probabilities(asked, good, folds)
-            trees = fitted_trees(features, good)
-            arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
-        judged = Judged(good, wrong, found[0] > LEAST_CONFIDENCE)
-        print(f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; {judged}")
+        found = probabilities(asked, good, folds)
+        trees = fitted_trees(features, good)
+        arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
+        print(f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; "
+              f"{shares(good, wrong, found[0] > LEAST_CONFIDENCE)}")  # fmt: skip
         if not prior:
-            weights = with_second_opinions(some, found, folds, judged)
+            weights = with_second_opinions(some, found, folds, good, wrong)
             record["opinions"] = np.round(weights, 3).tolist()
-    nees = np.array([s.nees for s in searches if s.nees is not None])
-    print(f"NEES: median {np.median(nees):.1f}, mean {nees.mean():.1f}, {len(nees)} poses")
-    data = {"experiment": "sketch-confidence", "targets": [p.stem for p in models],
-            "random_craft": craft, "frames_of_each": frames, "seeds": each}  # fmt: skip
-    if opinions:
-        record["provenance"]["opinions"] = data
-    else:
-        # The median: a few poses almost as wrong as NEES_DEG would decide the mean.
-        record["inflation"] *= WIDER * float(np.median(nees) / chi2.median(UNKNOWNS))
-        record["provenance"] = data
+    squares = np.array([s.nees for s in searches if s.nees is not None])
+    print(f"NEES: median {np.median(squares):.1f}, mean {squares.mean():.1f}, {len(squares)} poses")
+    # The median: a few poses almost as wrong as NEES_DEG would decide the mean.
+    record["inflation"] *= WIDER * float(np.median(squares) / chi2.median(UNKNOWNS))
+    record["provenance"] = {
+        "experiment": "sketch-confidence", "targets": [p.stem for p in models],
+        "random_craft": CRAFT, "frames_of_each": frames, "seeds": each,
+    }  # fmt: skip
     text = json.dumps(record, indent=1) + "\n"
     print(text)
     if write:
         PACKAGED.write_text(text, encoding="utf-8")
-        if arrays:
-            np.savez_compressed(PACKAGED_TREES, **arrays)
+        np.savez_compressed(PACKAGED_TREES, **arrays)

@@ -121,5 +121,6 @@ class Served(Processes):
         self.process.wait()
 
     def stop(self) -> None:
+        """As an operator ends it."""
         self.process.send_signal(signal.SIGTERM)
         self.process.wait(60)

@@ -66,6 +66,17 @@ def convolved(x, weight):
     )
 
 
+def unet(layer, halved, joined, x):
+    """The network of given operations on ``x``."""
+    a = layer("a2", layer("a1", x))
+    b = layer("b2", layer("b1", halved(a)))
+    c = layer("c2", layer("c1", halved(b)))
+    d = layer("d2", layer("d1", halved(c)))
+    c = layer("c3", joined(d, c))
+    b = layer("b3", joined(c, b))
+    return layer("out", layer("a3", joined(b, a)))
+
+
 def log_odds(weights, statistics, pictures, learning):
     """(N, H, W) of pictures 0 … 1; batches are normalised by their own statistics or the kept."""
     kept = dict(statistics)
@@ -73,6 +84,8 @@ def log_odds(weights, statistics, pictures, learning):
     def layer(name, x):
         weight, offset, gain = weights[name]
         y = convolved(x, weight)
+        if name == "out":
+            return y + offset
         mean, variance = statistics[name]
         if learning:
             now = y.mean((0, 1, 2)), y.var((0, 1, 2))
@@ -90,14 +103,7 @@ def log_odds(weights, statistics, pictures, learning):
     n, h, w = pictures.shape
     s = SQUARE_PX
     squares = pictures.reshape(n, h // s, s, w // s, s).transpose(0, 1, 3, 2, 4)
-    a = layer("a2", layer("a1", squares.reshape(n, h // s, w // s, PIXELS)))
-    b = layer("b2", layer("b1", halved(a)))
-    c = layer("c2", layer("c1", halved(b)))
-    d = layer("d2", layer("d1", halved(c)))
-    c = layer("c3", joined(d, c))
-    b = layer("b3", joined(c, b))
-    a = layer("a3", joined(b, a))
-    out = convolved(a, weights["out"][0]) + weights["out"][1]
+    out = unet(layer, halved, joined, squares.reshape(n, h // s, w // s, PIXELS))
     out = out.reshape(n, h // s, w // s, s, s).transpose(0, 1, 3, 2, 4)
     return out.reshape(n, h, w), kept
 
@@ -148,38 +154,24 @@ def write(weights, statistics, path: Path) -> None:
             weight, offset = weight * gain, offset - mean * gain
         parts = [constant(f"{name}-weight", weight.transpose(3, 2, 0, 1)),
                  constant(f"{name}-offset", offset)]  # fmt: skip
-        nodes.append(
-            helper.make_node(
-                "Conv", [x, *parts], [f"{name}-sum"], kernel_shape=[3, 3], pads=[1] * 4
-            )
-        )
-        if name == "out":
-            return f"{name}-sum"
-        nodes.append(helper.make_node("Relu", [f"{name}-sum"], [name]))
-        return name
+        made = node("Conv", [x, *parts], f"{name}-sum", kernel_shape=[3, 3], pads=[1] * 4)
+        return made if name == "out" else node("Relu", [made], name)
+
+    def node(kind, inputs, output, **settings):
+        nodes.append(helper.make_node(kind, inputs, [output], **settings))
+        return output
 
     def halved(x):
-        nodes.append(helper.make_node("MaxPool", [x], [f"{x}-half"], kernel_shape=[2, 2],
-                                      strides=[2, 2]))  # fmt: skip
-        return f"{x}-half"
+        return node("MaxPool", [x], f"{x}-half", kernel_shape=[2, 2], strides=[2, 2])
 
     def joined(x, y):
-        nodes.append(
-            helper.make_node("Resize", [x, "", "twice"], [f"{x}-twice"], mode="nearest",
-                             coordinate_transformation_mode="asymmetric", nearest_mode="floor")
-        )  # fmt: skip
-        nodes.append(helper.make_node("Concat", [f"{x}-twice", y], [f"{x}-{y}"], axis=1))
-        return f"{x}-{y}"
+        twice = node("Resize", [x, "", "twice"], f"{x}-twice", mode="nearest",
+                     coordinate_transformation_mode="asymmetric",
+                     nearest_mode="floor")  # fmt: skip
+        return node("Concat", [twice, y], f"{x}-{y}", axis=1)
 
     constant("twice", [1, 1, 2, 2])
-    a = layer("a2", layer("a1", "squares"))
-    b = layer("b2", layer("b1", halved(a)))
-    c = layer("c2", layer("c1", halved(b)))
-    d = layer("d2", layer("d1", halved(c)))
-    c = layer("c3", joined(d, c))
-    b = layer("b3", joined(c, b))
-    out = layer("out", layer("a3", joined(b, a)))
-    shape = [1, PIXELS, "rows", "columns"]
+    out, shape = unet(layer, halved, joined, "squares"), [1, PIXELS, "rows", "columns"]
     graph = helper.make_graph(
         nodes, "foreground",
         [helper.make_tensor_value_info("squares", TensorProto.FLOAT, shape)],
@@ -193,7 +185,7 @@ def write(weights, statistics, path: Path) -> None:
 
 def run(
     frames: Path, network: Annotated[Path, "ONNX file to write"], *, count: int = 5600,
-    steps: Annotated[int, f"of {BATCH} pictures"] = 7000, seed: int = 7,
+    steps: int = 7000, seed: int = 7,
 ) -> None:  # fmt: skip
     """Train the network that separates target and bright sky, on random spacecraft.
 

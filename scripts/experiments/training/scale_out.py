@@ -1,17 +1,15 @@
-"""Training and campaigns on several workers: speed, bytes and kills of docs/scale-out.md."""
+"""Training and campaigns on several workers: speed and bytes of docs/scale-out.md."""
 
 from __future__ import annotations
 
 import os
-import random
-import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import dask
 import distributed
@@ -30,11 +28,7 @@ from rendezview_ground.simulate.command import default_camera
 
 WORKERS, TARGET = 4, "hubble"
 MEDIUM = TrainingOptions(order=2, perturbed_views=1600, held_out_views=400, contour_radii=(1.0,))
-SMALL = replace(MEDIUM, order=1, perturbed_views=600, held_out_views=20)
-TINY = replace(SMALL, order=0, perturbed_views=60)
-KILLED = replace(
-    SMALL, bins=60, smooth_bins=3, resolution_px=64, contour_points=20, contour_resolution_px=64
-)
+TINY = replace(MEDIUM, order=0, perturbed_views=60, held_out_views=20)
 
 
 @contextmanager
@@ -67,13 +61,10 @@ def others_s(ours: list[int]) -> float:
     return busy.user + busy.system + busy.nice + busy.steal - cpu_s([*ours, os.getpid()])
 
 
-def run_training(
-    mesh: Mesh, options: TrainingOptions, executor: ShardExecutor,
-    progress: Callable[[str, int, int], None] | None = None,
-) -> bytes:  # fmt: skip
+def run_training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.rvm"
-        train(mesh, path, name="target", options=options, executor=executor, progress=progress)
+        train(mesh, path, name="target", options=options, executor=executor)
         return path.read_bytes()
 
 
@@ -90,11 +81,19 @@ def load_code(mesh: Mesh, model: ViewModel) -> None:
     run_campaign(model, mesh, 4, Cores(1))
 
 
-def speed(model_path: Path, frames: int) -> None:
-    (_, mesh), model = mesh_of(TARGET), ViewModel.load(model_path)
+def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None:
+    """Training and a campaign of hubble, with its MODEL, on one worker and on four.
+
+    Starts a scheduler and workers of one thread each on this machine, lets every worker load its
+    compiled code, and times the same training and the same campaign. Efficiency is the time of one
+    worker over the time of several, over the number of cores. "CPU" is the CPU time of one worker
+    over the sum of several: it counts repeated work, not waiting, so other load disturbs it less.
+    The bytes must be the same without a cluster.
+    """
+    (_, mesh), loaded = mesh_of(TARGET), ViewModel.load(model)
     works = {
         "training": lambda w: run_training(mesh, MEDIUM, w),
-        "campaign": lambda w: run_campaign(model, mesh, frames, w),
+        "campaign": lambda w: run_campaign(loaded, mesh, frames, w),
     }
     cores = os.cpu_count() or 1
     wall: dict[tuple[str, int], float] = {}
@@ -105,7 +104,7 @@ def speed(model_path: Path, frames: int) -> None:
     for count in (1, WORKERS):
         with local_cluster(count) as (local, cluster):
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
-                client.run(load_code, mesh, model)  # in every worker
+                client.run(load_code, mesh, loaded)  # in every worker
             processes = pids(local)
             for name, work in works.items():
                 spent, own, rest = cpu_s(processes), time.process_time(), others_s(processes)
@@ -127,58 +126,3 @@ def speed(model_path: Path, frames: int) -> None:
             f"CPU {cpu[one] / cpu[many]:.2f}; bytes of one worker, {WORKERS} workers "
             f"and no cluster {'identical' if len(results[name]) == 1 else 'DIFFERENT'}"
         )
-
-
-def kill(runs: int, seed: int) -> None:
-    _, mesh = mesh_of(TARGET)
-    expected = run_training(mesh, KILLED, Cores(-1))
-    passed = 0
-    with local_cluster(WORKERS) as (local, cluster):
-        for run in range(runs):
-            rng = random.Random(1000 * seed + run)
-            stage, after = rng.choice(["views", "contours", "shadows"]), rng.randint(1, 2)
-            with distributed.Client(local.scheduler_address, set_as_default=False) as client:
-                client.wait_for_workers(WORKERS, timeout=300)  # the nanny's new one
-            victim = rng.choice(sorted(pids(local)))
-            killed = []
-
-            def progress(
-                reported: str, done: int, of: int, at: tuple[str, int] = (stage, after),
-                victim: int = victim, killed: list[int] = killed,
-            ) -> None:  # fmt: skip
-                if (reported, done) == at and not killed:
-                    os.kill(victim, signal.SIGKILL)
-                    killed.append(victim)
-
-            start = time.perf_counter()
-            same = run_training(mesh, KILLED, cluster, progress) == expected and bool(killed)
-            passed += same
-            print(
-                f"run {run}: worker killed after shard {after} of {stage}, "
-                f"{'identical' if same else 'DIFFERENT'}, {time.perf_counter() - start:.1f} s",
-                flush=True,
-            )
-    print(f"killed and identical: {passed} of {runs}")
-
-
-def run(
-    part: Literal["speed", "kill"],
-    *, model: Annotated[Path | None, "speed: a trained model of hubble"] = None,
-    frames: Annotated[int, "speed: of the campaign"] = 192, runs: Annotated[int, "kill"] = 10,
-    seed: Annotated[int, "kill: which worker, when"] = 1,
-) -> None:  # fmt: skip
-    """Training and campaigns of hubble on several workers: speed, bytes and kills.
-
-    speed: starts a scheduler and workers of one thread each on this machine, lets every worker
-    load its compiled code, and times the same training and the same campaign. Efficiency is the
-    time of one worker over the time of several, over the number of cores. "CPU" is the CPU time
-    of one worker over the sum of several: it counts repeated work, not waiting, so other
-    load disturbs it less.
-    kill: one worker is killed in the middle of a training; the bytes must be the same.
-    """
-    if part == "kill":
-        kill(runs, seed)
-    elif model is None:
-        raise SystemExit("speed needs --model")
-    else:
-        speed(model, frames)

@@ -87,9 +87,7 @@ def _save(path: Path, **arrays: object) -> None:
 def photographs(chosen, behind: np.ndarray, rng: np.random.Generator):
     """Pictures (N, 2, S, S) as the network sees them, and maps (N, MAPS, S, S), float32."""
     taken = [take(d, behind[rng.integers(len(behind))], rng) for d in chosen]
-    pictures = np.array(
-        [sketch.channels_of(picture) for picture, _ in taken]
-    )  # as it sees, no copy
+    pictures = np.array([sketch.channels_of(picture) for picture, _ in taken])
     return pictures, np.array([maps for _, maps in taken])
 
 
@@ -106,17 +104,15 @@ def written_entropy(path: Path, pictures: np.ndarray, maps: np.ndarray) -> float
 
 
 def run(
-    network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"],
-    *,
+    network: Annotated[Path, "ONNX file to write; the weights go beside it as .pt"], *,
     frames: Annotated[int, "drawings of craft; each is photographed many times"] = 7800,
     large: Annotated[int, "drawings of larger pictures, four times as slow to draw"] = 1800,
-    minutes: Annotated[float, "of training"] = 40.0,
-    seed: int = 11,
+    minutes: Annotated[float, "of training"] = 40.0, seed: int = 11,
     folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
-    start: Annotated[Path | None, "network to go on from: .pt, or .onnx as packaged"] = None,
+    start: Annotated[Path | None, "weights to go on from: the .pt of another run"] = None,
     rate: Annotated[float, "largest step size"] = 2e-3,
     keep: Annotated[float, "share of the weights of --start in the mean that is written"] = 0.0,
-) -> None:
+) -> None:  # fmt: skip
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
     Needs PyTorch and onnx, which the project does not depend on: pip install torch onnx. Draws
@@ -144,16 +140,10 @@ def run(
     held_out, seen = drawn[:held_count], drawn[held_count:]
     large_count = min(LARGE_HELD_OUT, len(larger) // DRAWINGS // 5) * DRAWINGS
     large_out, larger = larger[:large_count], larger[large_count:]
-    print(
-        f"{len(seen)} drawings, {len(larger)} larger, {held_count} and {large_count} held out, "
-        f"{len(behind)} skies",
-        flush=True,
-    )
-    held = [
-        photographs(some, behind, np.random.default_rng(HELD_SEED))
-        for some in (held_out, large_out)
-        if some
-    ]
+    print(f"{len(seen)} drawings, {len(larger)} larger, {held_count} and {large_count} held out, "
+          f"{len(behind)} skies", flush=True)  # fmt: skip
+    outs = [some for some in (held_out, large_out) if some]
+    held = [photographs(some, behind, np.random.default_rng(HELD_SEED)) for some in outs]
     batches: queue.Queue = queue.Queue(AHEAD)
 
     def feed() -> None:
@@ -168,14 +158,13 @@ def run(
     threading.Thread(target=feed, daemon=True).start()
     shown, large_shown = (
         photographs(some[:: -(-len(some) // most)], behind, np.random.default_rng([seed, 3]))[0]
-        if some
-        else []
+        if some else []
         for some, most in ((seen, SHOWN), (larger, LARGE_SHOWN))
-    )
-    begun = None if start is None else unet.started(start, torch.from_numpy(shown))
+    )  # fmt: skip
+    begun = {} if start is None else torch.load(start, map_location="cpu")
     tensors = [tuple(torch.from_numpy(x) for x in batch) for batch in held]
     trained = unet.trained(batches.get, tensors, minutes, seed, begun, rate)
-    if begun is not None and keep > 0.0:
+    if keep > 0.0:
         measured = [batches.get()[0] for _ in range(MEASURED)]
         trained = unet.between(begun, trained, 1.0 - keep, measured)
     unet.write(trained, network, [*shown, *large_shown])
