@@ -15,8 +15,7 @@ from sklearn.tree import DecisionTreeClassifier
 
 from experiments.benchmark.check import Bench, Row, times
 from experiments.flight_code.check import LIMIT_BYTES, OPTIMISE, driver, perturbed
-from experiments.peers import opencv_contrib
-from experiments.timing import Way, race
+from experiments.timing import Way
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.symmetry import angle_between
@@ -111,8 +110,8 @@ def poses(bench: Bench) -> Iterator[Row]:
             off = np.inf if pose is None else angle_between(pose, truth, model.symmetries)
             errors[name].append(math.degrees(off))
     spent = {name: float(np.median(values)) for name, values in table.items()}
-    yield from times("benchmark", spent, dict.fromkeys((TRACKING, WITH_NODES, FIRST),
-                                                       (FLOOR, NEAREST)))  # fmt: skip
+    ours = (TRACKING, WITH_NODES, FIRST)
+    yield from times("benchmark", spent, dict.fromkeys(ours, (FLOOR, NEAREST)))
     for name in (PRIOR, "first pose"):
         ours, peer = np.array(errors[name]), np.array(errors[NEAREST])
         yield Row(f"attitude error, median, {name}", float(np.median(ours)), NEAREST,
@@ -178,13 +177,9 @@ def nodes(bench: Bench) -> Iterator[Row]:
     pose, below = "frame to active nodes and rough pose", "threshold, contours, binning"
     table: dict[str, list[float]] = {pose: [], below: []}
     for frame, prior in zip(frames, priors, strict=True):
-        spent = bench.race(
-            {
-                pose: lambda f=frame, p=prior: recognizer.recognize(f, p),
-                below: node_floor(frame, camera, model.bins),
-            }
-        )
-        for name, value in spent.items():
+        ask = lambda f=frame, p=prior: recognizer.recognize(f, p)  # noqa: E731
+        ways = {pose: ask, below: node_floor(frame, camera, model.bins)}
+        for name, value in bench.race(ways).items():
             table[name].append(value)
     medians = {name: float(np.median(values)) for name, values in table.items()}
     yield from times("recognition-accuracy", medians, {pose: (below,)})
@@ -197,10 +192,6 @@ def nodes(bench: Bench) -> Iterator[Row]:
     ask = lambda: [model.forest.leaves(signature.readings, every, rolls) for _ in range(100)]  # noqa: E731
     spent = bench.race({trees: Way(ask, 100), peer: looped_trees(model)})
     yield from times("recognition-accuracy", spent, {trees: (peer,)})
-    ours = {pose: Way(lambda: recognizer.recognize(frames[0], priors[0]))}
-    for count, ms in opencv_contrib.linemod_ms(bench.peer_python, frames).items():
-        spent_s = race(ours, bench.seconds)[pose]
-        yield Row(pose, spent_s, f"linemod, templates: {count}", 1e-3 * ms, "s", "benchmark")
 
 
 def flight_code(bench: Bench) -> Iterator[Row]:

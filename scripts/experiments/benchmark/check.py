@@ -25,7 +25,6 @@ class Bench:
     problems: int
     seconds: float
     seed: int
-    peer_python: Path | None  # an interpreter with opencv-contrib
 
     @cached_property
     def model(self) -> ViewModel:

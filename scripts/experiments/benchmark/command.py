@@ -22,7 +22,7 @@ from experiments.benchmark.estimation import fusion, segments
 from experiments.benchmark.sensors import reflectors, rings, stereo
 from experiments.benchmark.three_points import three_points
 from experiments.flight_code.check import driver
-from experiments.frame import PeerPython, mesh_of, show, table_of
+from experiments.frame import mesh_of, show, table_of
 from rendezview.io.bundled import find_target
 from rendezview.sensors import appearance
 from rendezview_ground.learn.job import train
@@ -33,15 +33,9 @@ CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "rendez
 AGAIN = 4  # passes at most
 SIZE, SHORT_SIZE = (6, 1000, 1.5), (3, 200, 0.6)  # frames, problems, seconds of a race
 SMALL = TrainingOptions(
-    order=2,
-    resolution_px=256,
-    perturbed_views=1200,
-    held_out_views=50,
-    contour_points=120,
-    contour_radii=(1.0,),
-    contour_resolution_px=400,
-    shadowed_silhouettes=False,
-)
+    order=2, resolution_px=256, perturbed_views=1200, held_out_views=50, contour_points=120,
+    contour_radii=(1.0,), contour_resolution_px=400, shadowed_silhouettes=False,
+)  # fmt: skip
 
 
 def small_model(cache: Path) -> Path:
@@ -61,10 +55,8 @@ def small_model(cache: Path) -> Path:
     return path
 
 
-def absent(peer_python: Path | None) -> Iterator[str]:
+def absent() -> Iterator[str]:
     """A line for every peer that is not in this run, and why."""
-    if peer_python is None:
-        yield "linemod, EdgeDrawing, findEllipses: in opencv-contrib only; give --peer-python"
     for package in ("poselib", "nlopt"):
         if importlib.util.find_spec(package) is None:
             yield f"{package}: not installed"
@@ -115,29 +107,26 @@ def run(
     check: Annotated[Path | None, "exit 1 where a ratio is over 1.5 × the kept one"] = None,
     write: Annotated[Path | None, "keep the ratios in a file"] = None,
     model: Annotated[Path | None, "default model of hubble; else it is trained"] = None,
-    peer_python: PeerPython = None, seed: int = 77, cache: Path = CACHE,
+    seed: int = 77, cache: Path = CACHE,
 ) -> None:  # fmt: skip
     """Everything the README claims, beside its peers and floors.
 
     Ours and the peers are timed in turns, in processor time; each figure is the least of the
     medians of 15 turns. Less is better everywhere; the ratio is ours over the peer's. --short
-    trains a small model of its own once, into --cache. linemod and EdgeDrawing need --peer-python.
+    trains a small model of its own once, into --cache.
     """
     start = time.perf_counter()
     cv2.setNumThreads(1)
     name, mesh = mesh_of("hubble")
-    if short:
-        path, peers = small_model(cache), None
-    else:
-        path, peers = model or cache / "hubble.rvm", peer_python
-        if not path.exists():
-            cache.mkdir(parents=True, exist_ok=True)
-            train(mesh, path, name=name)
+    path = small_model(cache) if short else model or cache / "hubble.rvm"
+    if not path.exists():
+        cache.mkdir(parents=True, exist_ok=True)
+        train(mesh, path, name=name)
     with threadpool_limits(1):
-        bench = Bench(mesh, path, *(SHORT_SIZE if short else SIZE), seed, peers)
+        bench = Bench(mesh, path, *(SHORT_SIZE if short else SIZE), seed)
         rows, wrong = measured(bench, 3 if write else 1, check)
     show_rows(rows)
-    for line in absent(peers):
+    for line in absent():
         print(f"absent: {line}")
     size, spent = path.stat().st_size / 1e6, time.perf_counter() - start
     print(f"seed {seed}; model {size:.1f} MB; {spent:.0f} s")

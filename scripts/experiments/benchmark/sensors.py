@@ -11,7 +11,6 @@ import numpy as np
 
 from experiments.benchmark.check import Bench, Row, times
 from experiments.frame import CLIENT, MODELS_CAD
-from experiments.peers import opencv_contrib
 from experiments.reflectors.accuracy import CAMERA, OPTIONS, random_pose
 from experiments.timing import Way
 from rendezview.calibration.laboratory import calibrate_laboratory
@@ -35,7 +34,7 @@ from rendezview_ground.simulate.ring_frames import RingSceneOptions, random_scen
 
 REFLECTOR_SEED, RING_SEED, STEREO_SEED = 41, 81, 21
 REFLECTOR_RANGE_M = 6.0
-RING_SIZES = ((640, 480), (1280, 960))  # px; the larger one beside opencv-contrib only
+RING_PX = (640, 480)
 STEREO_READINGS, STEREO_PEER_READINGS = 4100, 100
 
 
@@ -82,32 +81,18 @@ def chain_ellipses(frame: np.ndarray) -> list[tuple[object, ...]]:
 
 
 def rings(bench: Bench) -> Iterator[Row]:
-    """The ring detector beside OpenCV's edges with an ellipse through each, and EdgeDrawing."""
-    for width, height in RING_SIZES[: 2 if bench.peer_python else 1]:
-        camera = Camera.from_fov(width, height, math.radians(40.0))
-        scale = width / 640.0
-        options = RingSceneOptions(clutter=2, width_px=(150.0 * scale, 380.0 * scale))
-        many = max(3, bench.frames // 2)
-        rngs = [np.random.default_rng([RING_SEED, width, k]) for k in range(many)]
-        frames = [render_ring_frame(random_scene(camera, rng, options), rng) for rng in rngs]
-        detector = RingDetector(camera)
-        ours, floor = f"ring, {width} × {height}", "Canny, an ellipse through each chain"
-        spent = bench.race(
-            {
-                ours: Way(lambda d=detector, s=frames: [d.detect(f) for f in s], len(frames)),
-                floor: Way(lambda s=frames: [chain_ellipses(f) for f in s], len(frames)),
-            }
-        )
-        yield from times("ring-accuracy", spent, {ours: (floor,)})
-        if bench.peer_python is not None:
-            before, best, after = (
-                opencv_contrib.ellipse_ms(bench.peer_python, frames, 15),
-                [opencv_contrib.least_ms(lambda f=f, d=detector: d.detect(f), 30) for f in frames],
-                opencv_contrib.ellipse_ms(bench.peer_python, frames, 15),
-            )
-            for name, values in after.items():
-                peer_s = 1e-3 * float(np.mean(np.minimum(before[name], values)))
-                yield Row(ours, 1e-3 * float(np.mean(best)), name, peer_s, "s", "ring-accuracy")
+    """The ring detector beside OpenCV's edges with an ellipse through each."""
+    width, height = RING_PX
+    camera = Camera.from_fov(width, height, math.radians(40.0))
+    options = RingSceneOptions(clutter=2, width_px=(150.0, 380.0))
+    many = max(3, bench.frames // 2)
+    rngs = [np.random.default_rng([RING_SEED, width, k]) for k in range(many)]
+    frames = [render_ring_frame(random_scene(camera, rng, options), rng) for rng in rngs]
+    detector = RingDetector(camera)
+    ours, floor = f"ring, {width} × {height}", "Canny, an ellipse through each chain"
+    ways = {ours: Way(lambda: [detector.detect(f) for f in frames], many),
+            floor: Way(lambda: [chain_ellipses(f) for f in frames], many)}  # fmt: skip
+    yield from times("ring-accuracy", bench.race(ways), {ours: (floor,)})
 
 
 def by_paper(rig: Rig, leds: np.ndarray, currents: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 from collections.abc import Callable, Iterator
 
 import cv2
@@ -131,7 +131,7 @@ def solvers() -> dict[str, Solver]:
 
     found: dict[str, Solver] = {"P3P": ours}
     if importlib.util.find_spec("poselib") is not None:
-        poselib = importlib.import_module("poselib")
+        import poselib
 
         def by_poselib(rays: Array, points: Array) -> list[tuple[Array, Array]]:
             units = list(rays / np.linalg.norm(rays, axis=1)[:, None])

@@ -88,20 +88,13 @@ def run(
         make_run(runs / str(seed), seed, views)
         flight = fly(load_run(runs / str(seed)), OPTIONS)
         flights.append(flight)
-        print(
-            f"seed {seed}: {len(flight.samples)} frames, {flight.without_state} without a state, "
-            f"begun {flight.starts}, largest step at a hand-over {flight.jumps['hand-over']:.2f} "
-            f"σ, anywhere {flight.jumps['any']:.2f} σ, lock-outs {flight.lockouts}",
-            flush=True,
-        )
+        print(f"seed {seed}: {len(flight.samples)} frames, {flight.without_state} without a state, "
+              f"begun {flight.starts}, lock-outs {flight.lockouts}", flush=True)  # fmt: skip
     error_tables(flights)
     consistency_table(flights)
-    print(
-        f"\n{seeds} approaches: frames without a state {sum(f.without_state for f in flights)}; "
-        f"restarted {sum(f.starts > 1 for f in flights)}; largest step at a hand-over "
-        f"{max(f.jumps['hand-over'] for f in flights):.2f} σ, of any update "
-        f"{max(f.jumps['any'] for f in flights):.2f} σ"
-    )
+    print(f"\n{seeds} approaches: frames without a state "
+          f"{sum(f.without_state for f in flights)}; restarted "
+          f"{sum(f.starts > 1 for f in flights)}")  # fmt: skip
     if samples:
         rows = [
             {"range_m": s.range_m, "fused": s.fused.tolist(),

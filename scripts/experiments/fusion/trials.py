@@ -47,7 +47,6 @@ from rendezview_ground.simulate.shading import ShadingOptions
 
 CAMERA = Camera(1024, 1024, 800.0, 800.0, 511.5, 511.5)
 FRAME_EVERY = 4  # of the true poses: 2 s
-RECENT_S = 5.0  # since the last measurement of a sensor that has not fallen silent
 LASER_SIGMA_M = 0.02
 LASER_ORIGIN_M = (0.3, 0.0, 0.0)  # beside the camera, along its boresight
 SUN_PHASE_DEG = (10.0, 40.0)
@@ -222,7 +221,6 @@ class Flight:
     """One approach through the filter."""
 
     samples: list[Sample]
-    jumps: dict[str, float]  # largest step of an update over its σ: at hand-overs, and at all
     starts: int
     lockouts: dict[str, int]
 
@@ -248,35 +246,17 @@ def fly(run: Run, options: FusionOptions) -> Flight:
     ring = ring_of_client()
     fusion = Fusion(options)
     samples: list[Sample] = []
-    jumps = {"hand-over": 0.0, "any": 0.0}
-    last_s: dict[str, float] = {}
     pending = list(run.measurements)
     for time_s in sorted(run.truth)[::FRAME_EVERY]:
         spoke: dict[str, Measurement] = {}
         while pending and pending[0].time_s <= time_s:
             measurement = pending.pop(0)
-            sensor, at_s = measurement.sensor, measurement.time_s
-            before = fusion.state_at(at_s)
-            verdict = fusion.add(measurement)
-            if at_s == time_s:
-                spoke[sensor] = measurement
-            if not verdict.accepted:
-                continue
-            after = fusion.state_at(at_s)
-            # The first of a sensor, and the first after another fell silent, are hand-overs.
-            handed = at_s - last_s.get(sensor, -math.inf) > RECENT_S
-            last_s[sensor] = at_s
-            if before.pose is None or after.pose is None or verdict.began:
-                continue
-            sigma = np.sqrt(np.diag(before.covariance)[:6])
-            jump = float((np.abs(off_by(after.pose, before.pose)) / sigma).max())
-            jumps["any"] = max(jumps["any"], jump)
-            since_s = at_s - last_s.get("appearance", -math.inf)
-            if handed or (sensor == "ring" and 0.0 < since_s <= RECENT_S):
-                jumps["hand-over"] = max(jumps["hand-over"], jump)
+            fusion.add(measurement)
+            if measurement.time_s == time_s:
+                spoke[measurement.sensor] = measurement
         samples.append(_sample(fusion, time_s, run.truth[time_s], spoke, ring))
     lockouts = {name: trust.lockouts for name, trust in fusion.trusts.items()}
-    return Flight(samples, jumps, fusion.starts, lockouts)
+    return Flight(samples, fusion.starts, lockouts)
 
 
 def _sample(

@@ -53,13 +53,13 @@ def replay(folder: Path, risk: float) -> Campaign:
         monitor = IntegrityMonitor(IntegrityOptions(risk=risk, **limits))
         for k, look in enumerate(poses):
             found = monitor.judge(look.evidence, look.ask)
-            turn = (look.turn_rad, found.attitude_rad)
-            rows.append([*turn, look.move_m, found.position_m, found.alarm])
+            moved = (look.move_m, found.position_m, found.alarm)
+            rows.append([look.turn_rad, found.attitude_rad, *moved])
             age.append(k)
             conditions.append(look.condition)
             tracked.append(look.evidence.innovation is not None)
-    *levels, alarm = np.array(rows, dtype=np.float64).T
-    judged = Judged(*levels, alarm > 0.5)
+    turn, turn_level, move, move_level, alarm = np.array(rows, dtype=np.float64).T
+    judged = Judged(turn, turn_level, move, move_level, alarm > 0.5)
     return Campaign(judged, np.array(conditions), np.array(tracked), np.array(age), frames)
 
 

@@ -76,6 +76,7 @@ def quiet(rig: Rig) -> Rig:
     """As the rig file of a mean of so many scans, which has less noise."""
     cameras = []
     for one in rig.cameras:
+        assert one.photodiode is not None
         diode = replace(one.photodiode, noise=one.photodiode.noise / np.sqrt(AVERAGED))
         cameras.append(replace(one, photodiode=diode))
     return replace(rig, cameras=tuple(cameras))

@@ -35,7 +35,6 @@ LARGE_HELD_OUT = 4  # craft
 HELD_SEED = 5  # of their photographs
 # Pictures that set the scales of the whole numbers of the network as written; and larger ones.
 SHOWN, LARGE_SHOWN = 64, 16
-MEASURED = 24  # batches on which the normalisation of a mean of weights is measured
 AHEAD = 6  # batches that are made while the network learns
 
 
@@ -109,9 +108,6 @@ def run(
     large: Annotated[int, "drawings of larger pictures, four times as slow to draw"] = 1800,
     minutes: Annotated[float, "of training"] = 40.0, seed: int = 11,
     folder: Annotated[Path, "keeps the drawings and skies"] = Path("sketch-frames"),
-    start: Annotated[Path | None, "weights to go on from: the .pt of another run"] = None,
-    rate: Annotated[float, "largest step size"] = 2e-3,
-    keep: Annotated[float, "share of the weights of --start in the mean that is written"] = 0.0,
 ) -> None:  # fmt: skip
     """Train the network that sketches a photograph, on random spacecraft in hard light.
 
@@ -123,8 +119,6 @@ def run(
     The 7800 drawings take ten minutes on two cores and 4 GB of memory; the step count depends on
     the machine, so the weights are not the same twice.
     """
-    if not 0.0 <= keep < 1.0 or (keep > 0.0 and start is None):
-        sys.exit("--keep must be at least 0 and less than 1, and needs --start")
     try:
         import torch
 
@@ -161,12 +155,8 @@ def run(
         if some else []
         for some, most in ((seen, SHOWN), (larger, LARGE_SHOWN))
     )  # fmt: skip
-    begun = {} if start is None else torch.load(start, map_location="cpu")
     tensors = [tuple(torch.from_numpy(x) for x in batch) for batch in held]
-    trained = unet.trained(batches.get, tensors, minutes, seed, begun, rate)
-    if keep > 0.0:
-        measured = [batches.get()[0] for _ in range(MEASURED)]
-        trained = unet.between(begun, trained, 1.0 - keep, measured)
+    trained = unet.trained(batches.get, tensors, minutes, seed)
     unet.write(trained, network, [*shown, *large_shown])
     size_mb = network.stat().st_size / 1e6
     entropies = ", ".join(f"{written_entropy(network, *batch):.3f}" for batch in held)

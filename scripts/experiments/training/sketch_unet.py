@@ -13,7 +13,8 @@ from onnxruntime.quantization import CalibrationDataReader, QuantType, quantize_
 from torch import nn
 from torch.nn import functional
 
-from rendezview.sensors.appearance.edges.network import COVER, MAPS, SQUARE_PX, to_squares
+from rendezview.sensors.appearance.edges.network import SQUARE_PX, to_squares
+from rendezview.sensors.appearance.model.sketches import COVER, MAPS
 
 CHANNELS = 2  # grey levels, and faint differences magnified
 # Channels at full size, a half, a quarter, an eighth and a sixteenth of the squares.
@@ -22,6 +23,7 @@ LINE_WEIGHT = 3.0  # of a pixel on a line: most are on none
 MAP_WEIGHTS = (1.0, 1.5, 1.5)
 DICE_PX = 50.0  # px²; keeps the overlap of small targets smooth
 WARM_UP, REPORT_EVERY = 200, 200  # steps
+LEARNING_RATE = 2e-3
 MEAN_DECAY = 0.998  # of the running mean of the weights, a step
 HELD_BATCH = 16
 Batch = tuple[torch.Tensor, torch.Tensor]  # pictures (N, 2, S, S) and maps (N, MAPS, S, S)
@@ -123,17 +125,14 @@ def judged(network, held: Batch, device: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def trained(
-    next_batch: Callable[[], Batch], held: list[Batch], minutes: float, seed: int, start: dict,
-    rate: float,
-) -> SketchUNet:  # fmt: skip
+    next_batch: Callable[[], Batch], held: list[Batch], minutes: float, seed: int
+) -> SketchUNet:
     """The running mean of the weights after AdamW with a cosine of learning rates over the time."""
     torch.manual_seed(seed)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     network, mean = (
         SketchUNet().to(device=device, memory_format=torch.channels_last) for _ in range(2)
     )
-    if start:
-        network.load_state_dict(start)
     # Half the bits are as exact, and faster where the processor has them.
     brief = device == "cuda" or torch.ops.mkldnn._is_mkldnn_bf16_supported()
     mean.load_state_dict(network.state_dict())
@@ -141,7 +140,7 @@ def trained(
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=1e-3)
     began, step, running = time.monotonic(), 0, []
     while (done := (time.monotonic() - began) / (60.0 * minutes)) < 1.0:
-        now = rate * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
+        now = LEARNING_RATE * min(1.0, (step + 1) / WARM_UP) * 0.5 * (1.0 + np.cos(np.pi * done))
         for group in optimizer.param_groups:
             group["lr"] = now + 1e-6
         pictures, maps = (part.to(device) for part in next_batch())
@@ -159,28 +158,6 @@ def trained(
             _report(step, running[-REPORT_EVERY:], mean, held, device)
     _report(step, running[-REPORT_EVERY:], mean, held, device)
     return mean.cpu()
-
-
-def between(start: dict, end: SketchUNet, share: float, pictures: list[torch.Tensor]) -> SketchUNet:
-    """The network whose weights lie a share of the way from one network's to another's.
-
-    Better than either on pictures unlike those of the training (Wortsman et al. 2022). Its layers'
-    values are not between theirs, so their normalisation is measured again on ``pictures``
-    (N, CHANNELS, S, S) each.
-    """
-    network = SketchUNet()
-    network.load_state_dict(start)
-    with torch.no_grad():
-        for weight, other in zip(network.parameters(), end.parameters(), strict=True):
-            weight.lerp_(other, share)
-        for module in network.modules():
-            if isinstance(module, nn.BatchNorm2d):
-                module.reset_running_stats()
-                module.momentum = None  # the mean of all that comes
-        network.train()
-        for batch in pictures:
-            log_odds(network, batch)
-    return network.eval()
 
 
 def _follow(mean, network, decay: float) -> None:

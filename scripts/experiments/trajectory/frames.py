@@ -99,7 +99,7 @@ def suns(rotations: Array, still: Array, phase_rad: float, rng: np.random.Genera
     return np.asarray(np.einsum("nij,nj->ni", still, moved))
 
 
-def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str, Array]:
+def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str, np.ndarray]:
     """One segment through the renderer and both trackers, as arrays."""
     centre_m = model.centre_m
     places, turns = true_path(kind, model.target_radius_m, centre_m, seed)
@@ -123,12 +123,8 @@ def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str
         trees += [(k, rough.pose)] * (rough.pose is not None)
         outlines += [(k, rough.signature)] * (rough.signature is not None)
     return {
-        "centre_m": centre_m,
-        "radius_m": np.array(model.target_radius_m),
-        "times_s": times_s,
-        "truth_m": truth,
-        "true_rotation": rotations,
-        "jitter": jitter,
+        "centre_m": centre_m, "radius_m": np.array(model.target_radius_m), "times_s": times_s,
+        "truth_m": truth, "true_rotation": rotations, "jitter": jitter,
         "pose_frame": np.array([k for k, _, _ in refined]),
         "rotation": np.array([pose.rotation for _, pose, _ in refined]),
         "translation_m": np.array([pose.translation_m for _, pose, _ in refined]),
@@ -142,4 +138,4 @@ def observations(model: ViewModel, mesh: Mesh, kind: str, seed: int) -> dict[str
         "centred_from_camera": np.array([s.centred_from_camera for _, s in outlines]),
         "tree_frame": np.array([k for k, _ in trees]),
         "tree_rotation": np.array([pose.rotation for _, pose in trees]),
-    }
+    }  # fmt: skip
