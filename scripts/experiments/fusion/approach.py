@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.fusion.trials import OPTIONS, Flight, fly, load_run, make_run
+from experiments.fusion.trials import Flight, fly, load_run, make_run
 from rendezview.sensors.appearance import ViewModel
 
 EDGES_M = (60.1, 45.0, 32.0, 22.0, 16.0, 11.0, 7.5, 5.0, 3.0, 2.0, 0.9)
@@ -86,7 +86,7 @@ def run(
     flights = []
     for seed in range(seeds):
         make_run(runs / str(seed), seed, views)
-        flight = fly(load_run(runs / str(seed)), OPTIONS)
+        flight = fly(load_run(runs / str(seed)))
         flights.append(flight)
         print(f"seed {seed}: {len(flight.samples)} frames, {flight.without_state} without a state, "
               f"begun {flight.starts}, lock-outs {flight.lockouts}", flush=True)  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from experiments.fusion.trials import OPTIONS, Flight, Run, fly, load_run
+from experiments.fusion.trials import Flight, Run, fly, load_run
 from rendezview.fusion import (
     Measurement,
     PoseMeasurement,
@@ -52,13 +51,10 @@ def lying(measurement: Measurement) -> Measurement:
 
 def with_fault(run: Run, sensors: tuple[str, ...], fault: str, third: int) -> Run:
     """The run with a fault in a third of its time; the last frame is in the last third."""
-    end_s = max(run.truth)
-    start_s = end_s * third / 3.0
-    stop_s = end_s * (third + 1) / 3.0 if third < 2 else math.inf
-    changed: list[Measurement] = []
+    third_s, changed = max(run.truth) / 3.0, list[Measurement]()
     for measurement in run.measurements:
-        hit = measurement.sensor in sensors and start_s <= measurement.time_s < stop_s
-        if not hit:
+        here = min(int(measurement.time_s / third_s), 2) == third
+        if measurement.sensor not in sensors or not here:
             changed.append(measurement)
         elif fault == "lying":
             changed.append(lying(measurement))
@@ -123,7 +119,7 @@ def run(runs: Path, *, seeds: int = 50) -> None:
     for name, sensors in SENSORS.items():
         for fault in FAULTS if sensors else ("–",):
             for third, word in enumerate(THIRDS if sensors else THIRDS[:1]):
-                flights = [fly(with_fault(run, sensors, fault, third), OPTIONS) for run in kept]
+                flights = [fly(with_fault(run, sensors, fault, third)) for run in kept]
                 found = [outcome(flight, sensors, third) for flight in flights]
                 print(
                     f"{name:11s} {fault:6s} {word:7s} {_two([o.worst for o in found])} "

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import CLIENT
+from experiments.frame import CLIENT, nees
 from rendezview.errors import RendezviewError
 from rendezview.fusion import (
     BeamSurface,
@@ -130,10 +130,8 @@ def ring_run(folder: Path) -> None:
     Its prior of a frame is the forecast of the filter, as on board: the filter runs along, with the
     recognizer, the ranger, and the rings found so far.
     """
-    ring = ring_of_client()
-    context = LogContext(ring, SURFACES)
-    others = [read_log(folder / f"{name}.jsonl", name, context) for name in ("appearance", "laser")]
-    pending, fusion = list(merged(others)), Fusion(OPTIONS)
+    ring, fusion = ring_of_client(), Fusion(OPTIONS)
+    pending = measurements_of(folder, ("appearance", "laser"))
 
     def prior(frame: Frame) -> RingPrior | None:
         while pending and pending[0].time_s <= frame.time_s:
@@ -187,21 +185,15 @@ class Run:
 
 def load_run(folder: Path) -> Run:
     """The logs of a folder, as `rendezview fuse` reads them."""
-    ring = ring_of_client()
-    context = LogContext(ring, SURFACES)
-    names = ("appearance", "ring", "laser")
-    logs = [read_log(folder / f"{name}.jsonl", name, context) for name in names]
-    truth = {
-        round(line["time_s"], 6): Pose.from_quat_wxyz(**line["pose"])
-        for line in read_json_lines(folder / "truth.jsonl")
-    }
-    return Run(merged(logs), truth)
+    lines = read_json_lines(folder / "truth.jsonl")
+    truth = {round(line["time_s"], 6): Pose.from_quat_wxyz(**line["pose"]) for line in lines}
+    return Run(measurements_of(folder, ("appearance", "ring", "laser")), truth)
 
 
-def off_by(pose: Pose, truth: Pose) -> Array:
-    """(6,) perturbation from truth to an estimate."""
-    turn = so3.between(pose.rotation, truth.rotation)
-    return np.concatenate([turn, pose.translation_m - truth.translation_m])
+def measurements_of(folder: Path, sensors: tuple[str, ...]) -> list[Measurement]:
+    """The logs of some sensors, in the order of their times."""
+    context = LogContext(ring_of_client(), SURFACES)
+    return list(merged([read_log(folder / f"{name}.jsonl", name, context) for name in sensors]))
 
 
 @dataclass(frozen=True)
@@ -210,7 +202,6 @@ class Sample:
 
     time_s: float
     range_m: float  # camera to ring plane, true
-    status: Status
     fused: Array  # place of the ring's centre (m), its depth (m), axis (rad), attitude (rad)
     single: dict[str, Array]  # the same of each sensor
     nees: float  # of the six of the pose
@@ -241,12 +232,10 @@ def _angle(one: Array, other: Array) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
 
 
-def fly(run: Run, options: FusionOptions) -> Flight:
+def fly(run: Run) -> Flight:
     """All measurements through the filter in order of arrival, judged at the camera's frames."""
-    ring = ring_of_client()
-    fusion = Fusion(options)
+    ring, fusion, pending = ring_of_client(), Fusion(OPTIONS), list(run.measurements)
     samples: list[Sample] = []
-    pending = list(run.measurements)
     for time_s in sorted(run.truth)[::FRAME_EVERY]:
         spoke: dict[str, Measurement] = {}
         while pending and pending[0].time_s <= time_s:
@@ -263,11 +252,12 @@ def _sample(
     fusion: Fusion, time_s: float, truth: Pose, spoke: dict[str, Measurement], ring: DockingRing
 ) -> Sample:
     estimate = fusion.state_at(time_s)
-    fused, nees = np.full(4, np.nan), np.nan
-    if estimate.pose is not None and estimate.covariance is not None:
-        fused = four_errors(estimate.pose, truth, ring)
-        off = off_by(estimate.pose, truth)
-        nees = float(off @ np.linalg.solve(estimate.covariance[:6, :6], off))
+    pose, fused, squared = estimate.pose, np.full(4, np.nan), np.nan
+    if pose is not None:
+        fused = four_errors(pose, truth, ring)
+        turn = so3.between(pose.rotation, truth.rotation)
+        off = np.concatenate([turn, pose.translation_m - truth.translation_m])
+        squared = nees(off, estimate.covariance[:6, :6])
     single = {}
     for name, measurement in spoke.items():
         if isinstance(measurement, PoseMeasurement):
@@ -289,5 +279,4 @@ def _sample(
             distance = normal @ (truth.apply(surface.point_m) - measurement.origin_m)
             off_m = abs(measurement.range_m - distance / (normal @ measurement.direction))
             single[name] = np.array([np.nan, off_m, np.nan, np.nan])
-    range_m = float(truth.apply(ring.centre_m)[2])
-    return Sample(time_s, range_m, estimate.status, fused, single, nees)
+    return Sample(time_s, float(truth.apply(ring.centre_m)[2]), fused, single, squared)

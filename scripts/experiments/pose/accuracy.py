@@ -69,7 +69,7 @@ def single_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose)
     refined = refiner.refine(image, sky, prior)
     if refined is None:
         return []
-    shadings = (None, recognizer.search.shading.of(image, sky, refined.pose))
+    shadings = (None, recognizer.search.whole.shading.of(image, sky, refined.pose))
     looks = [Found(refined, 0.0, 1.0, sky.dark, True, shading=shading) for shading in shadings]
     return [{"mode": "lone"} | features_of(look, truth, recognizer.model) for look in looks]
 

@@ -5,22 +5,14 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD, show, table_of
+from experiments.frame import MODELS_CAD, show, table_of, tests_module
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.cases import (
-    SIGNAL_TO_NOISE,
-    Job,
-    Simulator,
-    leds_of,
-    spots_of,
-    squared_error,
-)
-from experiments.stereo.starts import faults, recovery
+from experiments.stereo.board import Simulator, squared_error
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -29,21 +21,20 @@ from rendezview.sensors.beacons import (
     Normalisation,
     Rig,
     Sights,
+    Spots,
     StereoTracker,
     TrackerOptions,
     yaw_pitch_roll,
 )
 from rendezview.sensors.beacons.detect.led_spots import find_spots
 from rendezview.sensors.beacons.match.agreement import iterate
+from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions
 
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it
-RATE_HZ = 10.0
-RUNS = 100
+RATE_HZ, SIGNAL_TO_NOISE = 10.0, 200.0
 AVERAGED = 60  # the paper: "several"; its calibration averages 60
-
-
 _NO_POSE = np.full((3, 3), np.nan)
 
 
@@ -82,57 +73,6 @@ def quiet(rig: Rig) -> Rig:
     return replace(rig, cameras=tuple(cameras))
 
 
-def figure8(job: Job, target: Target) -> None:
-    """Measured angle against set angle: slope and scatter about the line, beside the bound."""
-    runs = job.cases or RUNS
-    laboratory = job.laboratory(target, distorted=True)
-    rng = np.random.default_rng(job.seed)
-    record = laboratory.calibration(rng)
-    rig = calibrate_laboratory(record).rig
-    plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
-    columns = "step | method | readings | slope | scatter | bound | ratio | NEES"
-    table = table_of("figure 8", columns, left=8)
-    for step in PAPER:
-        angles = step * (np.arange(POSITIONS) - POSITIONS // 2)
-        poses = laboratory.stage(np.deg2rad(angles))
-        lines: dict[str, list[tuple[float, float]]] = defaultdict(list)
-        squares: dict[str, list[float]] = defaultdict(list)
-        none: Counter[str] = Counter()  # readings without a pose
-        for _ in range(runs):
-            currents = laboratory.currents(poses, rng)
-            noise = rng.normal(0.0, laboratory.noise / np.sqrt(AVERAGED), currents.shape)
-            mean = laboratory.currents(poses, None) + noise
-            for name, given in (("paper, one scan", currents), (f"paper, {AVERAGED} scans", mean)):
-                lines[name].append(line(angles, by_paper(plain, target, given, poses[0])))
-            turned: dict[str, np.ndarray] = {}
-            for name, cameras, given, motion in (
-                ("ours, one scan", rig, currents, None),
-                ("ours, filter", rig, currents, MotionOptions()),
-                (f"ours, {AVERAGED} scans", quiet(rig), mean, None),
-            ):
-                turned[name], off = by_tracker(cameras, target, given, motion, poses)
-                squares[name] += off
-            for name, rotations in (turned | by_others(rig, target, currents)).items():
-                none[name] += int(np.isnan(rotations[:, 0, 0]).sum())
-                lines[name].append(line(angles, turned_deg(rotations)))
-        table.add_row(f"{step}°", "paper, as printed", "several scans", "≠ 1", f"{PAPER[step]}°")
-        bound = bound_deg(laboratory.bound(pose) for pose in poses)
-        for name, found in lines.items():
-            scans = AVERAGED if f"{AVERAGED}" in name else 1
-            own = None if "filter" in name else bound / np.sqrt(scans)
-            table.add_row(*cells(step, name, scans, found, own, squares[name]))
-        options = PictureOptions(signal_to_noise=SIGNAL_TO_NOISE)
-        found, off = [], []
-        for _ in range(max(runs // 10, 1)):
-            rotations, own = by_pictures(laboratory, target, poses, options, rng)
-            found.append(line(angles, turned_deg(rotations)))
-            off += own
-        bound = bound_deg(laboratory.picture_bound(pose, options) for pose in poses)
-        table.add_row(*cells(step, "ours, two picture cameras", 1, found, bound, off))
-        print(f"{step}°, readings without a pose: {dict(none)}")
-    show(table, width=110)
-
-
 def bound_deg(covariances: Iterable[np.ndarray]) -> float:
     """Least r.m.s. error of the turn about z."""
     return float(np.rad2deg(np.sqrt(np.mean([one[2, 2] for one in covariances]))))
@@ -151,6 +91,16 @@ def cells(
         f"{slopes.mean():.4f}", f"{scatter:.5f}°", *against,
         f"{np.mean(squares):.1f}" if squares else "",
     ]  # fmt: skip
+
+
+def leds_of(target: Target) -> np.ndarray:
+    """(L, 3) places of the lights, target frame."""
+    return np.array([led.position_m for led in target.leds])
+
+
+def spots_of(rig: Rig, currents: np.ndarray) -> list[Spots]:
+    """The spots of each camera of a reading (C, L, 4)."""
+    return [c.photodiode.read(row) for c, row in zip(rig.cameras, currents, strict=True)]
 
 
 def by_paper(rig: Rig, target: Target, currents: np.ndarray, first: Pose) -> np.ndarray:
@@ -209,20 +159,60 @@ def by_pictures(
     return np.stack(rotations), squares
 
 
-def run(
-    *, part: Literal["figure8", "recovery", "faults"], seed: int = 11,
-    cases: Annotated[int | None, "default: 100 runs; 10000; 2000"] = None,
-    simulator: Simulator = "own",
-) -> None:  # fmt: skip
+def run(*, seed: int = 11, runs: int = 100, simulator: Simulator = "own") -> None:
     """Pose errors of the stereo LED tracker in its simulated laboratory, signal-to-noise 200.
 
-    figure8: a stage turns by 2° or 0.5° a reading, as in figure 8 of Welch et al. (1991); measured
-    angle against set angle, slope and scatter about the line, beside the Cramér–Rao bound. The
-    photodiode rig is calibrated in the simulation first. NEES of poses, calibration included.
-    recovery: the pose from one reading, without a prior.
-    faults: lights missing, exchanged, or reflected; NEES of the right ones.
-    --simulator: the product's own, or the tests' plain one, which shares no code with it.
+    A stage turns by 2° or 0.5° a reading, as in figure 8 of Welch et al. (1991): measured angle
+    against set angle, slope and scatter about the line, beside the Cramér–Rao bound. The photodiode
+    rig is calibrated in the simulation first. NEES of poses, calibration included. --simulator: the
+    product's own, or the tests' plain one, which shares no code with it.
     """
-    parts = {"figure8": figure8, "recovery": recovery, "faults": faults}
-    print(f"seed {seed}, signal-to-noise {SIGNAL_TO_NOISE:g}, {simulator} simulator")
-    parts[part](Job(seed, cases, simulator), Target.load(MODELS_CAD / "scole"))
+    target, rng = Target.load(MODELS_CAD / "scole"), np.random.default_rng(seed)
+    both = tests_module("plain_laboratory")
+    made = both.PlainLaboratory if simulator == "plain" else both.OwnLaboratory
+    options = LaboratoryOptions(signal_to_noise=SIGNAL_TO_NOISE, distorted=True)
+    laboratory = made(leds_of(target), options, seed)
+    record = laboratory.calibration(rng)
+    rig = calibrate_laboratory(record).rig
+    plain = calibrate_laboratory(record, Normalisation.PAIR, order=3).rig
+    columns = "step | method | readings | slope | scatter | bound | ratio | NEES"
+    table = table_of(f"figure 8, seed {seed}, {simulator} simulator", columns, left=8)
+    for step in PAPER:
+        angles = step * (np.arange(POSITIONS) - POSITIONS // 2)
+        poses = laboratory.stage(np.deg2rad(angles))
+        lines: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        squares: dict[str, list[float]] = defaultdict(list)
+        none: Counter[str] = Counter()  # readings without a pose
+        for _ in range(runs):
+            currents = laboratory.currents(poses, rng)
+            noise = rng.normal(0.0, laboratory.noise / np.sqrt(AVERAGED), currents.shape)
+            mean = laboratory.currents(poses, None) + noise
+            for name, given in (("paper, one scan", currents), (f"paper, {AVERAGED} scans", mean)):
+                lines[name].append(line(angles, by_paper(plain, target, given, poses[0])))
+            turned: dict[str, np.ndarray] = {}
+            for name, cameras, given, motion in (
+                ("ours, one scan", rig, currents, None),
+                ("ours, filter", rig, currents, MotionOptions()),
+                (f"ours, {AVERAGED} scans", quiet(rig), mean, None),
+            ):
+                turned[name], off = by_tracker(cameras, target, given, motion, poses)
+                squares[name] += off
+            for name, rotations in (turned | by_others(rig, target, currents)).items():
+                none[name] += int(np.isnan(rotations[:, 0, 0]).sum())
+                lines[name].append(line(angles, turned_deg(rotations)))
+        table.add_row(f"{step}°", "paper, as printed", "several scans", "≠ 1", f"{PAPER[step]}°")
+        bound = bound_deg(laboratory.bound(pose) for pose in poses)
+        for name, found in lines.items():
+            scans = AVERAGED if f"{AVERAGED}" in name else 1
+            own = None if "filter" in name else bound / np.sqrt(scans)
+            table.add_row(*cells(step, name, scans, found, own, squares[name]))
+        options = PictureOptions(signal_to_noise=SIGNAL_TO_NOISE)
+        found, off = [], []
+        for _ in range(max(runs // 10, 1)):
+            rotations, own = by_pictures(laboratory, target, poses, options, rng)
+            found.append(line(angles, turned_deg(rotations)))
+            off += own
+        bound = bound_deg(laboratory.picture_bound(pose, options) for pose in poses)
+        table.add_row(*cells(step, "ours, two picture cameras", 1, found, bound, off))
+        print(f"{step}°, readings without a pose: {dict(none)}")
+    show(table, width=110)

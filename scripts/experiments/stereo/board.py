@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from experiments.frame import MODELS_CAD, show, table_of, tests_module
+from experiments.frame import MODELS_CAD, nees, show, table_of, tests_module
 from experiments.peers.pnp import PEERS, median_deg
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.cases import Simulator, squared_error
 from rendezview.calibration.board import BoardViews, Chessboard, calibrate_board
 from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
+from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import Rig, RigCamera, Spots, StereoTracker
+from rendezview.sensors.beacons import Rig, RigCamera, Spots, StereoObservation, StereoTracker
 from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
 
+Simulator = Literal["own", "plain"]
 Project = Callable[[np.ndarray], np.ndarray]  # (N, 3), first camera's frame → (N, 2) px
 
 BOARD = Chessboard(9, 6, 0.025)
@@ -25,6 +27,13 @@ SIZE = (1280, 960)
 RIGS, POSES, PAIRS, CORNER_PX = 20, 10, 12, 0.15
 SPOTS_PX = (0.05, 0.15)
 plain = tests_module("plain_lights")
+
+
+def squared_error(observation: StereoObservation, truth: Pose) -> float:
+    """NEES of a pose in the first camera's frame; 6 is right."""
+    pose = observation.pose
+    turned, moved = between(pose.rotation, truth.rotation), pose.translation_m - truth.translation_m
+    return nees(np.append(turned, moved), observation.covariance)
 
 
 def true_rig(rng: np.random.Generator) -> Rig:
