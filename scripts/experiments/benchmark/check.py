@@ -80,21 +80,19 @@ def best(rows: Iterable[Row]) -> dict[str, Row]:
     found: dict[str, Row] = {}
     for row in rows:
         other = found.get(row.key, row)
-        found[row.key] = replace(
-            row, ours=min(row.ours, other.ours), peer=min(row.peer, other.peer)
-        )
+        least = min(row.ours, other.ours), min(row.peer, other.peer)
+        found[row.key] = replace(row, ours=least[0], peer=least[1])
     return found
 
 
 def write(rows: Iterable[Row], path: Path) -> None:
     """Ratios to be kept, and the numbers they came of, for readers."""
-    kept = {}
+    kept: dict[str, dict[str, object]] = {}
     for row in rows:
         ours, peer, unit = row.shown()
-        kept[row.key] = {
-            "ratio": float(f"{row.ratio:.4g}"), "ours": float(f"{ours:.4g}"),
-            "peer": float(f"{peer:.4g}"), "unit": unit,
-        }  # fmt: skip
+        numbers = {"ratio": row.ratio, "ours": ours, "peer": peer}
+        kept[row.key] = {name: float(f"{value:.4g}") for name, value in numbers.items()}
+        kept[row.key]["unit"] = unit
     path.write_text(json.dumps(kept, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 from collections.abc import Callable, Iterator
 
@@ -13,8 +14,8 @@ from experiments.benchmark.check import Bench, Row, times
 from experiments.timing import Way
 from rendezview.estimation.p3p import solve_p3p, solve_p3p_batch
 
-BASE, POST = 0.3683, 0.1016  # m, of the paper's target
-TARGET = np.array([[0.0, 0.0, POST], [-0.5 * BASE, 0.0, 0.0], [0.5 * BASE, 0.0, 0.0]])
+# m, the paper's target
+TARGET = np.array([[0.0, 0.0, 0.1016], [-0.5 * 0.3683, 0.0, 0.0], [0.5 * 0.3683, 0.0, 0.0]])
 HEAD_ON = np.diag([1.0, -1.0, -1.0])
 UP = np.array([0.0, 0.0, 1.0])
 SEED, NEAR = 11, 1e-6  # an error, rad and of the range, of the true pose
@@ -24,9 +25,10 @@ Problem = tuple[Array, Array, Array]  # rotations, translations, points (N, 3, 3
 Solver = Callable[[Array, Array], list[tuple[Array, Array]]]
 
 
-def aside(rng: np.random.Generator, n: int) -> Array:
-    """(N, 3) directions anywhere in a 33° field, z = 1."""
-    return np.column_stack([rng.uniform(-0.3, 0.3, (n, 2)), np.ones(n)])
+def away(rng: np.random.Generator, n: int, least_m: float) -> Array:
+    """(N, 3) places anywhere in a 33° field, to 100 m."""
+    far = 10.0 ** rng.uniform(np.log10(least_m), 2.0, n)
+    return far[:, None] * np.column_stack([rng.uniform(-0.3, 0.3, (n, 2)), np.ones(n)])
 
 
 def guidance(rng: np.random.Generator, n: int) -> Problem:
@@ -36,8 +38,7 @@ def guidance(rng: np.random.Generator, n: int) -> Problem:
     tilt = Rotation.from_rotvec(axis * np.deg2rad(rng.uniform(0.0, 40.0, (n, 1))))
     roll = Rotation.from_rotvec(UP * rng.uniform(-np.pi, np.pi, (n, 1)))
     rotations = (roll * tilt).as_matrix() @ HEAD_ON
-    far = 10.0 ** rng.uniform(np.log10(0.5), 2.0, n)
-    return rotations, far[:, None] * aside(rng, n), np.broadcast_to(TARGET, (n, 3, 3))
+    return rotations, away(rng, n, 0.5), np.broadcast_to(TARGET, (n, 3, 3))
 
 
 def head_on(rng: np.random.Generator, n: int) -> Problem:
@@ -53,9 +54,7 @@ def right_angles(rng: np.random.Generator, n: int) -> Problem:
     """Right-angled triangles, and the guidance target with a side square to the line of sight."""
     points = np.zeros((n, 3, 3))
     points[:, 1, 0], points[:, 2, 1] = rng.uniform(0.1, 1.0, (2, n))
-    rotations = Rotation.random(n, rng=rng).as_matrix()
-    far = 10.0 ** rng.uniform(np.log10(2.0), 2.0, n)
-    places = far[:, None] * aside(rng, n)
+    rotations, places = Rotation.random(n, rng=rng).as_matrix(), away(rng, n, 2.0)
     half = n // 2
     points[:half] = TARGET
     # Camera in the plane through the tip (first corner) square to the side tip–left.
@@ -64,7 +63,7 @@ def right_angles(rng: np.random.Generator, n: int) -> Problem:
     sight = turn - (turn @ side)[:, None] * side
     sight /= np.linalg.norm(sight, axis=1)[:, None]
     rotations[:half] = look_along(rng, -sight)
-    centres = TARGET[0] + far[:half, None] * sight
+    centres = TARGET[0] + places[:half, 2:] * sight
     places[:half] = -np.einsum("nij,nj->ni", rotations[:half], centres)
     return rotations, places, points
 
@@ -72,9 +71,7 @@ def right_angles(rng: np.random.Generator, n: int) -> Problem:
 def triangles(rng: np.random.Generator, n: int) -> Problem:
     """Any triangle, any attitude."""
     points = rng.uniform(-1.0, 1.0, (n, 3, 3))
-    rotations = Rotation.random(n, rng=rng).as_matrix()
-    far = 10.0 ** rng.uniform(np.log10(2.5), 2.0, n)
-    return rotations, far[:, None] * aside(rng, n), points
+    return Rotation.random(n, rng=rng).as_matrix(), away(rng, n, 2.5), points
 
 
 def double(rng: np.random.Generator, n: int) -> Problem:
@@ -148,15 +145,12 @@ def missed(solve: Solver, sample: tuple[Array, ...]) -> int:
     """Problems of which no root is the true pose to 1e-6 rad, and of the range."""
     count = 0
     for rotation, place, points, rays in zip(*sample, strict=True):
-        try:
+        allowed, roots = NEAR * np.linalg.norm(place), list[tuple[Array, Array]]()
+        with contextlib.suppress(cv2.error):
             roots = solve(rays.copy(), np.array(points))
-        except cv2.error:
-            roots = []
-        count += not any(
-            np.linalg.norm(r - rotation) / np.sqrt(2.0) <= NEAR
-            and np.linalg.norm(t - place) / np.linalg.norm(place) <= NEAR
-            for r, t in roots
-        )
+        turned = (np.linalg.norm(r - rotation) <= NEAR * np.sqrt(2.0) for r, _ in roots)
+        moved = (np.linalg.norm(t - place) <= allowed for _, t in roots)
+        count += not any(map(all, zip(turned, moved, strict=True)))
     return count
 
 

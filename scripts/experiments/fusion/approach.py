@@ -42,7 +42,8 @@ def error_tables(flights: list[Flight]) -> None:
                 got = np.array([s.single[sensor][k] for s in chosen if sensor in s.single]) * scale
                 rms, median = rms_and_median(got)
                 share = 100.0 * np.isfinite(got).sum() / len(chosen)
-                singles += [rms] * (share >= 50.0)
+                if share >= 50.0:
+                    singles.append(rms)
                 cell = f"{rms:9.3f} ({median:7.3f}) {share:3.0f}%"
                 line += f" {cell if share else '–':>24s}"
             if missing := int(np.isnan(fused).sum()):

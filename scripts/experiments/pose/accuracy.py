@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -133,18 +134,15 @@ def run(
         parts = dict(workers.results(on_scene, (frames.resolve(), models.resolve()), tasks))
     records = [record for k in sorted(parts) for record in parts[k]]
     write_log(log, records)
-    columns = (
-        "frames", "n", "right %", "best right %", "wrong %", "rotation ° median / 95 %",
-        "translation % of range", "NEES mean / median", "ms",
-    )  # fmt: skip
+    columns = "frames | n | right % | best right % | wrong % | rotation ° median / 95 % "
+    columns += "| translation % of range | NEES mean / median | ms"
     rows = table_of("poses", columns, left=0)
-    for mode in ("first", "tracked"):
-        for condition in ("low", "high", "earth"):
-            chosen = [r for r in records if r["mode"] == mode and r["condition"] == condition]
-            for target in sorted({r["target"] for r in chosen}):
-                part = [r for r in chosen if r["target"] == target]
-                rows.add_row(*row(f"{mode} {condition} {target}", part))
-            if chosen:
-                rows.add_row(*row(f"{mode} {condition} all", chosen), style="bold")
+    for mode, condition in product(("first", "tracked"), ("low", "high", "earth")):
+        chosen = [r for r in records if (r["mode"], r["condition"]) == (mode, condition)]
+        for target in sorted({r["target"] for r in chosen}):
+            part = [r for r in chosen if r["target"] == target]
+            rows.add_row(*row(f"{mode} {condition} {target}", part))
+        if chosen:
+            rows.add_row(*row(f"{mode} {condition} all", chosen), style="bold")
     show(rows, width=170)
     print(f"{time.perf_counter() - started:.0f} s")

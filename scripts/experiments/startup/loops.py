@@ -102,9 +102,8 @@ def demo(model: Path, scene: Path) -> list[dict[str, Any]]:
 
 def reflectors(model: Path, scene: Path) -> list[dict[str, Any]]:
     """The loops of ``rendezview reflectors``; the model and the scene are not used."""
-    patterns = patterns_of(find_target("client"))
+    patterns, rng = patterns_of(find_target("client")), np.random.default_rng(0)
     camera = Camera(512, 384, 651.975, 651.975, 255.5, 191.5)
-    rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:
         places = [Path(folder) / name for name in ("lit", "dark")]
         with BopSceneWriter(places[0], camera) as lit, BopSceneWriter(places[1], camera) as dark:

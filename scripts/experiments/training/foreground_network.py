@@ -51,19 +51,11 @@ def draw(folder: Path, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 def first_weights(seed: int) -> tuple[dict, dict]:
     """Weights, offsets and gains; and the means and variances of the layers."""
     rng = np.random.default_rng(seed)
-    weights = {
-        name: (
-            jnp.array(rng.standard_normal((3, 3, i, o)) * np.sqrt(2 / (9 * i)), jnp.float32),
-            jnp.zeros(o), jnp.ones(o),
-        ) for name, (i, o) in LAYERS.items()
-    }  # fmt: skip
+    weights = {}
+    for name, (i, o) in LAYERS.items():
+        first = rng.standard_normal((3, 3, i, o)) * np.sqrt(2 / (9 * i))
+        weights[name] = (jnp.array(first, jnp.float32), jnp.zeros(o), jnp.ones(o))
     return weights, {name: (jnp.zeros(o), jnp.ones(o)) for name, (_, o) in LAYERS.items()}
-
-
-def convolved(x, weight):
-    return jax.lax.conv_general_dilated(
-        x, weight, (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
-    )
 
 
 def unet(layer, halved, joined, x):
@@ -83,7 +75,8 @@ def log_odds(weights, statistics, pictures, learning):
 
     def layer(name, x):
         weight, offset, gain = weights[name]
-        y = convolved(x, weight)
+        axes = ("NHWC", "HWIO", "NHWC")
+        y = jax.lax.conv_general_dilated(x, weight, (1, 1), "SAME", dimension_numbers=axes)
         if name == "out":
             return y + offset
         mean, variance = statistics[name]
@@ -172,11 +165,9 @@ def write(weights, statistics, path: Path) -> None:
 
     constant("twice", [1, 1, 2, 2])
     out, shape = unet(layer, halved, joined, "squares"), [1, PIXELS, "rows", "columns"]
-    graph = helper.make_graph(
-        nodes, "foreground",
-        [helper.make_tensor_value_info("squares", TensorProto.FLOAT, shape)],
-        [helper.make_tensor_value_info(out, TensorProto.FLOAT, shape)], constants,
-    )  # fmt: skip
+    ends = ([helper.make_tensor_value_info(name, TensorProto.FLOAT, shape)]
+            for name in ("squares", out))  # fmt: skip
+    graph = helper.make_graph(nodes, "foreground", *ends, constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)])
     model.ir_version = 8
     onnx.checker.check_model(model)
@@ -221,9 +212,7 @@ def run(
         if k % 500 == 0 or k == steps:
             held = padded(pictures[:HELD_OUT]), padded(covers[:HELD_OUT]) > 0.5
             seen = np.asarray(overlap(weights, statistics, *held))
-            print(
-                f"step {k}: loss {np.mean(losses[-500:]):.3f}, overlap (IoU) of the held out "
-                f"{np.mean(seen):.3f} mean, {np.median(seen):.3f} median",
-                flush=True,
-            )
+            print(f"step {k}: loss {np.mean(losses[-500:]):.3f}, overlap (IoU) of the held out "
+                  f"{np.mean(seen):.3f} mean, {np.median(seen):.3f} median",
+                  flush=True)  # fmt: skip
             write(weights, statistics, network)

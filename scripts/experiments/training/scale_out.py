@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import dask
 import distributed
 import psutil
 
@@ -34,8 +33,6 @@ TINY = replace(MEDIUM, order=0, perturbed_views=60, held_out_views=20)
 @contextmanager
 def local_cluster(workers: int) -> Iterator[tuple[distributed.LocalCluster, Cluster]]:
     with (
-        # A killed worker's successor has all the time it needs on a busy machine.
-        dask.config.set({"distributed.deploy.lost-worker-timeout": "300s"}),
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0",
             silence_logs=50, host="127.0.0.1",
@@ -45,20 +42,9 @@ def local_cluster(workers: int) -> Iterator[tuple[distributed.LocalCluster, Clus
         yield local, cluster
 
 
-def pids(local: distributed.LocalCluster) -> list[int]:
-    with distributed.Client(local.scheduler_address, set_as_default=False) as client:
-        return list(client.run(os.getpid).values())
-
-
 def cpu_s(processes: list[int]) -> float:
     times = [psutil.Process(p).cpu_times() for p in processes]
     return sum(t.user + t.system for t in times)
-
-
-def others_s(ours: list[int]) -> float:
-    """CPU time of the machine that was not ours."""
-    busy = psutil.cpu_times()
-    return busy.user + busy.system + busy.nice + busy.steal - cpu_s([*ours, os.getpid()])
 
 
 def run_training(mesh: Mesh, options: TrainingOptions, executor: ShardExecutor) -> bytes:
@@ -99,22 +85,22 @@ def run(*, model: Path, frames: Annotated[int, "of the campaign"] = 192) -> None
     wall: dict[tuple[str, int], float] = {}
     cpu: dict[tuple[str, int], float] = {}
     results: dict[str, set[bytes]] = {name: set() for name in works}
-    print("| work | workers | wall s | CPU s of workers | of this process | others meanwhile |")
-    print("|---|---:|---:|---:|---:|---:|")
+    print("| work | workers | wall s | CPU s of workers | of this process |")
+    print("|---|---:|---:|---:|---:|")
     for count in (1, WORKERS):
         with local_cluster(count) as (local, cluster):
             with distributed.Client(local.scheduler_address, set_as_default=False) as client:
                 client.run(load_code, mesh, loaded)  # in every worker
-            processes = pids(local)
+                processes = list(client.run(os.getpid).values())
             for name, work in works.items():
-                spent, own, rest = cpu_s(processes), time.process_time(), others_s(processes)
+                spent, own = cpu_s(processes), time.process_time()
                 start = time.perf_counter()
                 results[name].add(work(cluster))
                 wall[name, count] = time.perf_counter() - start
                 cpu[name, count] = cpu_s(processes) - spent
                 print(
                     f"| {name} | {count} | {wall[name, count]:.1f} | {cpu[name, count]:.1f} | "
-                    f"{time.process_time() - own:.1f} | {others_s(processes) - rest:.1f} |",
+                    f"{time.process_time() - own:.1f} |",
                     flush=True,
                 )
     for name, work in works.items():
