@@ -83,7 +83,7 @@ def _settings(hint: Any) -> dict[str, Any]:
 def table_of(title: str, columns: str | Sequence[str], *, left: int = 1) -> Table:
     """An empty table; all columns but the first ``left`` ones are on the right.
 
-    ``columns`` is a sequence, or one string with " | " between the names.
+    Columns may be one string with " | " between the names.
     """
     made = Table(title=title)
     for k, column in enumerate(columns.split(" | ") if isinstance(columns, str) else columns):

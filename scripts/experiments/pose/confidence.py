@@ -37,6 +37,7 @@ def fitted(features: np.ndarray, right: np.ndarray, looked: np.ndarray) -> np.nd
 
 
 def probability(coefficients: np.ndarray, features: np.ndarray, looked: np.ndarray) -> np.ndarray:
+    """(N,) of right poses."""
     rows = coefficients[looked.astype(int), (features[:, _DARK] > 0.5).astype(int)]
     return 1.0 / (1.0 + np.exp(-np.einsum("ij,ij->i", features, rows)))
 

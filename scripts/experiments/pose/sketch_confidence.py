@@ -79,8 +79,7 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     """One picture in hard light, with its camera and its pose."""
     mesh = deformed(mesh, float(rng.choice(MESH_ERRORS)), rng)
     centre_m, radius_m = mesh.bounding_sphere
-    focal = SIDE * np.exp(rng.uniform(*np.log(FIELD)))
-    middle = 0.5 * (SIDE - 1)
+    focal, middle = SIDE * np.exp(rng.uniform(*np.log(FIELD))), 0.5 * (SIDE - 1)
     camera = Camera(width=SIDE, height=SIDE, fx=focal, fy=focal, cx=middle, cy=middle)
     radius_px = np.exp(rng.uniform(*np.log(RADIUS_PX)))
     room = max(0.5 * SIDE - radius_px * rng.uniform(0.55, 1.0), 8.0) / focal
@@ -94,9 +93,8 @@ def frame(mesh: Mesh, rng: np.random.Generator) -> tuple[np.ndarray, Camera, Pos
     glow = ShadingOptions(samples=2, ambient=0.25, specular=0.0, earthshine=0.75, shadows=False)
     up = rng.standard_normal(3)
     ambient = render(mesh, camera, pose, up, glow, -up)
-    grey = photograph(
-        sunlit.radiance, ambient.radiance, sunlit.coverage, cloudy_sky(SIDE, rng), rng
-    )
+    light = (sunlit.radiance, ambient.radiance, sunlit.coverage)
+    grey = photograph(*light, cloudy_sky(SIDE, rng), rng)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), camera, pose
 
 
@@ -163,15 +161,12 @@ def look(path: Path, mesh: Mesh, target: int, seed: int, k: int) -> list[Searche
     centre = truth.apply(model.centre_m)
     start = turned @ truth.rotation
     place = centre + PRIOR_SHARE * np.linalg.norm(centre) * move - start @ model.centre_m
-    found = []
-    for prior in (None, Pose(start, place)):
-        first = _searched(search, picture, truth, prior, target)
-        if first is not None and prior is None:
-            second = _searched(search, picture, truth, None, target, turned=True)
-            first = replace(first, second=second)
-        if first is not None:
-            found.append(first)
-    return found
+    first = _searched(search, picture, truth, None, target)
+    if first is not None:
+        second = _searched(search, picture, truth, None, target, turned=True)
+        first = replace(first, second=second)
+    near = _searched(search, picture, truth, Pose(start, place), target)
+    return [one for one in (first, near) if one is not None]
 
 
 def _searched(

@@ -5,12 +5,10 @@ from __future__ import annotations
 import contextlib
 import itertools
 import json
-import shutil
 import sys
 import tempfile
 import threading
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -59,17 +57,11 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
     """
     rng = np.random.default_rng(seed)
     total = lost = unreadable = cut_bytes = 0
-    with tempfile.TemporaryDirectory() as work, ThreadPoolExecutor(1) as starter:
-
-        def start(number: int) -> Future[Served]:
-            folder = Path(work) / f"logs-{number}"
+    for done in range(1, kills + 1):
+        with tempfile.TemporaryDirectory() as work:
+            folder = Path(work) / "logs"
             folder.mkdir()
-            return starter.submit(serve, model, folder, Path(work) / f"models-{number}")
-
-        upcoming = start(1)
-        for done in range(1, kills + 1):
-            folder = Path(work) / f"logs-{done}"
-            served = upcoming.result()
+            served = serve(model, folder, Path(work) / "models")
             acknowledged: dict[str, list[dict]] = {}
             threads = [
                 threading.Thread(target=send, args=(served.url, scene, name, acknowledged))
@@ -82,8 +74,6 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                 time.sleep(0.01)
             time.sleep(float(rng.uniform(0.0, 1.0)))
             served.kill()
-            if done < kills:
-                upcoming = start(done + 1)  # while the logs of this one are read
             for thread in threads:
                 thread.join()
             for name, states in acknowledged.items():
@@ -106,10 +96,7 @@ def run(model: Path, scene: Path, *, kills: int = 100, seed: int = 0) -> None:
                 lost += sum(
                     as_left.get(s["frame"]) != s or mended.get(s["frame"]) != s for s in states
                 )
-            shutil.rmtree(folder)
-            shutil.rmtree(Path(work) / f"models-{done}", ignore_errors=True)
-            progress = f"{done} of {kills}: {total} poses, {lost} lost"
-            print(f"\r{progress}", end="", file=sys.stderr, flush=True)
+        print(f"{done} of {kills}: {total} poses, {lost} lost", file=sys.stderr, flush=True)
     print(
         f"seed {seed}: {kills} kills, {total} acknowledged poses, {lost} lost, {unreadable} logs "
         f"unreadable; {cut_bytes} bytes of half frames cut"

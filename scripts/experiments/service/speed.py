@@ -127,19 +127,18 @@ def many(loop: Loop, model: Path, scene: Path) -> None:
     served.stop()
     after, after_ms = alone(loaded, loop, ALONE_S)
     alone_ms, cores = 0.5 * (before_ms + after_ms), os.cpu_count() or 1
-    print(f"{CLIENTS} clients, {total} frames:")
-    print(f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after")
     over = rates.sum() / (0.5 * (before + after))
-    print(f"service: {rates.sum():.0f} frames/s, {over:.2f} × one tracker core's")
+    apart = 100 * (rates.max() - rates.min()) / rates.mean()
     print(
+        f"{CLIENTS} clients, {total} frames: {rates.sum():.0f} frames/s, {over:.2f} × one tracker "
+        f"core's; each {rates.min():.0f} to {rates.max():.0f}, {apart:.0f} % apart\n"
+        f"one bare tracker: {before:.0f} and {after:.0f} frames/s, before and after\n"
         f"processor time a frame: bare tracker {alone_ms:.2f} ms, service and workers "
         f"{service_ms:.2f} ms, client {clients_ms:.2f} ms: {cores} cores with nothing else to do "
         f"would reach {cores * alone_ms / (service_ms + clients_ms):.2f} × with these clients, "
-        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere"
+        f"{cores * alone_ms / service_ms:.2f} × with clients elsewhere\n"
+        f"memory of all processes: {memory[0]:.0f} MB at first, {memory[-1]:.0f} MB at the end"
     )
-    apart = 100 * (rates.max() - rates.min()) / rates.mean()
-    print(f"each client: {rates.min():.0f} to {rates.max():.0f} frames/s, {apart:.0f} % apart")
-    print(f"memory of all processes: {memory[0]:.0f} MB at first, {memory[-1]:.0f} MB at the end")
 
 
 def run(model: Path, scene: Path, *, client: str | None = None) -> None:

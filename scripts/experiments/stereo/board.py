@@ -16,7 +16,7 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Pose
 from rendezview.geometry.so3 import between
 from rendezview.io.target import Target
-from rendezview.sensors.beacons import Rig, RigCamera, Spots, StereoObservation, StereoTracker
+from rendezview.sensors.beacons import RigCamera, Spots, StereoObservation, StereoTracker
 from rendezview.sensors.beacons.stereo_tracker import TrackerOptions
 
 Simulator = Literal["own", "plain"]
@@ -36,9 +36,9 @@ def squared_error(observation: StereoObservation, truth: Pose) -> float:
     return nees(np.append(turned, moved), observation.covariance)
 
 
-def true_rig(rng: np.random.Generator) -> Rig:
+def own_pair(rng: np.random.Generator) -> list[Project]:
     """Two cameras 0.4 m apart, each with its own lens."""
-    cameras = []
+    found = []
     for name, place in (("left", 0.0), ("right", -0.4)):
         focal = 1200.0 * (1.0 + rng.normal(0.0, 0.01))
         centre = rng.normal((639.5, 479.5), 5.0)
@@ -47,12 +47,8 @@ def true_rig(rng: np.random.Generator) -> Rig:
         mount = Pose.identity()
         if place:
             mount = mount.perturbed([*rng.normal(0.0, 0.02, 3), place, *rng.normal(0.0, 0.01, 2)])
-        cameras.append(RigCamera.from_camera(name, camera, mount))
-    return Rig(tuple(cameras))
-
-
-def own_pair(rng: np.random.Generator) -> list[Project]:
-    return [camera.project for camera in true_rig(rng).cameras]
+        found.append(RigCamera.from_camera(name, camera, mount).project)
+    return found
 
 
 def plain_pair(rng: np.random.Generator) -> list[Project]:

@@ -161,6 +161,6 @@ def test_the_command_falls_back_and_trains_with_ours(monkeypatch, capsys, bumpy_
         main()
     said = capsys.readouterr().err
     assert said.count("pyrender does not work here") == 1
-    assert "rendezview[pyrender]" in said
+    assert "rendezview[training]" in said
     model = ViewModel.load(tmp_path / "bumpy.rvm")
     assert model.provenance["options"]["renderer"] == "numba"

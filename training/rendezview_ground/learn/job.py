@@ -221,7 +221,7 @@ def provenance(mesh: Mesh, options: TrainingOptions, camera: Camera | None) -> d
     digest.update(np.ascontiguousarray(mesh.faces, dtype="<i4").tobytes())
     if mesh.face_trust is not None:
         digest.update(np.ascontiguousarray(mesh.face_trust, dtype="<f4").tobytes())
-    packages = ["rendezview", "numpy", "opencv-python-headless", "numba"]
+    packages = ["rendezview", "numpy", "opencv-python-headless", "numba", "scikit-learn"]
     if options.renderer is Renderer.PYRENDER and importlib.util.find_spec("pyrender"):
         packages.append("pyrender")
     return {

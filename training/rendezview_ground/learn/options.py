@@ -62,7 +62,7 @@ class TrainingOptions:
         True  # sunlit parts per Sun direction, for first poses in hard light
     )
     sketches: bool = True  # of the nodes' views, for frames in which no threshold finds the target
-    voters: int = 8  # small trees of each node for first poses, with shadowed_silhouettes; 0: none
+    voters: int = 5  # small trees of each node for first poses, with shadowed_silhouettes; 0: none
     surface_points: int = 4096  # with visibility per direction, for shading checks; 0: none
     min_samples_split: int = 4  # samples; the paper's rule "too few samples"
     min_gain: float = 1e-3  # nats per sample of the tree; the paper's least entropy gain
