@@ -16,9 +16,12 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 
 
 def test_a_child_and_an_orphan_are_found_and_killed() -> None:
-    with pytest.raises(AssertionError, match="left behind") as found, none_left_behind(0.0):
-        child = subprocess.Popen(ASLEEP)
-        subprocess.run(ORPHAN, check=True)
+    check = none_left_behind(0.0)
+    check.__enter__()
+    child = subprocess.Popen(ASLEEP)
+    subprocess.run(ORPHAN, check=True)
+    with pytest.raises(AssertionError, match="left behind") as found:
+        check.__exit__(None, None, None)
     assert str(found.value).count("time.sleep(600)") == 2
     assert f"{child.pid}: " in str(found.value)
     assert child.wait() < 0
