@@ -10,6 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from tests.left_behind import none_left_behind
 from tests.quick_training import REFINING
 from tests.training.mesh_samples import boxes, grey_mesh
@@ -23,6 +24,16 @@ from rendezview.training.mesh import Mesh
 from rendezview.training.options import TrainingOptions
 from rendezview.training.projection import Window
 from rendezview.training.rasterizer import NumbaRenderer
+
+# The same examples in every run, however slow the machine is.
+settings.register_profile(
+    "repeatable",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("repeatable")
 
 SERVICE = "tests/service/"
 Draw = Callable[..., np.ndarray]

@@ -18,6 +18,8 @@ from rendezview.cli.main import main
 from rendezview.io.sequences import open_sequence
 from rendezview.training.mesh import Mesh
 
+# What a command says of compiling depends on the cache of the machine: not here.
+_COMPILING = ("Compiling ", "Compiled ")
 PROGRAM = [sys.executable, "-c", "from rendezview.cli.main import main; main()"]
 
 
@@ -42,7 +44,7 @@ Run = Callable[..., Ran]
 
 @pytest.fixture(autouse=True)
 def quiet_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a command says of compiling depends on the cache of the machine: not here."""
+    """See `_COMPILING`."""
     monkeypatch.setattr("rendezview.cli.compiling.say", lambda text: None)
 
 
@@ -96,7 +98,8 @@ class Spawned:
             out, err = self.process.communicate(timeout=MOST_S)
         finally:
             self.process.kill()
-        return Ran(self.process.returncode, out, err)
+        told = [line for line in err.splitlines(True) if not line.startswith(_COMPILING)]
+        return Ran(self.process.returncode, out, "".join(told))
 
 
 @pytest.fixture
