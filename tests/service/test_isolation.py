@@ -191,7 +191,7 @@ def test_a_decoder_that_takes_long_ends_its_process_and_then_its_session_but_no_
         attacker = other.open(camera, name="theirs")
         states = [session.track(tour[k][2], float(k)) for k in range(3)]
         served.await_line("a spare worker is ready")
-        (first,) = _writers(served, "/mine-")
+        (first,) = _writers(served, session, tmp_path / "logs")
         (spare,) = set(served.workers) - {first}
 
         def attack() -> None:
@@ -211,7 +211,7 @@ def test_a_decoder_that_takes_long_ends_its_process_and_then_its_session_but_no_
         states.append(wait_until(tracked))
         assert states[3]["status"] == "ok"
         # The spare process goes on with it: nobody waited for a new one to start.
-        assert _writers(served, "/mine-") == [spare]
+        assert _writers(served, session, tmp_path / "logs") == {spare}
         trouble.join()
         wait_until(lambda: attack() or len(client.sessions()) == 1)  # it has ended three processes
         assert [one["id"] for one in client.sessions()] == ["mine"]
@@ -222,14 +222,15 @@ def test_a_decoder_that_takes_long_ends_its_process_and_then_its_session_but_no_
     served.stop()
 
 
-def _writers(served, part: str) -> list[int]:
-    """Workers that have a file open whose path has a part."""
-    found = []
+def _writers(served, session, logs: Path) -> set[int]:
+    """Worker processes that have the log of a session open."""
+    log = (logs / session.info()["recording"]["name"]).stat()
+    found = set()
     for pid in served.workers:
         for file in Path(f"/proc/{pid}/fd").iterdir():
             with contextlib.suppress(OSError):  # it has closed it
-                if part in os.readlink(file):
-                    found.append(pid)
+                if os.path.samestat(file.stat(), log):
+                    found.add(pid)
     return found
 
 
