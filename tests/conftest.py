@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 from tests.ground.mesh.mesh_samples import boxes, grey_mesh
+from tests.left_behind import none_left_behind
 from tests.quick_training import REFINING
 
 from rendezview.cli.compiling import compile_ahead
@@ -22,6 +24,16 @@ from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.mesh.mesh import Mesh
 from rendezview_ground.render.projection import Window
 from rendezview_ground.render.rasterizer import NumbaRenderer
+
+# The same examples in every run, however slow the machine is.
+settings.register_profile(
+    "repeatable",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("repeatable")
 
 SERVICE = "tests/service/"
 Draw = Callable[..., np.ndarray]
@@ -63,12 +75,20 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     return Scheduling(config, log)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The service's tests first: they take a third of the time, and what comes last is short."""
-    items.sort(key=lambda item: not item.nodeid.startswith(SERVICE))
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Of several workers one begins with the service's tests: they take a third of the time."""
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: not item.nodeid.startswith(SERVICE))
     for item in items:  # into the JUnit file, which `make evidence` reads
         for marker in item.iter_markers("requirement"):
             item.user_properties += [("requirement", name) for name in marker.args]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_process_is_left_behind() -> Iterator[None]:
+    """Set up before all others of the session, it ends after them."""
+    with none_left_behind():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
 from sklearn.tree import DecisionTreeClassifier
 
 from rendezview.geometry.geodesic import Geodesic
@@ -20,6 +19,7 @@ from rendezview.sensors.appearance.model.forest import (
 )
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees import forest as learner
+from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
 from rendezview_ground.learn.trees.forest import VoterSamples, forest_of, joined, learn_voters
 from rendezview_ground.learn.views.views import look_from
 

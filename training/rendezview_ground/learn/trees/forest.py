@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
 from sklearn.ensemble import ExtraTreesClassifier
 
 from rendezview.geometry.geodesic import Geodesic, angle_between, within
@@ -33,6 +32,7 @@ from rendezview.sensors.appearance.model.shadowed_silhouettes import (
 from rendezview.sensors.appearance.model.signature import rebinning, twist
 from rendezview_ground.learn.jobs.stages import Arrays
 from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
 from rendezview_ground.learn.views.views import ViewSet
 
 _STREAM_OF_VOTERS = 7  # of random numbers, with the node

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from numba import njit
-from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, seed_of
 from sklearn.tree import DecisionTreeClassifier
 
 from rendezview.geometry.geodesic import Geodesic, angle_between, within
@@ -16,6 +15,7 @@ from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance.model.signature import Readings, rolled, twist
 from rendezview.sensors.appearance.model.trees import Forest
 from rendezview_ground.learn.options import TrainingOptions
+from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree, seed_of
 from rendezview_ground.learn.trees.neighbourhood import neighbourhood
 from rendezview_ground.learn.views.views import ViewSet
 
