@@ -10,8 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from experiments.frame import PICTURES, show, table_of
-from experiments.integrity.draw import CONDITIONS
-from experiments.integrity.logs import tracks
+from experiments.integrity.draw import CONDITIONS, tracks
 from rendezview.io.files import atomic_write
 from rendezview.sensors.appearance.integrity.monitor import IntegrityMonitor, IntegrityOptions
 from rendezview_ground.evaluate.pictures.palette import png
