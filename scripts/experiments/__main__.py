@@ -133,6 +133,9 @@ EXPERIMENTS = {
         "integrity": ("integrity.judge", "misleading, alarmed, available; Stanford diagrams"),
         "evidence": ("evidence", "requirements, their tests and results, from a JUnit file"),
     },
+    "golden file": {
+        "golden": ("golden.command", "answers of all sensors, stored and compared, bit for bit"),
+    },
     "benchmark": {
         "benchmark": ("benchmark.command", "everything beside its peers and floors"),
         "bop-toolkit-peer": ("peers.bop_toolkit", "our scores beside the BOP toolkit's"),

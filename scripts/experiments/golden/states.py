@@ -1,0 +1,243 @@
+"""Answers of filter, trajectory and service."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.frame import CLIENT
+from experiments.golden.answers import Answers, pose_numbers
+from experiments.golden.appearance import CAMERA, IN_SPACE, turning
+from experiments.golden.models import Trained
+from experiments.service.serving import Served
+from rendezview.client import Client, fused_pose_of_state, pose_of_state
+from rendezview.fusion import (
+    BeamSurface,
+    Fusion,
+    PoseMeasurement,
+    RangeMeasurement,
+    RingCandidate,
+    RingMeasurement,
+)
+from rendezview.geometry.pose import Array, Pose
+from rendezview.io.target import DockingRing, Target
+from rendezview.sensors.appearance import Recognizer, Tracker
+from rendezview.sensors.ring import RingPrior, RingSensor
+from rendezview.simulation.approach import ApproachOptions, approach, echo
+from rendezview.simulation.scene import render_frame, sun_at_phase
+from rendezview.simulation.trajectories import torque_free
+from rendezview.trajectory import (
+    Nothing,
+    PointCloud,
+    Shape,
+    fit_segment,
+    fit_spin,
+    fit_spin_of_directions,
+)
+
+_SPAN_S, _RANGE_M, _MEAN_MOTION_RAD_S = 200.0, 30.0, 0.0011
+
+
+def approached(answers: Answers, one: Trained, seed: int) -> None:
+    """Frames of an approach to the client's ring, through all sensors into one filter."""
+    ring = one.target.docking_ring
+    surface = BeamSurface(ring.centre_m, ring.axis, 0.15)
+    rng = np.random.default_rng(seed)
+    options = ApproachOptions(start_m=30.0, end_m=1.2, duration_s=96.0, dt_s=2.0)
+    poses = approach(ring, options, rng)
+    sun = poses[0][1].rotation.T @ sun_at_phase([0.0, 0.0, 1.0], 0.5, 1.0)
+    tracker = Tracker(Recognizer(one.model, CAMERA), poses[0][1])
+    sensor = RingSensor(CAMERA, ring.radius_m, circles=ring.circles)
+    filtered = Fusion()
+    for time_s, truth in poses:
+        image = render_frame(one.mesh, CAMERA, truth, truth.rotation @ sun, IN_SPACE, rng)
+        seen = answers.timed("approach/tracker", tracker.update, time_s, image)
+        answers.pose("approach/tracker", seen, truth, middle_m=ring.centre_m)
+        filtered.add(seen.measurement("camera"))
+        known = filtered.state_at(time_s)
+        prior = None
+        if known.pose is not None:
+            place = known.pose.apply(ring.centre_m)
+            prior = RingPrior(centre_m=place, axis=known.pose.rotation @ ring.axis)
+        found = answers.timed("approach/ring", sensor.update, time_s, image, prior)
+        answers.add("approach/ring", str(found.status), {}, line=found.record())
+        filtered.add(found.measurement("ring", ring=ring))
+        distance = echo(one.mesh, truth, (0.3, 0.0, 0.0), (0.0, 0.0, 1.0))
+        if distance is not None:
+            noisy = distance + 0.02 * rng.standard_normal()
+            filtered.add(RangeMeasurement(time_s, "laser", noisy, 0.02, (surface,),
+                                          np.array([0.3, 0.0, 0.0])))  # fmt: skip
+        _add_state(answers, "approach/fused", filtered, time_s, truth, ring.centre_m)
+
+
+def fusion(answers: Answers, seed: int) -> None:
+    """From 40 m to 3 m by pose, ring, laser: the pose 0.5 m off for a while, a silence of all."""
+    ring = Target.load(CLIENT).docking_ring
+    surface = BeamSurface(ring.centre_m, ring.axis)
+    sigma = np.array([4e-3, 4e-3, 2e-3, 0.01, 0.01, 0.05])
+    facing = Rotation.from_rotvec([0.0, -0.5 * np.pi, 0.0]).as_matrix()
+    for run in range(2):
+        rng, filtered = np.random.default_rng([seed, run]), Fusion()
+        rate, drift = rng.normal(0.0, 3e-4, 3), rng.normal(0.0, 3e-3, 3)
+        for n in range(600):
+            t, far = 0.5 * n, 40.0 * np.exp(-0.5 * n / 115.0)
+            turn = Rotation.from_rotvec(rate * t).as_matrix() @ facing
+            truth = Pose(turn, np.array([0.1, -0.2, far]) + drift * min(t, 60.0))
+            received: list[Any] = []
+            if not 100.0 < t < 120.0:
+                if n % 2 == 0:
+                    noisy = truth.perturbed(sigma * (far / 20.0) * rng.standard_normal(6))
+                    off = np.array([0.5, 0.0, 0.0]) * (150.0 < t < 225.0)
+                    spread = np.diag((sigma * far / 20.0) ** 2)
+                    moved = Pose(noisy.rotation, noisy.translation_m + off)
+                    received.append(PoseMeasurement(t, "camera", moved, spread))
+                elif t > 130.0:
+                    received.append(_ring(t, truth, ring, rng))
+                normal = truth.rotation @ ring.axis
+                distance = float(normal @ truth.apply(ring.centre_m)) / float(normal[2])
+                noisy_m = distance + 0.02 * rng.standard_normal()
+                received.append(RangeMeasurement(t, "laser", noisy_m, 0.02, (surface,)))
+            for one in received:
+                answers.timed("fusion", filtered.add, one)
+            if n % 6 == 5:
+                _add_state(answers, "fusion", filtered, t, truth, ring.centre_m)
+
+
+def _ring(t: float, truth: Pose, ring: DockingRing, rng: np.random.Generator) -> RingMeasurement:
+    """Two circles, of which one is the ring; one in ten is 6 % too far."""
+    normal = truth.rotation @ ring.axis
+    centre = truth.apply(ring.centre_m) * (1.06 if rng.random() < 0.1 else 1.0)
+    centre = centre + 5e-3 * rng.standard_normal(3)
+    axis = normal + 5e-3 * rng.standard_normal(3)
+    spread = np.zeros((6, 6))
+    spread[:3, :3] = 5e-3**2 * np.eye(3)
+    spread[3:, 3:] = 5e-3**2 * (np.eye(3) - np.outer(normal, normal))
+    both = (axis, axis + np.array([0.05, 0.0, 0.0]))
+    circles = tuple(RingCandidate(centre, a / np.linalg.norm(a), spread) for a in both)
+    return RingMeasurement(t, "ring", circles, ring)
+
+
+def _add_state(
+    answers: Answers, group: str, filtered: Fusion, time_s: float, truth: Pose, middle_m: Array
+) -> None:
+    state = filtered.state_at(time_s)
+    line = [state.reason, state.rates, state.covariance]
+    answers.pose(group, _Seen(state.status, state.pose, _block(state.covariance)), truth,
+                 middle_m=middle_m, line=line)  # fmt: skip
+
+
+class _Seen:
+    """A state as `Answers.pose` takes it."""
+
+    def __init__(self, status: str, pose: Pose | None, covariance: Array | None) -> None:
+        self.status, self.pose, self.covariance = status, pose, covariance
+
+
+def _block(covariance: Any) -> Array | None:
+    return None if covariance is None else np.array(covariance)[:6, :6]
+
+
+def segments(answers: Answers, seed: int) -> None:
+    """Paths of four kinds through clouds of poses and of nodes: fitted, and a span ahead."""
+    shapes = (Shape.CIRCULAR, Shape.SPIRAL, Shape.VBAR, Shape.ORBIT)
+    times = np.linspace(0.0, _SPAN_S, 40)
+    for number, shape in enumerate(shapes):
+        for k in range(20):
+            rng = np.random.default_rng([seed, number, k])
+            flown, nodes = _path(shape, rng), k % 4 == 3
+            places = flown(times) + 1e-3 * _RANGE_M * rng.standard_normal((40, 3))
+            wild = rng.choice(40, 8 * (k % 2), replace=False)
+            places[wild] += 0.1 * _RANGE_M * rng.standard_normal((len(wild), 3))
+            if nodes:
+                places += 0.08 * _RANGE_M * rng.standard_normal((40, 3))
+                cloud = PointCloud.of_nodes(times, places)
+            else:
+                cloud = PointCloud.of_places(
+                    times, places, np.tile((1e-3 * _RANGE_M) ** 2 * np.eye(3), (40, 1, 1))
+                )
+            group = f"trajectory/{shape}" + ("/nodes" if nodes else "")
+            fit = partial(fit_segment, mean_motion_rad_s=_MEAN_MOTION_RAD_S)
+            found = answers.timed(group, fit, cloud, shape)
+            if isinstance(found, Nothing):
+                answers.add(group, found.reason, {})
+                continue
+            for name, at, limit in (("", times, 0.03), ("/predicted", times + _SPAN_S, 0.1)):
+                there, answer = flown(at), found.places(at)
+                far = np.linalg.norm(there, axis=1)
+                off = float(np.median(np.linalg.norm(answer - there, axis=1) / far))
+                numbers = {"parameters": found.parameters, "sigma": np.diag(found.covariance),
+                           "places": answer[::13]}  # fmt: skip
+                right = off < limit * (5.0 if nodes else 1.0)
+                answers.add(group + name, "ok", numbers, line=[answer, found.covariance],
+                            errors=(off, off), right=right)  # fmt: skip
+
+
+def _path(shape: Shape, rng: np.random.Generator) -> Callable[[Array], Array]:
+    axes, phase = Rotation.random(random_state=rng).as_matrix(), rng.uniform(0.0, _SPAN_S / 3.0)
+
+    def flown(times_s: Array) -> Array:
+        t = times_s[:, None]
+        along = t / _SPAN_S
+        if shape is Shape.ORBIT:  # Clohessy–Wiltshire: an ellipse of two to one, and its height
+            a = _MEAN_MOTION_RAD_S * t + phase
+            return np.hstack([5.0 * np.sin(a), _RANGE_M + 10.0 * np.cos(a), 3.0 * np.cos(a)])
+        if shape is Shape.VBAR:
+            distance = _RANGE_M * (1.0 - 0.17 * along)
+            hop = np.abs(np.sin(np.pi * (t - phase) / (_SPAN_S / 3.0)))
+            return distance * axes[0] + 0.03 * distance * hop * axes[1]
+        distance = _RANGE_M * (1.0 - (0.11 * along if shape is Shape.SPIRAL else 0.0))
+        return distance * (np.cos(along) * axes[0] + np.sin(along) * axes[1])
+
+    return flown
+
+
+def spins(answers: Answers, seed: int) -> None:
+    """Constant and tumbling spin, from attitudes and from directions."""
+    times = np.linspace(0.0, _SPAN_S, 40)
+    for k in range(20):
+        rng, tumbling = np.random.default_rng([seed, k]), k % 2 == 1
+        start = 0.012 * rng.standard_normal(3)
+        turned, rates = torque_free((1.0, 1.6, 2.0) if tumbling else (1.0, 1.0, 1.0), start, times)
+        noise = Rotation.from_rotvec(rng.normal(0.0, 2e-3, (40, 3))).as_matrix()
+        seen, spread = noise @ turned, np.tile(2e-3**2 * np.eye(3), (40, 1, 1))
+        away = -seen[:, 2] + 0.1 * rng.standard_normal((40, 3))
+        for name, fit in (
+            ("attitudes", partial(fit_spin, times, seen, spread, tumbling=tumbling)),
+            ("directions", partial(fit_spin_of_directions, times, away, tumbling=tumbling)),
+        ):
+            found = answers.timed(f"spin/{name}", fit)
+            if isinstance(found, Nothing):
+                answers.add(f"spin/{name}", found.reason, {})
+                continue
+            true = rates[20]
+            cosine = float(found.axis @ true / np.linalg.norm(true))
+            errors = (float(np.arccos(np.clip(cosine, -1.0, 1.0))),
+                      abs(found.speed_rad_s / float(np.linalg.norm(true)) - 1.0))  # fmt: skip
+            numbers = {"rotation": found.rotation, "rate": found.rate_rad_s,
+                       "covariance": found.covariance}  # fmt: skip
+            limit = 0.1 if name == "attitudes" else 1.0
+            answers.add(f"spin/{name}", "ok", numbers, line=found.moments, errors=errors,
+                        right=errors[0] < limit and errors[1] < limit)  # fmt: skip
+
+
+def service(answers: Answers, one: Trained, seed: int) -> None:
+    """A session of a service in its own processes, with a filter, over HTTP."""
+    frames = turning(one, 60, [seed])
+    served = Served(one.path, "--workers", "1", spare_worker=False)
+    try:
+        served.await_ready()
+        with Client(served.url) as client:
+            session = client.open(CAMERA, prior=frames[0][1], record=False, name="golden")
+            for k, (image, truth) in enumerate(frames):
+                state = session.track(image, 0.1 * k)
+                seen = _Seen(state["status"], pose_of_state(state), _block(state["covariance"]))
+                answers.pose("service", seen, truth, middle_m=one.model.centre_m, line=state)
+                fused = fused_pose_of_state(state)
+                answers.add("service/filter", str(state["phase"]), {"pose": pose_numbers(fused)})
+            session.close()
+    finally:
+        served.stop()
