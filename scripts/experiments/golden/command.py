@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -60,38 +62,27 @@ def answered(folder: Path, scratch: Path) -> Answers:
     """All groups, one after the other."""
     cv2.setNumThreads(1)
     answers, began_s = Answers(), time.perf_counter()
-
-    def told(what: str) -> None:
-        spent_s = time.perf_counter() - began_s
-        print(f"{spent_s:6.0f} s, {time.process_time():4.0f} s of processor: {what}", flush=True)
-
     known = models.bundled(folder)
-    models.digests(answers, known, scratch / "code")
-    told("models")
-    appearance.first_poses(answers, known, _SEED)
-    told("first poses")
-    appearance.hard_light(answers, known, _SEED)
-    told("hard light")
-    appearance.sequences(answers, known, _SEED)
-    told("sequences")
-    appearance.joints(answers, folder, _SEED)
-    told("joints")
-    appearance.photographs(answers, folder)
-    appearance.mitsuba_frames(answers, known)
-    told("third-party frames")
-    sensors.ring(answers, _SEED)
-    sensors.sizes(answers, _SEED)
-    told("ring")
-    sensors.reflectors(answers, _SEED)
-    told("reflectors")
-    sensors.lights(answers, _SEED)
-    told("stereo")
-    states.approached(answers, known["client"], _SEED)
-    states.fusion(answers, _SEED)
-    told("fusion")
-    states.segments(answers, _SEED)
-    states.spins(answers, _SEED)
-    told("trajectory")
-    states.service(answers, known["hubble"], _SEED)
-    told("service")
+    steps: dict[str, Callable[[], None]] = {
+        "models": partial(models.digests, answers, known, scratch / "code"),
+        "first poses": partial(appearance.first_poses, answers, known, _SEED),
+        "hard light": partial(appearance.hard_light, answers, known, _SEED),
+        "sequences": partial(appearance.sequences, answers, known, _SEED),
+        "joints": partial(appearance.joints, answers, folder, _SEED),
+        "photographs": partial(appearance.photographs, answers, folder),
+        "Mitsuba": partial(appearance.mitsuba_frames, answers, known["client"]),
+        "ring": partial(sensors.ring, answers, _SEED),
+        "ring size": partial(sensors.sizes, answers, _SEED),
+        "reflectors": partial(sensors.reflectors, answers, _SEED),
+        "stereo": partial(sensors.lights, answers, _SEED),
+        "approach": partial(states.approached, answers, known["client"], _SEED),
+        "fusion": partial(states.fusion, answers, _SEED),
+        "trajectory": partial(states.segments, answers, _SEED),
+        "spin": partial(states.spins, answers, _SEED),
+        "service": partial(states.service, answers, known["hubble"], _SEED),
+    }
+    for name, step in steps.items():
+        step()
+        spent = f"{time.perf_counter() - began_s:.0f} s, processor {time.process_time():.0f} s"
+        print(f"{name}: {len(answers.records)} records so far, {spent}", flush=True)
     return answers

@@ -10,11 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import CLIENT
-from experiments.golden.answers import Answers, pose_numbers
+from experiments.golden.answers import Answers
 from experiments.golden.appearance import CAMERA, IN_SPACE, turning
 from experiments.golden.models import Trained
+from experiments.golden.sensors import add_ring
 from experiments.service.serving import Served
-from rendezview.client import Client, fused_pose_of_state, pose_of_state
+from rendezview.client import Client, pose_of_state
 from rendezview.fusion import (
     BeamSurface,
     Fusion,
@@ -28,6 +29,7 @@ from rendezview.io.target import DockingRing, Target
 from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.simulation.approach import ApproachOptions, approach, echo
+from rendezview.simulation.ring_frames import Circle
 from rendezview.simulation.scene import render_frame, sun_at_phase
 from rendezview.simulation.trajectories import torque_free
 from rendezview.trajectory import (
@@ -56,7 +58,7 @@ def approached(answers: Answers, one: Trained, seed: int) -> None:
     for time_s, truth in poses:
         image = render_frame(one.mesh, CAMERA, truth, truth.rotation @ sun, IN_SPACE, rng)
         seen = answers.timed("approach/tracker", tracker.update, time_s, image)
-        answers.pose("approach/tracker", seen, truth, middle_m=ring.centre_m)
+        answers.seen("approach/tracker", seen, truth, middle_m=ring.centre_m)
         filtered.add(seen.measurement("camera"))
         known = filtered.state_at(time_s)
         prior = None
@@ -64,7 +66,8 @@ def approached(answers: Answers, one: Trained, seed: int) -> None:
             place = known.pose.apply(ring.centre_m)
             prior = RingPrior(centre_m=place, axis=known.pose.rotation @ ring.axis)
         found = answers.timed("approach/ring", sensor.update, time_s, image, prior)
-        answers.add("approach/ring", str(found.status), {}, line=found.record())
+        there = Circle(truth.apply(ring.centre_m), truth.rotation @ ring.axis, ring.radius_m, True)
+        add_ring(answers, "approach/ring", found, there)
         filtered.add(found.measurement("ring", ring=ring))
         distance = echo(one.mesh, truth, (0.3, 0.0, 0.0), (0.0, 0.0, 1.0))
         if distance is not None:
@@ -125,20 +128,9 @@ def _add_state(
     answers: Answers, group: str, filtered: Fusion, time_s: float, truth: Pose, middle_m: Array
 ) -> None:
     state = filtered.state_at(time_s)
-    line = [state.reason, state.rates, state.covariance]
-    answers.pose(group, _Seen(state.status, state.pose, _block(state.covariance)), truth,
-                 middle_m=middle_m, line=line)  # fmt: skip
-
-
-class _Seen:
-    """A state as `Answers.pose` takes it."""
-
-    def __init__(self, status: str, pose: Pose | None, covariance: Array | None) -> None:
-        self.status, self.pose, self.covariance = status, pose, covariance
-
-
-def _block(covariance: Any) -> Array | None:
-    return None if covariance is None else np.array(covariance)[:6, :6]
+    spread = None if state.covariance is None else state.covariance[:6, :6]
+    answers.pose(group, state.status, state.pose, truth, middle_m=middle_m, covariance=spread,
+                 line=[state.reason, state.rates, state.covariance])  # fmt: skip
 
 
 def segments(answers: Answers, seed: int) -> None:
@@ -163,17 +155,16 @@ def segments(answers: Answers, seed: int) -> None:
             fit = partial(fit_segment, mean_motion_rad_s=_MEAN_MOTION_RAD_S)
             found = answers.timed(group, fit, cloud, shape)
             if isinstance(found, Nothing):
-                answers.add(group, found.reason, {})
+                answers.add(group, found.reason)
                 continue
             for name, at, limit in (("", times, 0.03), ("/predicted", times + _SPAN_S, 0.1)):
                 there, answer = flown(at), found.places(at)
                 far = np.linalg.norm(there, axis=1)
                 off = float(np.median(np.linalg.norm(answer - there, axis=1) / far))
-                numbers = {"parameters": found.parameters, "sigma": np.diag(found.covariance),
-                           "places": answer[::13]}  # fmt: skip
-                right = off < limit * (5.0 if nodes else 1.0)
-                answers.add(group + name, "ok", numbers, line=[answer, found.covariance],
-                            errors=(off, off), right=right)  # fmt: skip
+                limit *= 5.0 if nodes else 1.0
+                answers.add(group + name, "ok", line=[answer, found.covariance], errors=(off, off),
+                            limits=(limit, limit), parameters=found.parameters,
+                            variances=np.diag(found.covariance), places=answer[::13])  # fmt: skip
 
 
 def _path(shape: Shape, rng: np.random.Generator) -> Callable[[Array], Array]:
@@ -211,17 +202,16 @@ def spins(answers: Answers, seed: int) -> None:
         ):
             found = answers.timed(f"spin/{name}", fit)
             if isinstance(found, Nothing):
-                answers.add(f"spin/{name}", found.reason, {})
+                answers.add(f"spin/{name}", found.reason)
                 continue
             true = rates[20]
             cosine = float(found.axis @ true / np.linalg.norm(true))
             errors = (float(np.arccos(np.clip(cosine, -1.0, 1.0))),
                       abs(found.speed_rad_s / float(np.linalg.norm(true)) - 1.0))  # fmt: skip
-            numbers = {"rotation": found.rotation, "rate": found.rate_rad_s,
-                       "covariance": found.covariance}  # fmt: skip
             limit = 0.1 if name == "attitudes" else 1.0
-            answers.add(f"spin/{name}", "ok", numbers, line=found.moments, errors=errors,
-                        right=errors[0] < limit and errors[1] < limit)  # fmt: skip
+            answers.add(f"spin/{name}", "ok", line=found.moments, errors=errors,
+                        limits=(limit, limit), attitude=found.rotation, rate=found.rate_rad_s,
+                        covariance=found.covariance)  # fmt: skip
 
 
 def service(answers: Answers, one: Trained, seed: int) -> None:
@@ -234,10 +224,9 @@ def service(answers: Answers, one: Trained, seed: int) -> None:
             session = client.open(CAMERA, prior=frames[0][1], record=False, name="golden")
             for k, (image, truth) in enumerate(frames):
                 state = session.track(image, 0.1 * k)
-                seen = _Seen(state["status"], pose_of_state(state), _block(state["covariance"]))
-                answers.pose("service", seen, truth, middle_m=one.model.centre_m, line=state)
-                fused = fused_pose_of_state(state)
-                answers.add("service/filter", str(state["phase"]), {"pose": pose_numbers(fused)})
+                answers.pose("service", state["status"], pose_of_state(state), truth, line=state,
+                             middle_m=one.model.centre_m, covariance=state["covariance"],
+                             confidence=state["confidence"])  # fmt: skip
             session.close()
     finally:
         served.stop()
