@@ -76,7 +76,6 @@ def answered(folder: Path, scratch: Path) -> Answers:
         "reflectors": partial(sensors.reflectors, answers, _SEED),
         "stereo": partial(sensors.lights, answers, _SEED),
         "approach": partial(states.approached, answers, known["client"], _SEED),
-        "fusion": partial(states.fusion, answers, _SEED),
         "trajectory": partial(states.segments, answers, _SEED),
         "spin": partial(states.spins, answers, _SEED),
         "service": partial(states.service, answers, known["hubble"], _SEED),
