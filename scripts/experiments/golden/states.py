@@ -19,7 +19,7 @@ from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.appearance import Recognizer, Tracker
 from rendezview.sensors.ring import RingPrior, RingSensor
 from rendezview.trajectory import (
-    Nothing,
+    NoFit,
     PointCloud,
     Shape,
     fit_segment,
@@ -95,7 +95,7 @@ def segments(answers: Answers, seed: int) -> None:
             group = f"trajectory/{shape}" + ("/nodes" if nodes else "")
             fit = partial(fit_segment, mean_motion_rad_s=_MEAN_MOTION_RAD_S)
             found = answers.timed(group, fit, cloud, shape)
-            if isinstance(found, Nothing):
+            if isinstance(found, NoFit):
                 answers.add(group, found.reason)
                 continue
             for name, at, limit in (("", times, 0.03), ("/predicted", times + _SPAN_S, 0.1)):
@@ -142,7 +142,7 @@ def spins(answers: Answers, seed: int) -> None:
             ("directions", partial(fit_spin_of_directions, times, away, tumbling=tumbling)),
         ):
             found = answers.timed(f"spin/{name}", fit)
-            if isinstance(found, Nothing):
+            if isinstance(found, NoFit):
                 answers.add(f"spin/{name}", found.reason)
                 continue
             true = rates[20]

@@ -201,7 +201,7 @@ def looks(
         evidence, second = Evidence.of(seen, float(k), predicted, model.centre_m), None
         due = poses % SECOND_EVERY == 0
         if due and seen.pose is not None and not (evidence is not None and evidence.sketched):
-            second = recognizer.second_look(picture, seen.pose)
+            second = recognizer.second_estimate(picture, seen.pose)
         poses += seen.pose is not None
         lost = 0 if seen.pose is not None else lost + 1
         lines.append({
@@ -222,13 +222,13 @@ class Look:
     condition: str
     evidence: Evidence | None  # None: no pose
     second: Second | None
-    asked: bool  # whether the second witness was
+    asked: bool  # whether the second estimator was
     error: np.ndarray | None  # (6,) from the pose to the truth; None: another target
     misled: bool  # the track began at a wrong prior on purpose
 
     @property
     def ask(self) -> Callable[[], Second | None] | None:
-        """The second witness, where it was asked."""
+        """The second estimator, where it was asked."""
         return (lambda: self.second) if self.asked else None
 
     @property

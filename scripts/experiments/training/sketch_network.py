@@ -25,7 +25,7 @@ from rendezview_ground.simulate.sketch_frames import (
 
 BLOCK = 5  # craft a file
 BATCH = 16
-LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer look
+LARGE = 2  # times SIDE_PX: the side of larger pictures, as those of a closer pass
 LARGE_BATCH = BATCH // LARGE**2
 LARGE_SHARE = 0.35  # of the batches, where there are larger drawings
 FRAMES_A_SKY = 5

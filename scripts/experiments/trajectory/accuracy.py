@@ -19,7 +19,7 @@ from rendezview.sensors.appearance.model.signature import Signature
 from rendezview.sensors.appearance.outline.interpolation import Interpolator
 from rendezview.sensors.appearance.outline.votes import Match
 from rendezview.trajectory import (
-    Nothing,
+    NoFit,
     PointCloud,
     Segment,
     Shape,
@@ -208,7 +208,7 @@ def between_nodes(data: dict[str, Array], between: Interpolator) -> tuple[Array,
     return np.concatenate(times), np.concatenate(points), np.concatenate(weights)
 
 
-def spins(data: dict[str, Array], kind: str, between: Interpolator) -> dict[str, Spin | Nothing]:
+def spins(data: dict[str, Array], kind: str, between: Interpolator) -> dict[str, Spin | NoFit]:
     """From directions of active nodes, from attitudes with the chaser's own known."""
     frames, times = data["pose_frame"], data["times_s"]
     back = np.swapaxes(data["jitter"][frames], 1, 2)
@@ -277,7 +277,7 @@ def judge(
             values = []
             for seed, each in found.items():
                 fit = each[source]
-                if isinstance(fit, Nothing):
+                if isinstance(fit, NoFit):
                     print(f"{kind} {source} seed {seed}: {fit.reason}")
                 else:
                     values.append(errors(fit, kept[kind, seed], kind, seed))
