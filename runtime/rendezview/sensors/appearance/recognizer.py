@@ -38,14 +38,14 @@ from rendezview.sensors.observation import Status
 
 # Of the outline: it was whole, and refinement says why there is no pose.
 _WHOLE_OUTLINE = (Status.OK, Status.AMBIGUOUS, Status.UNRECOGNIZED)
-# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints
+# Rad; error of a pose whose joint is at a wrong angle. Source: experiment pose-joints (0.1)
 _NEAR_RAD = np.deg2rad(8.0)
 # Confidence: with less after the likeliest starts, a sketch is tried before all others. Of 79
 # frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _LEAST_RATIO = 0.1
 _CONFIGURATIONS = (
-    3  # of a target with joints that are searched whole. Source: experiment pose-joints
+    3  # of a target with joints that are searched whole. Source: experiment pose-joints (0.1)
 )
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
