@@ -33,8 +33,7 @@ def run(name: str, experiment: Callable[..., object], words: Sequence[str]) -> o
     """Call an experiment with the arguments of a command line.
 
     Positional parameters are positional arguments, keyword-only ones are options. Their types
-    are those of the signature; ``Annotated[type, "help"]`` adds the help, and a dictionary after
-    it more settings of `argparse`.
+    are those of the signature; ``Annotated[type, "help"]`` adds the help.
     """
     parser = argparse.ArgumentParser(
         prog=f"python -m experiments {name}",
@@ -62,9 +61,7 @@ def _settings(hint: Any) -> dict[str, Any]:
     """What `argparse` needs to know of a type."""
     settings: dict[str, Any] = {}
     if get_origin(hint) is Annotated:
-        hint, settings["help"], *more = get_args(hint)
-        for extra in more:
-            settings |= extra
+        hint, settings["help"] = get_args(hint)
     if isinstance(hint, UnionType):  # X | None
         hint = next(kind for kind in get_args(hint) if kind is not type(None))
     if hint is bool:

@@ -19,7 +19,6 @@ def recorded(
     model: Path, targets: list[str], *, seed: int = 7, part: Literal["one", "two"] = "one",
     span: tuple[int, int] = (0, 20), log: Annotated[Path | None, "JSON lines"] = None,
     from_: float = 12.0, sun: bool = False,
-    long: Annotated[str | None, "a folder", {"nargs": "?", "const": ""}] = None,
 ) -> dict[str, object]:  # fmt: skip
     """What was asked for."""
     return locals()
@@ -54,13 +53,12 @@ def test_arguments_come_from_the_signature() -> None:
     asked = run("name", recorded, ["m.rvm", "a", "b", "--seed", "3", "--sun", "--from", "2"])
     assert asked == {
         "model": Path("m.rvm"), "targets": ["a", "b"], "seed": 3, "part": "one", "span": (0, 20),
-        "log": None, "from_": 2.0, "sun": True, "long": None,
+        "log": None, "from_": 2.0, "sun": True,
     }  # fmt: skip
-    words = ["m", "a", "--part", "two", "--span", "1", "4", "--log", "x", "--long"]
+    words = ["m", "a", "--part", "two", "--span", "1", "4", "--log", "x"]
     asked = run("name", recorded, words)
     assert isinstance(asked, dict)
     assert (asked["part"], asked["span"], asked["log"]) == ("two", [1, 4], Path("x"))
-    assert asked["long"] == ""
 
 
 @pytest.mark.parametrize("words", [[], ["m"], ["m", "a", "--part", "x"], ["m", "a", "--seed", "x"]])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.model.forest import BINS, LEAF, Voters
+from rendezview.sensors.appearance.model.forest import BINS, LEAF, ScoreForest
 
 Entry = tuple[int, int, int, int]  # bin, threshold, right child, odds
 TREES = 7  # a mean of so many is rounded
@@ -29,9 +29,9 @@ def forest_model(tiny_model: ViewModel) -> ViewModel:
     trees = [random_tree(rng, k % 8) for k in range(TREES * len(tiny_model.forest))]
     component, threshold, right, odds = np.array([entry for tree in trees for entry in tree]).T
     roots = np.cumsum([0, *map(len, trees[:-1])]).reshape(-1, TREES)
-    voters = Voters(
+    forest = ScoreForest(
         roots.astype(np.int32), component.astype(np.uint8), threshold.astype(np.uint8),
         right.astype(np.uint16), odds.astype(np.int8),
     )  # fmt: skip
-    voters.check(len(roots))
-    return replace(tiny_model, voters=voters)
+    forest.check(len(roots))
+    return replace(tiny_model, score_forest=forest)

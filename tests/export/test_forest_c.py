@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tests.export.driver import SANITIZED, ActiveNodes, FlightCode, build, compiler, object_bytes
 
 from rendezview.export.c_code import model_files
-from rendezview.export.tables import pack_scores, windows_of
+from rendezview.export.tables import pack_score_forest, windows_of
 from rendezview.geometry.pose import Pose
 from rendezview.sensors.appearance import ViewModel
 from rendezview.sensors.appearance.model.forest import BINS
@@ -50,7 +50,7 @@ def some_view(model: ViewModel, rng: np.random.Generator) -> tuple[Signature, np
 
 @pytest.mark.requirement("RV-CODE-1")
 def test_the_score_of_an_attitude_is_that_of_the_runtime(code, forest_model):
-    rng, forest = np.random.default_rng(1), forest_model.ballot()
+    rng, forest = np.random.default_rng(1), forest_model.forest_scores()
     scores = set()
     for _ in range(SIGNATURES):
         signature, attitude = some_view(forest_model, rng)
@@ -94,7 +94,7 @@ def test_numbers_that_are_none_are_refused(code, forest_model, bad):
 def test_a_view_between_all_nodes_has_the_least_score(code, forest_model):
     signature, _ = some_view(forest_model, np.random.default_rng(4))
     none = np.zeros((3, 3))  # looks nowhere, so no node is near
-    least = forest_model.ballot().scores(signature, none[None])[0]
+    least = forest_model.forest_scores().scores(signature, none[None])[0]
     assert code.forest_score(signature.readings, none) == least == -127.0 / 16.0
 
 
@@ -113,7 +113,7 @@ def test_the_header_tells_the_size_and_the_depth(forest_model, tmp_path):
     told = int(header.split("RDV_FOREST_BYTES ")[1].split("u")[0])
     assert told <= taken < told + 400
     assert "#define RDV_FOREST_DEPTH 7u " in header
-    assert pack_scores(forest_model).depth == 7
+    assert pack_score_forest(forest_model).depth == 7
 
 
 @pytest.mark.skipif(shutil.which("nm") is None, reason="there is no nm here")

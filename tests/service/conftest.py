@@ -51,7 +51,7 @@ class Served:
     def client(self, token: str | None = None) -> Client:
         return Client(self.url, token, timeout_s=MOST_S)
 
-    def states_told(self, session: str, last: str, message: str | None = None) -> list[str]:
+    def states_reported(self, session: str, last: str, message: str | None = None) -> list[str]:
         """States in the log's lines on a session, once ``last`` is: lines come in behind."""
 
         def states() -> list[str]:

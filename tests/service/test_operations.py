@@ -276,7 +276,7 @@ def test_a_full_disk_is_seen_by_the_operator_and_tracking_goes_on(service, clien
     info = session.info()["recording"]
     assert info["state"] == "on"
     assert info["name"].endswith("-2.mcap")
-    assert service.states_told("full", last="on", message="recording") == ["failed", "on"]
+    assert service.states_reported("full", last="on", message="recording") == ["failed", "on"]
     session.close()
 
 
@@ -312,4 +312,4 @@ def test_commands_say_what_is_wrong_in_one_line(tmp_path, model_path):
 
 def test_the_log_of_the_service_is_json_lines(service, client, camera):
     client.open(camera, name="logged").close()
-    assert service.states_told("logged", last="closed") == ["opened", "closed"]
+    assert service.states_reported("logged", last="closed") == ["opened", "closed"]

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from rendezview.export.tables import (
     MOST_16_BIT,
     PackedForest,
-    PackedScores,
+    PackedScoreForest,
     pack_forest,
-    pack_scores,
+    pack_score_forest,
 )
 from rendezview.geometry.geodesic import Geodesic
 from rendezview.io.files import atomic_write_text, make_folder
@@ -73,7 +73,7 @@ def model_files(model: ViewModel, options: MatchOptions | None = None) -> tuple[
         options: how far around an attitude nodes are asked, as in `Matcher`.
     """
     options = options or MatchOptions()
-    packed, scores, sphere = pack_forest(model), pack_scores(model), model.geodesic
+    packed, scores, sphere = pack_forest(model), pack_score_forest(model), model.geodesic
     wide_index = len(packed.bins) > MOST_16_BIT or len(packed.on_leaves) > MOST_16_BIT
     step = int(np.gcd.reduce(packed.bins)) or 1
     types = {
@@ -167,7 +167,7 @@ def _tables(name: str, tables: Tables) -> str:
     )
 
 
-def _forest(scores: PackedScores, sphere: Geodesic) -> tuple[dict[str, str], Tables]:
+def _forest(scores: PackedScoreForest, sphere: Geodesic) -> tuple[dict[str, str], Tables]:
     """Values of the header, and the tables, of a forest."""
     bins, window = scores.windows.shape
     trees = scores.roots.shape[1]
@@ -217,7 +217,7 @@ def _shortest(largest: int) -> str:
 def _describe(
     model: ViewModel,
     packed: PackedForest,
-    scores: PackedScores | None,
+    scores: PackedScoreForest | None,
     types: dict[str, str],
     reach_rad: float,
 ) -> list[str]:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from rendezview.errors import RendezviewError
 from rendezview.geometry.pose import Array
 from rendezview.sensors.appearance import ViewModel
-from rendezview.sensors.appearance.model.forest import BINS, LEAF, VoterTables
+from rendezview.sensors.appearance.model.forest import BINS, LEAF, ForestTables
 from rendezview.sensors.appearance.model.signature import rebinning
 from rendezview.sensors.appearance.model.trees import Forest
 from rendezview.sensors.appearance.outline.votes import Matcher
@@ -94,7 +94,7 @@ def pack_forest(model: ViewModel) -> PackedForest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PackedScores:
+class PackedScoreForest:
     """The trees that score attitudes: N nodes with T each, C bins of W readings."""
 
     roots: npt.NDArray[np.int32]  # (N, T) entry at which each tree starts
@@ -104,17 +104,17 @@ class PackedScores:
     windows: npt.NDArray[np.float32]  # (C, W) weights of the readings from there
 
 
-def pack_scores(model: ViewModel) -> PackedScores | None:
+def pack_score_forest(model: ViewModel) -> PackedScoreForest | None:
     """The trees of a model that score attitudes; None where it has none."""
-    if model.voters is None:
+    if model.score_forest is None:
         return None
-    tables = VoterTables.of(model.voters)
+    tables = ForestTables.of(model.score_forest)
     at, depth = tables.roots.ravel().astype(np.int64), -1
     while len(at):
         at = at[tables.entries[at] & 255 != LEAF]
         at = np.concatenate([at + 1, at + (tables.entries[at] >> 16)])
         depth += 1
-    return PackedScores(tables.roots, tables.entries, depth, *windows_of(model.bins))
+    return PackedScoreForest(tables.roots, tables.entries, depth, *windows_of(model.bins))
 
 
 def windows_of(bins: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:

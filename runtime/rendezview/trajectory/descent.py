@@ -17,7 +17,7 @@ import numpy as np
 
 from rendezview.geometry import so3
 from rendezview.geometry.pose import Array
-from rendezview.trajectory.nothing import Nothing
+from rendezview.trajectory.no_fit import NoFit
 from rendezview.trajectory.scaling import typical_sizes
 from rendezview.trajectory.shapes import DRIFT, HOPS, LINE, SPIRAL
 from rendezview.trajectory.simplex import (
@@ -218,7 +218,7 @@ def _starts(fit: Descent, places_m: Array) -> list[Array]:
         guess = first_guess(
             fit.code, times[chosen], places_m[chosen], fit.weights[chosen], constants[0]
         )
-        if isinstance(guess, Nothing):
+        if isinstance(guess, NoFit):
             continue
         own, parameters = guess
         if fit.code <= SPIRAL:

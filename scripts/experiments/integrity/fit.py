@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import fdtri
 
-from experiments.integrity.logs import tracks
+from experiments.integrity.draw import tracks
 from rendezview.estimation.protection import Overbound
 from rendezview.sensors.appearance.integrity.model import (
     FRAME_FEATURES,

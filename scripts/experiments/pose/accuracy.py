@@ -55,7 +55,7 @@ def features_of(found: Found, truth: Pose, model: ViewModel) -> Record:
     }
 
 
-def both_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
+def both_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The first pose without a prior, and the tracked one."""
     first = recognizer.recognize(image)
     tracked = recognizer.recognize(image, prior, PRIOR_RAD)
@@ -63,7 +63,7 @@ def both_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -
     return [{"mode": mode} | compared(o, truth, recognizer.model) for mode, o in modes.items()]
 
 
-def single_looks(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
+def single_searches(recognizer: Recognizer, image: Array, truth: Pose, prior: Pose) -> list[Record]:
     """The pose next to a prior if nothing else is tried, without a look at the surface and with."""
     assert recognizer.search is not None
     refiner, sky = recognizer.search.refiner, Sky.of(image)
@@ -88,9 +88,9 @@ def on_scene(
         image = frame.read()
         rngs = [np.random.default_rng([seed, k, *more]) for more in ((), (0,), (1,), (2,))]
         first, *others = (second_earlier(truth, model.centre_m, rng) for rng in rngs)
-        looks = both_looks(recognizer, image, truth, first)
+        looks = both_searches(recognizer, image, truth, first)
         for prior in others if log else ():
-            looks += single_looks(recognizer, image, truth, prior)
+            looks += single_searches(recognizer, image, truth, prior)
         about = {"target": target, "condition": condition, "frame": k}
         records += [about | look for look in looks]
     return records

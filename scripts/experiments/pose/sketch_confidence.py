@@ -35,7 +35,7 @@ from rendezview.sensors.appearance.judge.sketch_choice import (
     PACKAGED_TREES,
     POSE_FEATURES,
     RIVAL_RAD,
-    Looks,
+    Passes,
     SketchChoice,
     chosen,
     opinion_features,
@@ -70,7 +70,7 @@ CRAFT = 12  # random ones besides
 FOLDS = 5  # of the targets; the frames of each are judged by a fit to those of the others
 # Of random craft: what the search on sketches reads, and next to no trees.
 CRAFT_OPTIONS = TrainingOptions(
-    perturbed_views=200, held_out_views=50, voters=0, shadowed_silhouettes=False
+    perturbed_views=200, held_out_views=50, forest_trees=0, shadowed_silhouettes=False
 )
 LEAST_CONFIDENCE = 0.6  # of the recognizer
 
@@ -116,7 +116,7 @@ def random_target(folder: Path, seed: int, k: int) -> tuple[Path, Mesh]:
 class Searched:
     """What a search on a sketch found in a frame of known pose."""
 
-    looks: Looks
+    passes: Passes
     truth: Pose
     centre_m: Array  # (3,) of the views
     symmetries: tuple[Symmetry, ...]
@@ -132,7 +132,7 @@ class Searched:
     @property
     def choice(self) -> SketchChoice:
         """What the present merit chooses; where that is the same, with the mean that was given."""
-        now = chosen(self.looks, self.symmetries, prior=self.prior, cut=self.cut)
+        now = chosen(self.passes, self.symmetries, prior=self.prior, cut=self.cut)
         assert now is not None  # a frame without any pose is none of those searched
         if now.best.pose is self.best:
             return replace(now, pose=self.pose, spread_deg=self.spread_deg)
@@ -186,7 +186,7 @@ def _searched(
         error = np.concatenate([spin, best.translation_m - truth.translation_m])
         squared = nees(error, choice.covariance)
     return Searched(
-        choice.looks, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
+        choice.passes, truth, model.centre_m, model.symmetries, prior is not None, choice.cut,
         choice.best.pose, choice.pose, choice.spread_deg, squared, target,
     )  # fmt: skip
 
@@ -194,10 +194,10 @@ def _searched(
 def fitted_merit(searches: list[Searched]) -> np.ndarray:
     """(7,) weights that put right poses of a frame before wrong ones (conditional logit).
 
-    Of both looks: those of the closer one were chosen by a merit, which no longer tells them apart.
+    Of both passes: those of the closer one were chosen by a merit, which cannot separate them.
     """
     groups = []
-    each = [(s, poses) for s in searches for poses in (s.looks.first, s.looks.closer)]
+    each = [(s, poses) for s in searches for poses in (s.passes.first, s.passes.closer)]
     for search, poses in each:
         clear = [p for p in poses if search.right(p.pose) or search.error_deg(p.pose) > WRONG_DEG]
         good = np.array([search.right(p.pose) for p in clear], dtype=bool)
@@ -236,7 +236,7 @@ def probabilities(asked: list[np.ndarray], good: np.ndarray, folds: np.ndarray) 
 
 
 def shares(good: np.ndarray, wrong: np.ndarray, given: np.ndarray) -> str:
-    """Of looks (N,) each: whether the pose is right, whether wrong, whether it is given."""
+    """Of passes (N,) each: whether the pose is right, whether wrong, whether it is given."""
     return f"given and right {(given & good).mean():.3f}, and wrong {(given & wrong).mean():.4f}"
 
 
@@ -326,7 +326,7 @@ def run(
         found = probabilities(asked, good, folds)
         trees = fitted_trees(features, good)
         arrays |= {f"{kind}_{f.name}": getattr(trees, f.name) for f in fields(trees)}
-        print(f"{kind}: {len(some)} looks, the pose right {good.mean():.3f}; "
+        print(f"{kind}: {len(some)} passes, the pose right {good.mean():.3f}; "
               f"{shares(good, wrong, found[0] > LEAST_CONFIDENCE)}")  # fmt: skip
         if not prior:
             weights = with_second_opinions(some, found, folds, good, wrong)

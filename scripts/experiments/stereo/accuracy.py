@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from experiments.frame import MODELS_CAD, show, table_of, tests_module
 from experiments.peers.pnp import rig as by_peers
-from experiments.stereo.board import Simulator, squared_error
+from experiments.stereo.board import squared_error
 from rendezview.calibration.laboratory import calibrate_laboratory
 from rendezview.geometry.pose import Pose
 from rendezview.io.target import Target
@@ -31,6 +31,7 @@ from rendezview.sensors.beacons.match.agreement import iterate
 from rendezview_ground.simulate.led_laboratory import LaboratoryOptions
 from rendezview_ground.simulate.led_pictures import PictureOptions
 
+Simulator = Literal["own", "plain"]
 PAPER = {2.0: 0.08, 0.5: 0.02}  # degrees about the line
 POSITIONS = 41  # of the stage; the paper's figure does not give it
 RATE_HZ, SIGNAL_TO_NOISE = 10.0, 200.0

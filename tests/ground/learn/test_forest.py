@@ -1,4 +1,4 @@
-"""The learner of the voters: scikit-learn's forest, decided alike by the runtime."""
+"""The learner of the forest: scikit-learn's forest, decided alike by the runtime."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from rendezview.sensors.appearance.model.forest import (
     BINS,
     LEAF,
     ODDS_UNIT,
-    VoterTables,
+    ForestTables,
     _ask_each,
     roll_readings,
 )
 from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees import forest as learner
 from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
-from rendezview_ground.learn.trees.forest import VoterSamples, forest_of, joined, learn_voters
+from rendezview_ground.learn.trees.forest import ForestSamples, forest_of, joined, learn_forest
 from rendezview_ground.learn.views.views import look_from
 
-OPTIONS = TrainingOptions(voters=3)
+OPTIONS = TrainingOptions(forest_trees=3)
 NODES = range(12)
 
 
 @pytest.fixture(scope="module")
-def samples() -> VoterSamples:
+def samples() -> ForestSamples:
     """3000 outlines whose two lobes move with the direction of view."""
     rng = np.random.default_rng(0)
     direction = rng.normal(size=(3000, 3))
@@ -36,7 +36,7 @@ def samples() -> VoterSamples:
     angle = 2.0 * np.pi * np.arange(BINS) / BINS
     lobes = direction[:, :1] * np.cos(2.0 * angle) + direction[:, 1:2] * np.sin(3.0 * angle)
     readings = np.rint(40.0 + 25.0 * lobes + 10.0 * direction[:, 2:] * np.cos(angle))
-    return VoterSamples(
+    return ForestSamples(
         0,
         np.array([look_from(node, 0.0) for node in Geodesic.of_order(0).nodes]),
         readings.astype(np.uint8),
@@ -73,7 +73,7 @@ def test_one_category_is_counted_as_what_it_is(label):
 @pytest.mark.requirement("RV-TRAIN-3")
 def test_the_runtime_asks_the_leaves_that_scikit_learn_finds(samples):
     """Readings of a frame are not whole; rounded up, they reach the same leaf of every tree."""
-    tables = VoterTables.of(joined([learn_voters(samples, OPTIONS, NODES)]))
+    tables = ForestTables.of(joined([learn_forest(samples, OPTIONS, NODES)]))
     rng = np.random.default_rng(2)
     odds = []
     for node in NODES:
@@ -98,9 +98,9 @@ def test_the_runtime_asks_the_leaves_that_scikit_learn_finds(samples):
 
 
 def samples_of(
-    samples: VoterSamples, node: int
+    samples: ForestSamples, node: int
 ) -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
-    """What `learn_voters` learns of a node, and its random numbers after that."""
+    """What `learn_forest` learns of a node, and its random numbers after that."""
     random = learner.stream_of(OPTIONS, node)
     return *samples.of_node(node, OPTIONS, random), random
 
@@ -120,7 +120,7 @@ def test_samples_are_rolled_and_rounded_up():
 
 def test_voters_know_their_nodes_from_others(samples):
     """On samples of the same kind that were not learned, with errors of roll and shape."""
-    tables = VoterTables.of(joined([learn_voters(samples, OPTIONS, NODES)]))
+    tables = ForestTables.of(joined([learn_forest(samples, OPTIONS, NODES)]))
     right = total = 0
     for node in NODES:
         fresh = np.random.default_rng([99, node])
@@ -134,8 +134,8 @@ def test_voters_know_their_nodes_from_others(samples):
 
 
 def test_voters_learned_in_parts_are_those_learned_at_once(samples):
-    whole = joined([learn_voters(samples, OPTIONS, NODES)])
-    parts = joined([learn_voters(samples, OPTIONS, part) for part in (range(5), range(5, 12))])
+    whole = joined([learn_forest(samples, OPTIONS, NODES)])
+    parts = joined([learn_forest(samples, OPTIONS, part) for part in (range(5), range(5, 12))])
     for field in dataclasses.fields(whole):
         a, b = getattr(whole, field.name), getattr(parts, field.name)
         assert a.dtype == b.dtype
@@ -146,9 +146,9 @@ def test_voters_learned_in_parts_are_those_learned_at_once(samples):
 
 def test_many_samples_do_not_make_more_entries_than_can_be_counted(samples, monkeypatch):
     monkeypatch.setattr(learner, "_MOST_LEAVES", 16)
-    small = learn_voters(samples, OPTIONS, NODES)
+    small = learn_forest(samples, OPTIONS, NODES)
     monkeypatch.undo()
-    full = learn_voters(samples, OPTIONS, NODES)
+    full = learn_forest(samples, OPTIONS, NODES)
     assert np.diff(small["roots"].ravel()).max() <= 2 * 17
     assert len(full["component"]) > len(small["component"])
     assert (small["component"] == LEAF).sum() > len(small["component"]) / 2

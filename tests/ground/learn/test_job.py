@@ -159,7 +159,7 @@ def test_progress_counts_up_to_the_end_of_each_stage(tmp_path, bumpy_mesh):
         "shadows",
         "sketches",
         "trees",
-        "voters",
+        "forest",
         "calibration",
     ]
     for stage, counts in reported.items():

@@ -7,6 +7,7 @@ import importlib.util
 import os
 import pickle
 import signal
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -136,6 +137,17 @@ def test_a_model_drawn_by_pyrender_equals_ours_to_the_pixels_that_differ(
         assert a.shape == b.shape
         assert np.mean(a == b) > 0.9
     assert other.sketches.maps.astype(float) == pytest.approx(ours.sketches.maps, abs=16)
+
+
+def test_the_commands_start_without_pyrender_and_opengl():
+    """They are imported by the processes that draw, when they draw."""
+    program = (
+        "import sys, rendezview.api, rendezview_ground.learn.command; "
+        "import rendezview_ground.simulate.command, "
+        "rendezview_ground.evaluate.demo_command; print({'pyrender', 'OpenGL'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.stdout, done.returncode) == ("set()\n", 0), done.stderr
 
 
 def test_where_opengl_is_missing_one_line_says_so_and_ours_draws(monkeypatch, bumpy_mesh):

@@ -203,7 +203,7 @@ class Tracker:
                 self._follow(observation, observation.pose, time_s)
             if self._monitor is None:
                 return observation
-            look = partial(self.recognizer.second_look, image)
+            look = partial(self.recognizer.second_estimate, image)
             centre_m = self.recognizer.model.centre_m
             return self._monitor.protected(observation, time_s, predicted, centre_m, look)
 

@@ -257,7 +257,9 @@ def measure_pass(
         size = ring_size_of_pass(camera, sights, _COMMON_PX)
         if size is not None:
             rest = [circles[number], *circles[:number], *circles[number + 1 :]]
-            return SizeResult(size, None, total, count, tuple(_told(frames, one) for one in rest))
+            return SizeResult(
+                size, None, total, count, tuple(_reported(frames, one) for one in rest)
+            )
     return SizeResult(None, "no circle has one size in three frames", total, count)
 
 
@@ -294,7 +296,7 @@ def _circles(frames: list[SizeFrame]) -> list[dict[int, int]]:
     return [members for _, _, members in found]
 
 
-def _told(frames: list[SizeFrame], members: dict[int, int]) -> tuple[float, float, int]:
+def _reported(frames: list[SizeFrame], members: dict[int, int]) -> tuple[float, float, int]:
     sizes = [frames[k].sizes[i] for k, i in members.items()]
     radius = float(np.median([size.radius_m for size in sizes]))
     return radius, float(np.median([size.distance_m for size in sizes])), len(members)

@@ -123,8 +123,8 @@ def by_range(
             others.append((k, j))
             words.append(f"{k} as the circle of {circles[j][1]:g} m (then at {at_m:.2f} m)")
     if not others:
-        lonely = not circles and not which.rivals and _is_alone(edges, which.edge)
-        return replace(which, alone=True, reason=_ALONE) if lonely else which
+        isolated = not circles and not which.rivals and _is_alone(edges, which.edge)
+        return replace(which, alone=True, reason=_ALONE) if isolated else which
     reason = which.reason or _words(which.edge, [which.edge], ranges, f"{by} does not tell")
     if not which.reason:
         reason = reason.rsplit(" or ", 1)[0]

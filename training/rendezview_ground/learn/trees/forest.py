@@ -1,4 +1,4 @@
-"""Voters: small trees of a node on whole and sunlit silhouettes; see `outline.voters`.
+"""The forest: small trees of a node on whole and sunlit silhouettes; see `model.forest`.
 
 They are scikit-learn's extremely randomised trees: each split tries a few random bins, at a random
 threshold each (P. Geurts, D. Ernst, L. Wehenkel, Machine Learning 63, 2006). Samples are rounded up
@@ -22,7 +22,7 @@ from rendezview.sensors.appearance.model.forest import (
     LEAF,
     ODDS_UNIT,
     Bytes,
-    Voters,
+    ScoreForest,
     roll_readings,
 )
 from rendezview.sensors.appearance.model.shadowed_silhouettes import (
@@ -35,7 +35,7 @@ from rendezview_ground.learn.options import TrainingOptions
 from rendezview_ground.learn.trees.fitted_tree import BRANCHLESS, FittedTree
 from rendezview_ground.learn.views.views import ViewSet
 
-_STREAM_OF_VOTERS = 7  # of random numbers, with the node
+_STREAM_OF_FOREST = 7  # of random numbers, with the node
 # Chosen on held-out views and silhouettes: larger leaves and fewer bins decide worse, random
 # forests (the best threshold of each bin) decide alike in twice the time.
 _TRIED = 20  # bins at a split, each at one random threshold
@@ -49,7 +49,7 @@ _WAVES = 6  # of that error around the outline
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VoterSamples:
+class ForestSamples:
     """Signatures in BINS bytes with their attitudes: whole silhouettes, then sunlit ones."""
 
     order: int
@@ -61,7 +61,7 @@ class VoterSamples:
     @classmethod
     def of(
         cls, order: int, lattice: ViewSet, perturbed: ViewSet | None, lit: ShadowedSilhouettes
-    ) -> VoterSamples:
+    ) -> ForestSamples:
         """Of the perturbed views, or the lattice's where there are none, and of sunlit parts."""
         sphere, views = Geodesic.of_order(order), lattice if perturbed is None else perturbed
         weights = rebinning(views.readings.shape[1], BINS)
@@ -110,7 +110,7 @@ class VoterSamples:
 
 def stream_of(options: TrainingOptions, node: int) -> np.random.Generator:
     """The random numbers of a node."""
-    return np.random.default_rng([options.seed, _STREAM_OF_VOTERS, node])
+    return np.random.default_rng([options.seed, _STREAM_OF_FOREST, node])
 
 
 def forest_of(
@@ -121,7 +121,7 @@ def forest_of(
 ) -> ExtraTreesClassifier:
     """Fit scikit-learn's forest to the samples of a node: readings (K, BINS) and labels (K,)."""
     return ExtraTreesClassifier(
-        options.voters,
+        options.forest_trees,
         criterion="entropy",
         max_features=_TRIED,
         min_samples_split=_LEAST_SPLIT,
@@ -132,10 +132,10 @@ def forest_of(
     ).fit(readings, labels)
 
 
-def learn_voters(samples: VoterSamples, options: TrainingOptions, nodes: range) -> Arrays:
-    """The fields of `Voters` of some nodes; ``roots`` count from the first entry of them."""
+def learn_forest(samples: ForestSamples, options: TrainingOptions, nodes: range) -> Arrays:
+    """The fields of `ScoreForest` of some nodes; ``roots`` count from the first entry of them."""
     grown: list[FittedTree] = []
-    roots = np.empty((len(nodes), options.voters), dtype=np.int32)
+    roots = np.empty((len(nodes), options.forest_trees), dtype=np.int32)
     entries = 0
     for k, node in enumerate(nodes):
         rng = stream_of(options, node)
@@ -156,15 +156,15 @@ def learn_voters(samples: VoterSamples, options: TrainingOptions, nodes: range) 
     }
 
 
-def joined(parts: list[Arrays]) -> Voters:
-    """The voters of all nodes, in order."""
+def joined(parts: list[Arrays]) -> ScoreForest:
+    """The forest of all nodes, in order."""
     offsets = np.cumsum([0, *(len(p["component"]) for p in parts[:-1])])
     roots = [p["roots"] + offset for p, offset in zip(parts, offsets, strict=True)]
     others = {
         name: np.concatenate([p[name] for p in parts])
         for name in ("component", "threshold", "right", "odds")
     }
-    return Voters(roots=np.concatenate(roots).astype(np.int32), **others)
+    return ScoreForest(roots=np.concatenate(roots).astype(np.int32), **others)
 
 
 @njit(cache=True, nogil=True)
