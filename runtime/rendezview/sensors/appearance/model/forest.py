@@ -30,7 +30,7 @@ Bytes = npt.NDArray[np.uint8]
 BINS = SHADOWED_BINS
 LEAF = 255  # as a bin. Source: by construction, format of the model file
 ODDS_UNIT = 1.0 / 16.0  # of a leaf's log odds. Source: by construction, format of the model file
-_INSIDE_EDGES = 1.0  # nodes that should be active. Source: by construction, the paper's figure 3
+INSIDE_EDGES = 1.0  # nodes that should be active. Source: by construction, the paper's figure 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ class ForestScores:
         self._tables = ForestTables.of(forest)
         self._nodes = np.ascontiguousarray(nodes)
         self._rotations = np.ascontiguousarray(rotations)
-        self._cosine = float(np.cos(_INSIDE_EDGES * edge_rad))
+        self._cosine = float(np.cos(INSIDE_EDGES * edge_rad))
 
     def scores(self, signature: Signature, rotations: Array) -> Array:
         """(K,) mean log odds of the nodes within one edge of each pose.

@@ -24,7 +24,7 @@ _SETTLED = 0.5
 _MOST_RESIDUAL = 1.0
 # A node is active above these log odds of its forest, and as likely as not at the even ones.
 # Source: experiment recognition-accuracy, hubble, seed 11
-_LEAST_ODDS, _EVEN_ODDS, _STEEPNESS = -2.0, -1.5, 1.1
+LEAST_ODDS, EVEN_ODDS, STEEPNESS = -2.0, -1.5, 1.1
 _SHIFTS = 5  # steps of the mean shift. Source: by construction, a bound only
 
 
@@ -140,7 +140,7 @@ class Matcher:
             nodes, trust = self.active_among(near, readings, attitude)
         else:
             cosine = cosine_within(self._reach_rad)
-            nodes, odds = self.forest_scores.near(readings, attitude, cosine, _LEAST_ODDS)
+            nodes, odds = self.forest_scores.near(readings, attitude, cosine, LEAST_ODDS)
             trust = _trust_of_odds(odds)
         if len(nodes) == 0:
             return None
@@ -155,7 +155,7 @@ class Matcher:
         if self.forest_scores is None:
             return self.trust_of(self.model.forest.leaves(readings, nodes, rolls_rad))
         odds = self.forest_scores.node_odds(readings, nodes, rolls_rad)
-        return np.where(odds > _LEAST_ODDS, _trust_of_odds(odds), 0.0)
+        return np.where(odds > LEAST_ODDS, _trust_of_odds(odds), 0.0)
 
     def active_among(
         self, nodes: Indices, readings: Readings, centred_from_target: Array
@@ -205,7 +205,7 @@ class Matcher:
 
 def _trust_of_odds(odds: Array) -> Array:
     """The trust (K,) in active nodes of some odds."""
-    return np.asarray(1.0 / (1.0 + np.exp(-_STEEPNESS * (odds - _EVEN_ODDS))))
+    return np.asarray(1.0 / (1.0 + np.exp(-STEEPNESS * (odds - EVEN_ODDS))))
 
 
 def _apart(a: Match, b: Match) -> float:
