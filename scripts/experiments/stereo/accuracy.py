@@ -40,7 +40,7 @@ _NO_POSE = np.full((3, 3), np.nan)
 
 
 def line(set_deg: np.ndarray, read_deg: np.ndarray) -> tuple[float, float]:
-    """Slope, and r.m.s. scatter about the fitted line; readings without a pose (NaN) do not count."""
+    """Slope, and r.m.s. scatter about the fitted line; readings without a pose are NaN."""
     seen = np.isfinite(read_deg)
     set_deg, read_deg = set_deg[seen], read_deg[seen]
     slope, offset = np.polyfit(set_deg, read_deg, 1)
