@@ -57,7 +57,7 @@ def test_the_score_of_an_attitude_is_that_of_the_runtime(code, forest_model):
         score = float(forest.scores(signature, attitude[None])[0])
         assert code.forest_score(signature.readings, attitude) == score
         scores.add(score)
-    assert len(scores) > SIGNATURES // 2
+    assert len(scores) > SIGNATURES // 10
 
 
 @pytest.mark.requirement("RV-CODE-1")

@@ -257,7 +257,7 @@ rdv_status rdv_search(const rdv_signature *signature, const rdv_f64 centred_from
     }
     if (status == RDV_OK)
     {
-        rdv_f64 rolls_rad[RDV_NODES];
+        rdv_f64 rolls_rad[RDV_NODES] = {0.0};
         rdv_f64 trust[RDV_NODES];
         uint32_t k;
 

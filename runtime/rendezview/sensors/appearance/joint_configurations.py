@@ -17,9 +17,7 @@ from rendezview.sensors.appearance.observation import AppearanceObservation
 
 # Rad; a pose or an angle further away is another answer. Source: as in the experiments
 _OTHER_RAD = np.deg2rad(5.0)
-_AS_GOOD = (
-    0.03  # merit; poses that differ by less fit as well. Source: pose-joints (0.1)
-)
+_AS_GOOD = 0.03  # merit; poses that differ by less fit as well. Source: pose-joints (0.1)
 # Rad, of an angle, where its edges are looked for again. Source: pose-joints (0.1)
 _ASIDE_RAD = np.deg2rad([-9.0, -6.0, -3.0, 3.0, 6.0, 9.0])
 

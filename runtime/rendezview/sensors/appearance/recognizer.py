@@ -44,9 +44,8 @@ _NEAR_RAD = np.deg2rad(8.0)
 # frames of Hubble, Sun 30° and 60° aside, 4 have less although grey edges find their pose at last.
 # Source: by hand, seeds 5 and 6 of rendezview simulate --trajectory random
 _LEAST_CONFIDENT = 0.1
-_CONFIGURATIONS = (
-    3  # of a target with joints that are searched whole. Source: experiment pose-joints (0.1)
-)
+# Configurations of a target with joints that are searched whole. Source: pose-joints (0.1)
+_CONFIGURATIONS = 3
 # merit; chance decides between two poses nearer to each other. Source: pose-accuracy, seed 77
 _LEAST_MARGIN = 0.01
 # Rad, and of the range: one σ. Beyond, the frame leaves the pose open and no linear covariance
@@ -117,10 +116,10 @@ class Recognizer:
         # The same target with its joints at other angles.
         self._others = tuple(
             Recognizer(
-                configuration, camera, silhouette, match, refine=refine, trees=trees,
+                one, camera, silhouette, match, refine=refine, trees=trees,
                 least_confidence=least_confidence,
             )
-            for configuration in model.configurations
+            for one in model.configurations
         )  # fmt: skip
         self._lock = threading.Lock()
 
@@ -166,8 +165,8 @@ class Recognizer:
         self, request: _Request, angles_rad: npt.ArrayLike | None
     ) -> AppearanceObservation:
         """The observation of the configuration next to the angles, or the best of all."""
-        configurations = every = (self, *self._others)
-        models = [configuration.model for configuration in every]
+        searched = every = (self, *self._others)
+        models = [one.model for one in every]
 
         def at(angles: Array) -> Recognizer:
             return every[models.index(self.model.configuration_at(angles))]
@@ -183,11 +182,8 @@ class Recognizer:
             return best_of([seen, *again], models, self._judged)
         observations: list[AppearanceObservation] = []
         if request.prior is None:
-            configurations, observations = self._likely(configurations, request)
-        observations += [
-            configuration._turned_to(configuration.model.angles_rad, request)
-            for configuration in configurations
-        ]
+            searched, observations = self._likely(searched, request)
+        observations += [one._turned_to(one.model.angles_rad, request) for one in searched]
         best = best_of(observations, models, self._judged)
         if best.found is None or best.found.best.angles_rad is None:
             return best
@@ -198,25 +194,23 @@ class Recognizer:
         return best_of([*observations, *again], models, self._judged)
 
     def _likely(
-        self, configurations: tuple[Recognizer, ...], request: _Request
+        self, searched: tuple[Recognizer, ...], request: _Request
     ) -> tuple[tuple[Recognizer, ...], list[AppearanceObservation]]:
         """The configurations that fit best after a brief search, and what the others observed."""
         frame, sky = request.frame, Sky.of(request.frame, request.sun_camera)
         traced = self.outline.trace(frame, None, StageClock(), bright_sky=not sky.dark)
         merits, observations = [], []
-        for configuration in configurations:
-            assert configuration.search is not None
-            configuration.search.start_at(configuration.model.angles_rad)
+        for one in searched:
+            assert one.search is not None
+            one.search.start_at(one.model.angles_rad)
             found = None
             if traced.outlines:
-                found = configuration.search.anywhere(
-                    frame, sky, traced.outlines, sky.sun_camera, brief=True
-                )
+                found = one.search.anywhere(frame, sky, traced.outlines, sky.sun_camera, brief=True)
             merits.append(-np.inf if found is None else found.merit)
             observations.append(AppearanceObservation(Status.LOST, found=found))
         order = np.argsort(-np.array(merits), kind="stable")
         chosen, others = order[:_CONFIGURATIONS], order[_CONFIGURATIONS:]
-        return tuple(configurations[k] for k in chosen), [observations[k] for k in others]
+        return tuple(searched[k] for k in chosen), [observations[k] for k in others]
 
     def _turned_to(
         self, angles_rad: Array, request: _Request, *, tracked: bool = False

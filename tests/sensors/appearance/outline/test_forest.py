@@ -170,7 +170,7 @@ def test_silencing_the_forest_costs_work(refining_model, bumpy_mesh, camera, dra
     assert not np.allclose(orders["learned"], orders["silenced"])
 
 
-def test_a_model_without_a_forest_works_as_before(refining_model, tmp_path, camera, draw, bumpy_mesh):
+def test_a_model_without_a_forest_works(refining_model, tmp_path, camera, draw, bumpy_mesh):
     path = tmp_path / "old.rvm"
     replace(refining_model, score_forest=None).save(path)
     old = ViewModel.load(path)
