@@ -47,9 +47,9 @@ class Routes:
         """Method, path with query, body and headers; the session itself is never deleted."""
         rng = self._rng
         path = str(rng.choice([*self._paths, *_PAGE]))
-        told = self._paths.get(path, {})
-        method = str(rng.choice(list(told) if told and rng.random() < 0.6 else METHODS)).upper()
-        names = [p["name"] for p in told.get(method.lower(), {}).get("parameters", [])]
+        known = self._paths.get(path, {})
+        method = str(rng.choice(list(known) if known and rng.random() < 0.6 else METHODS)).upper()
+        names = [p["name"] for p in known.get(method.lower(), {}).get("parameters", [])]
 
         def filled(found: re.Match[str]) -> str:
             if found[0] == "{name}" and rng.random() < 0.6:

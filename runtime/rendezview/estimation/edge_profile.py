@@ -94,13 +94,13 @@ def fit_adjacent(
 @njit(cache=True, nogil=True, fastmath=True, forceinline=True)
 def residual_square(
     profile: Array, basis: Array, level: float, contrast: float, shifted: float, inner: float,
-    outer: float, blur_px: float, solved: Array, crowd: bool,
+    outer: float, blur_px: float, solved: Array, adjacent: bool,
 ) -> float:  # fmt: skip
-    """Sum of squared residuals of a profile; with the two known edges where ``crowd``."""
+    """Sum of squared residuals of a profile; with the two known edges where ``adjacent``."""
     left = 0.0
     for k in range(TAPS):
         e = profile[k] - level - contrast * basis[1, k] - shifted * basis[2, k]
-        if crowd:
+        if adjacent:
             e -= solved[3] * normal_cdf((k - REACH - outer) / blur_px)
             e -= solved[4] * normal_cdf((k - REACH - inner) / blur_px)
         left += e * e

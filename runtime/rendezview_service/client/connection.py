@@ -147,8 +147,8 @@ class Client:
             request["prior"] = prior.as_dict()
         if sun_camera is not None:
             request["sun_camera"] = np.asarray(sun_camera, dtype=np.float64).tolist()
-        told = {"fusion": fusion, "sensors": sensors, "approach": approach}
-        request |= {key: json.loads(json_line(value)) for key, value in told.items() if value}
+        given = {"fusion": fusion, "sensors": sensors, "approach": approach}
+        request |= {key: json.loads(json_line(value)) for key, value in given.items() if value}
         info = self.request("POST", "/v1/sessions", json.dumps(request).encode())
         return SessionClient(self, info["id"])
 

@@ -139,8 +139,8 @@ class Gateway:
             reasons.append(_NO_ORCHESTRATOR)
         if not slots and not reasons:
             reasons.append("no slot is ready: the cluster's nodes start")
-        told = {"status": "ok" if slots else "not ready", "reasons": reasons, "seats": slots}
-        return _json(told, bool(slots) or of_itself)
+        health = {"status": "ok" if slots else "not ready", "reasons": reasons, "seats": slots}
+        return _json(health, bool(slots) or of_itself)
 
     async def _open(self, scope: Scope, body: bytes) -> tuple[int, list[Any], bytes]:
         try:

@@ -60,9 +60,9 @@ class ReadingsRecorder:
 
     def _in_space(self, state: dict[str, Any]) -> dict[str, Any]:
         rr, shapes = self._rr, {}
-        told = (state.get("fused") or {}).get("pose")
-        if told is not None:
-            fused = _pose(told)
+        pose_message = (state.get("fused") or {}).get("pose")
+        if pose_message is not None:
+            fused = _pose(pose_message)
             shapes["fused"] = rr.Arrows3D(
                 origins=[fused.translation_m] * 3,
                 vectors=self._size_m * fused.rotation.T,
@@ -102,9 +102,9 @@ class ReadingsRecorder:
         return shapes
 
 
-def _pose(told: Any) -> Pose:
+def _pose(pose_message: Any) -> Pose:
     try:
-        return pose_of(PoseMessage.model_validate(told))
+        return pose_of(PoseMessage.model_validate(pose_message))
     except ValidationError as error:
         raise RendezviewError(f"fused: pose: {error.errors()[0]['msg']}") from None
 

@@ -187,10 +187,10 @@ def _known_of(ring: DockingRing | None, reflectors: tuple[Reflector, ...]) -> Fu
     """What a target file, or a model, says of ring and reflectors, as far as a session takes it."""
     groups = Counter(reflector.group for reflector in reflectors)
     few = [r.record() for r in reflectors if groups[r.group] <= MOST_OF_GROUP][:MOST_REFLECTORS]
-    told = None if ring is None else ring.record()
-    if told is not None:
-        told["circles"] = told["circles"][:MOST_CIRCLES]
-    return FusionRequest.model_validate({"ring": told, "reflectors": few})
+    ring_record = None if ring is None else ring.record()
+    if ring_record is not None:
+        ring_record["circles"] = ring_record["circles"][:MOST_CIRCLES]
+    return FusionRequest.model_validate({"ring": ring_record, "reflectors": few})
 
 
 def _known_of_file(path: Path) -> FusionRequest:

@@ -35,9 +35,9 @@ def open_apart(text: str, camera: Camera | None) -> Source:
         RendezviewError: as `open_source`.
     """
     reader = _Reader(text, camera)
-    told = reader.told
-    given = None if told["camera"] is None else Camera(**_camera_keys(told["camera"]))
-    return Source(told["name"], given, told["live"], reader.frames, reader.close)
+    opened = reader.opened
+    given = None if opened["camera"] is None else Camera(**_camera_keys(opened["camera"]))
+    return Source(opened["name"], given, opened["live"], reader.frames, reader.close)
 
 
 class _Reader:
@@ -60,12 +60,12 @@ class _Reader:
                 env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
             )
         self._connection = ours
-        told = self._receive(_OPEN_S)
-        if told is None or told[0]["kind"] == "fault":
-            why = str(told[0]["error"]) if told is not None else f"{self._text}: {self._end()}"
+        opened = self._receive(_OPEN_S)
+        if opened is None or opened[0]["kind"] == "fault":
+            why = str(opened[0]["error"]) if opened is not None else f"{self._text}: {self._end()}"
             self._stop_process()
             raise RendezviewError(why)
-        self.told = told[0]
+        self.opened = opened[0]
 
     def _receive(self, timeout_s: float | None) -> tuple[Header, bytes] | None:
         """The next message; None: the process has ended, or is ended, because it is silent."""
@@ -105,7 +105,7 @@ class _Reader:
         Raises:
             RendezviewError: the source cannot go on.
         """
-        live, name = self.told["live"], self.told["name"]
+        live, name = self.opened["live"], self.opened["name"]
         while not stop.is_set():
             yield from self._once(None if live else _SILENT_S)
             if self._closed or stop.is_set() or self._ended:
@@ -138,8 +138,8 @@ class _Reader:
                 return
 
 
-def _camera_keys(told: Header) -> Header:
-    return told | {"distortion": tuple(told["distortion"])}
+def _camera_keys(opened: Header) -> Header:
+    return opened | {"distortion": tuple(opened["distortion"])}
 
 
 def main() -> None:
@@ -162,8 +162,8 @@ def main() -> None:
     except RendezviewError as error:
         send({"kind": "fault", "error": str(error)})
         return
-    told = None if source.camera is None else asdict(source.camera)
-    send({"kind": "opened", "name": source.name, "camera": told, "live": source.live})
+    opened = None if source.camera is None else asdict(source.camera)
+    send({"kind": "opened", "name": source.name, "camera": opened, "live": source.live})
     if receive(connection) is None:
         return
 

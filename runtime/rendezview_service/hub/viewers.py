@@ -147,8 +147,8 @@ class FoxgloveViewer:
         states.log(state)
         if state["pose"] is not None:
             pose = _foxglove_pose(parts, state["pose"])
-            told = parts.PoseInFrame(timestamp=stamp, frame_id=frame, pose=pose)
-            self._channel(f"{at}/target/pose", kinds.PoseInFrameChannel).log(told)
+            pose_message = parts.PoseInFrame(timestamp=stamp, frame_id=frame, pose=pose)
+            self._channel(f"{at}/target/pose", kinds.PoseInFrameChannel).log(pose_message)
             transform = parts.FrameTransform(
                 timestamp=stamp,
                 parent_frame_id=frame,
@@ -159,10 +159,10 @@ class FoxgloveViewer:
             self._channel(f"{at}/tf", kinds.FrameTransformChannel).log(transform)
         fused = (state.get("fused") or {}).get("pose")
         if fused is not None:
-            told = parts.PoseInFrame(
+            pose_message = parts.PoseInFrame(
                 timestamp=stamp, frame_id=frame, pose=_foxglove_pose(parts, fused)
             )
-            self._channel(f"{at}/target/fused", kinds.PoseInFrameChannel).log(told)
+            self._channel(f"{at}/target/fused", kinds.PoseInFrameChannel).log(pose_message)
         if picture:
             image = parts.CompressedImage(
                 timestamp=stamp, frame_id=frame, data=picture, format="jpeg"

@@ -118,7 +118,7 @@ def mend_folder(folder: Path) -> Iterator[dict[str, object]]:
 
 
 def remove_old(folder: Path, most_bytes: int, most_s: float) -> list[Path]:
-    """Remove the service's oldest logs, until what is left is small and young enough.
+    """Remove the service's oldest logs, until what is left is small and recent enough.
 
     Logs that are being written, and files of other programs, stay.
 

@@ -78,15 +78,15 @@ async function refresh() {
       const item = document.createElement("li");
       const part = job.state === "running" && job.stage ? `: ${job.stage} ${(100 * (job.progress ?? 0)).toFixed(0)} %` : "";
       item.append(`${job.model}: ${job.state}${part}${job.reason ? `: ${job.reason}` : ""} `);
-      if (["queued", "running"].includes(job.state)) item.append(button("Cancel", () => request(`/v1/jobs/${job.id}`, { method: "DELETE" }).then(refresh, told)));
+      if (["queued", "running"].includes(job.state)) item.append(button("Cancel", () => request(`/v1/jobs/${job.id}`, { method: "DELETE" }).then(refresh, report)));
       return item;
     }));
   } catch (error) {
-    told(error);
+    report(error);
   }
 }
 
-const told = (error) => say(find("models-note"), error.message);
+const report = (error) => say(find("models-note"), error.message);
 
 async function send() {
   const [file] = find("model-file").files, name = find("model-name").value.trim();
@@ -105,7 +105,7 @@ async function send() {
     }
     await refresh();
   } catch (error) {
-    told(error);
+    report(error);
   }
   find("model-send").disabled = false;
 }

@@ -30,7 +30,7 @@ let recorded = null, approach = null; // name of the recording that is looked at
 let unreachable = null, refusal = null; // since when the service is (ms), and the last poll's error
 let decoding = false, fetching = false, drawing = false;
 let banner = ""; // phase and status that the banner shows
-let fresh = false, slowAt = 0, told = null; // the state whose words and numbers are shown
+let fresh = false, slowAt = 0, displayed = null; // the state whose words and numbers are shown
 // For tests: what was drawn, and how often.
 const drawn = (window.rendezview = { received: 0, updates: 0, spaces: 0, frame: null, plotted: null, webgl: null });
 const views = new Views(drawn, schedule, again);
@@ -120,7 +120,7 @@ const ageS = () => (last === null || paused !== null ? null : (performance.now()
 /** What changes without a message too. */
 function tick() {
   showAge(ageS(), info?.sensors?.[0]?.rate_hz);
-  if (shown !== null && shown !== told) slow(performance.now());
+  if (shown !== null && shown !== displayed) slow(performance.now());
   if (shown !== null) sayWhen(), views.catchUp(shown, paused === null ? past.states : []);
   if (session === null && recorded === null) return;
   if (paused === null) showVerdict(words());
@@ -128,7 +128,7 @@ function tick() {
 
 /** Words and numbers of the shown state. */
 function slow(now) {
-  [slowAt, told, banner] = [now, shown, shown.state.phase + shown.state.status];
+  [slowAt, displayed, banner] = [now, shown, shown.state.phase + shown.state.status];
   showVerdict(words());
   say(find("frame-note"), shown.note);
   showApproach(shown.state);

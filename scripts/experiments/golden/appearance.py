@@ -31,7 +31,7 @@ from rendezview_ground.simulate.sketch_frames import draw_sky
 CAMERA = Camera.from_fov(640, 480, np.deg2rad(53.0))
 IN_SPACE = SceneOptions(sky_frame="camera", shading=ShadingOptions(samples=2))
 _SQUARE = Camera.from_fov(480, 480, np.deg2rad(40.0))
-_PUSHED_RAD, _PRIOR_RAD = (0.06, -0.05, 0.04), np.deg2rad(10.0)  # error of the prior; as told
+_PUSHED_RAD, _PRIOR_RAD = (0.06, -0.05, 0.04), np.deg2rad(10.0)  # error of the prior; as given
 _TREES = (float(np.deg2rad(20.0)), RIGHT_SHARE)  # limits: there are few nodes
 _DARK, _EARTH = 38, 12  # frames of a target
 _GAP = range(20, 24)  # frames of a sequence without the target

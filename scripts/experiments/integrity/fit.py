@@ -114,19 +114,19 @@ def wrong_odds(poses: Poses) -> np.ndarray:
     prior = np.array([PRIOR.get(name, 0.0) for name in NAMES])
     weights = _likeliest(poses.features, poses.wrong, prior)
     plain = poses.of(~poses.misled)
-    told = plain.features[:, 1:] @ weights[1:]
-    constant = _likeliest(plain.features[:, :1], plain.wrong, prior[:1], told)
+    predicted = plain.features[:, 1:] @ weights[1:]
+    constant = _likeliest(plain.features[:, :1], plain.wrong, prior[:1], predicted)
     return np.concatenate([constant, weights[1:]])
 
 
 def _likeliest(
-    features: np.ndarray, wrong: np.ndarray, prior: np.ndarray, told: np.ndarray | float = 0.0
+    features: np.ndarray, wrong: np.ndarray, prior: np.ndarray, predicted: np.ndarray | float = 0.0
 ) -> np.ndarray:
     """The weights of some features beside the odds that others tell."""
     sign = np.where(wrong, 1.0, -1.0)
 
     def unlikely(weights: np.ndarray) -> tuple[float, np.ndarray]:
-        odds = sign * (features @ weights + told)
+        odds = sign * (features @ weights + predicted)
         away = (weights - prior) / PRIOR_SPREAD**2
         loss = ALONE * np.logaddexp(0.0, -odds).sum() + 0.5 * away @ (weights - prior)
         slope = ALONE * features.T @ (-sign / (1.0 + np.exp(np.clip(odds, -500, 500))))
@@ -175,24 +175,24 @@ def spread(features: np.ndarray, errors: np.ndarray, conditions: np.ndarray) -> 
     penalty = np.append(0.0, np.full(plain.shape[1] - 1, SPREAD_RIDGE))
 
     def unlikely(w: np.ndarray) -> tuple[float, np.ndarray]:
-        told = plain @ w
-        power = np.exp(np.clip(MOMENT * (ratio - told), -50.0, 50.0))
-        loss = float(weight @ (power + MOMENT * told) + penalty @ w**2)
+        predicted = plain @ w
+        power = np.exp(np.clip(MOMENT * (ratio - predicted), -50.0, 50.0))
+        loss = float(weight @ (power + MOMENT * predicted) + penalty @ w**2)
         slope = plain.T @ (weight * MOMENT * (1.0 - power)) + 2.0 * penalty * w
         return loss, slope
 
     found = minimize(unlikely, np.zeros(plain.shape[1]), jac=True, method="L-BFGS-B").x
     weights = found / width
     weights[0] = found[0] - float(weights[1:] @ middle[1:])
-    told = columns @ weights
-    return Spread(weights, float(told.min()), float(told.max()))
+    predicted = columns @ weights
+    return Spread(weights, float(predicted.min()), float(predicted.max()))
 
 
-def widened(told: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
+def widened(predicted: Spread, features: np.ndarray, errors: np.ndarray) -> np.ndarray:
     """(N, 4) the errors with their variance as the monitor widens it."""
     out = errors.copy()
     for k, (_, largest, axes, unit) in enumerate(errors):
-        out[k, 1] *= told.factor(math.sqrt(largest * axes) / unit, features[k]) ** 2
+        out[k, 1] *= predicted.factor(math.sqrt(largest * axes) / unit, features[k]) ** 2
     return out
 
 

@@ -267,17 +267,17 @@ def with_second_opinions(
         features.append(opinion_features(high, low, agree=bool(apart < RIVAL_RAD)))
         if second[k] > first[k]:  # the second one is more confident
             good[k], wrong[k] = one.second.right(other), one.second.error_deg(other) > WRONG_DEG
-    doubted, told = np.array(which), np.array(features)
+    doubted, given_features = np.array(which), np.array(features)
     right = good[doubted]
     for fold in np.unique(folds):
         out = folds[doubted] == fold
-        weights = opinion_weights(told[~out], right[~out])
-        given[doubted[out]] = expit(told[out] @ weights) > LEAST_CONFIDENCE
+        weights = opinion_weights(given_features[~out], right[~out])
+        given[doubted[out]] = expit(given_features[out] @ weights) > LEAST_CONFIDENCE
     print(
         f"    with a second opinion in {len(right)}, {right.mean():.3f} of them right: "
         f"{shares(good, wrong, given)}"
     )
-    return opinion_weights(told, right)
+    return opinion_weights(given_features, right)
 
 
 def searched(models: list[Path], meshes: list[Mesh], frames: int, seed: int) -> list[Searched]:

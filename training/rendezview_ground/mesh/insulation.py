@@ -60,7 +60,7 @@ def blanketed(
     """The mesh with blankets over some of its faces.
 
     Args:
-        mesh: the CAD model, its trust and parts already told.
+        mesh: the CAD model, its trust and parts already assigned.
         blankets: (F,) the faces under each, and its mean thickness, m.
         rng: of the bumps; None: each is as thick as its mean everywhere.
 

@@ -70,8 +70,8 @@ def with_blankets(
 ) -> Mesh:
     """The target's mesh with the blankets of its parts; the mesh itself where there are none.
 
-    Faces under them are subdivided: parts are told by the faces of the file, so joints and trust
-    come first. ``rng``: of bumps; None: each blanket is as thick as its mean everywhere.
+    Faces under them are subdivided: parts are separated by the faces of the file, so joints
+    and trust come first. ``rng``: of bumps; None: each blanket is as thick as its mean everywhere.
 
     Raises:
         RendezviewError: a part has no faces, or its blanket is too thick.

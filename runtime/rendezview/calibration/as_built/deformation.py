@@ -103,7 +103,7 @@ class Deformation:
             slopes[own, self.of_part(k)] = moved[own]
         return slopes
 
-    def told(self) -> str:
+    def described(self) -> str:
         """In words."""
         strain = zip(strain_names(), self.strain, strict=True)
         words = [f"{name} {100 * value:+.2f} %" for name, value in strain]

@@ -113,7 +113,7 @@ class ShapeEstimator:
                 step = self._step(used, edges, rms, shape, known or {})
                 shape, moved = shape.after(step), moved + step
                 largest = shape.change(step, radius_m, self.camera.fx)
-                progress(f"round {turn + 1}: {shape.told()}, changed by {100 * largest:.3f} %")
+                progress(f"round {turn + 1}: {shape.described()}, changed by {100 * largest:.3f} %")
                 if turn >= _ROUGH_ROUNDS and largest < self.options.stop:
                     break
             if shape.change(moved, radius_m, self.camera.fx) < self.options.repeat_above:

@@ -134,12 +134,12 @@ def mountings(
         np.add.at(weights, of, edges.weight)
         np.add.at(counts, of, 1.0)
         np.add.at(looked_for, _of_nearest_view(edges, model, shape), 1.0)
-    told = weights * expected / np.maximum(looked_for * squares, 1e-12)
+    shares = weights * expected / np.maximum(looked_for * squares, 1e-12)
     found = []
     for k, part in enumerate(shape.parts):
         own, trust = shape.of_part(k), 1.0
         if looked_for[k] >= options.least_edges:
-            ratio = float(told[k] / told[-1])
+            ratio = float(shares[k] / shares[-1])
             trust = 1.0 if ratio > options.whole_trust else ratio
         found.append(Mounting(part.name, part.motion, covariance[own, own], trust, int(counts[k])))
     return tuple(found)

@@ -3,7 +3,7 @@
 Dots that are printed larger look larger than expected at their range, and so they do in a camera
 out of focus: no triplet passes. Then other diameters and blurs are tried. All that find the target
 must find the same pose. The sizes of the found spots say which diameter or blur it is. Dots that
-differ less are found anyway; what their sizes say while they are followed is told, too.
+differ less are found anyway; what their sizes say while they are followed is reported, too.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ class DotSizes:
     ) -> None:
         self._given = camera, pattern, options.blur_px
         self._sigmas = options.size_sigma, options.blur_sigma
-        self.told: str | None = None  # by `fit_dots`, whose diameter is used
+        self.note: str | None = None  # by `fit_dots`, whose diameter is used
         self.clear()
 
     def clear(self) -> None:
@@ -152,8 +152,8 @@ class DotSizes:
     @property
     def note(self) -> str | None:
         """What is different, in words; None where nothing is sure to be."""
-        if self.told or len(self._steps) < _FEWEST:
-            return self.told
+        if self.note or len(self._steps) < _FEWEST:
+            return self.note
         step = sum(self._steps) / len(self._steps)
         sure = abs(step) > max(_REPORTED_DIAMETER, _REPORTED_SIGMA * self._sigma)
         return _of_diameter(math.exp(step)) if sure else None

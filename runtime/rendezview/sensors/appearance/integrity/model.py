@@ -75,8 +75,8 @@ class Spread:
             features: (16,) ``FRAME_FEATURES``, smoothed over the track.
         """
         log_sigma = math.log(max(share, _LEAST_SHARE))
-        told = float(self.weights[:-1] @ features) + float(self.weights[-1]) * log_sigma
-        return math.exp(max(self.least, min(told, self.most)))
+        log_ratio = float(self.weights[:-1] @ features) + float(self.weights[-1]) * log_sigma
+        return math.exp(max(self.least, min(log_ratio, self.most)))
 
     def widened(self, covariance: Array, features: Array, unit: float) -> Array:
         """A covariance (3, 3) of the errors as they are, of a frame's features (16,).

@@ -59,10 +59,10 @@ class ScoreForest:
             raise ValueError("a root of the forest lies outside them")
         inner = self.component != LEAF
         if np.any(self.component[inner] >= BINS):
-            raise ValueError("a voter looks at a bin beyond the signature")
+            raise ValueError("a tree of the forest looks at a bin beyond the signature")
         ahead = np.arange(entries) + self.right
         if np.any(inner & ((self.right < 2) | (ahead >= entries))):
-            raise ValueError("a child of a voter must come after its parent's left one")
+            raise ValueError("a child in the forest must come after its parent's left one")
 
 
 class ForestTables(NamedTuple):

@@ -186,9 +186,9 @@ def quantisation_step(picture: Grey) -> float:
         across = blocks[::every].astype(np.float64) @ basis  # (rows, 8, columns, 2)
         whole = np.einsum("rycu,yv->vurc", across, basis)
         steps = [_common_step(np.abs(whole[v, u].ravel())) for v, u in ((0, 1), (1, 0), (1, 1))]
-        told = [step for step in steps if step is not None]
-        found = [step for step in told if step > 0]
-        if len(told) > 1:
+        known = [step for step in steps if step is not None]
+        found = [step for step in known if step > 0]
+        if len(known) > 1:
             return float(np.mean(found)) if len(found) > 1 else 0.0
     return 0.0
 

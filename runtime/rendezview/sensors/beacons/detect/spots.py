@@ -53,7 +53,7 @@ _RAN_OVER = 0.4
 # share of a saturated spot's size: an error up to which its rim tells it. Source: by construction,
 # less than AcquisitionOptions.size_limit
 _SIZE_KNOWN = 0.1
-# In a crowd of more, chance fits dots of another size, or fainter ones. Source: experiments
+# Among more, chance fits dots of another size, or fainter ones. Source: experiments
 # reflector-tolerance (0.1) and reflector-nees
 MOST_CERTAIN = 20
 # more than that is no picture of a target. Source: by construction, a bound of time
@@ -158,7 +158,7 @@ def find_spots(
 
 
 def _label_faint(lit: Grey, noise: float, options: ThresholdOptions, table: Array) -> int:
-    """Label the spots of a single picture; in a crowd the threshold rises until they fit."""
+    """Label the spots of a single picture; among too many the threshold rises until they fit."""
     behind, factor = background_of(lit), options.faint_factor
     for _ in range(_RISES):
         mask = faint_mask(lit, behind, noise, factor)

@@ -1,7 +1,7 @@
 """The χ² of three spots against a triangle of reflectors, by sizes and brightnesses.
 
 A pose in weak perspective, corrected twice for the depths it finds (as in POSIT), rejects most
-triplets of a crowd at a tenth of the cost of P3P. The rest are judged at the poses of P3P.
+triplets of many spots at a tenth of the cost of P3P. The rest are judged at the poses of P3P.
 """
 
 from __future__ import annotations
