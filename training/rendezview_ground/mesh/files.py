@@ -8,8 +8,8 @@ import logging
 import re
 import tempfile
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,27 +26,16 @@ from rendezview_ground.mesh.containers import (
     refers_to_texture,
 )
 from rendezview_ground.mesh.gltf import GLTF_SUFFIXES, check_gltf
+from rendezview_ground.mesh.mesh_file import MeshFile, joined
 from rendezview_ground.mesh.notes import counted
 from rendezview_ground.mesh.obj import read_obj
 from rendezview_ground.mesh.scenes import nodes_below, step_note, triangulate_step
 from rendezview_ground.mesh.usd import USD_SUFFIXES, read_usd
 
 STEP_SUFFIXES = (".step", ".stp")
-FORMATS = (".stl", ".obj", ".ply", ".glb", ".gltf", ".3mf", ".dae", *STEP_SUFFIXES, *USD_SUFFIXES)
 
 _TEXTURE_TROUBLE = re.compile(r"pillow|image|texture|bumpmap", re.IGNORECASE)
 _LOGGERS = ("trimesh", "collada")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeshFile:
-    """The triangles of a file: nothing merged, dropped or scaled."""
-
-    vertices: Array  # (V, 3), unit of the file
-    faces: NDArray[np.int64]  # (F, 3)
-    face_rgb: Rgb  # (F, 3) linear
-    unit: tuple[float, str] | None  # metres per unit and its name, if the file states it
-    notes: tuple[str, ...]
 
 
 def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
@@ -61,18 +50,7 @@ def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
     """
     kind = path.suffix.lower().lstrip(".").upper()
     try:
-        if path.suffix.lower() == ".obj":
-            if node is not None:
-                raise RendezviewError(
-                    f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
-                )
-            vertices, faces, rgb, notes = read_obj(path)
-            return MeshFile(vertices, faces, rgb, None, tuple(notes))
-        if path.suffix.lower() in USD_SUFFIXES:
-            return _join(*read_usd(path, node))
-        if path.suffix.lower() in GLTF_SUFFIXES:
-            check_gltf(path)
-        return _read_with_trimesh(path, node)
+        return READERS[path.suffix.lower()](path, node)
     except RendezviewError:
         raise
     except ImportError as error:
@@ -86,6 +64,24 @@ def read_mesh_file(path: Path, node: str | None = None) -> MeshFile:
             f"{path} cannot be read as {kind}: {type(error).__name__}: {cause}. "
             "The file is damaged, cut short or of another format; export it again."
         ) from error
+
+
+def _read_obj(path: Path, node: str | None) -> MeshFile:
+    if node is not None:
+        raise RendezviewError(
+            f"{path}#{node}: OBJ files have no nodes here: export the part alone, or as GLB"
+        )
+    vertices, faces, rgb, notes = read_obj(path)
+    return MeshFile(vertices, faces, rgb, None, tuple(notes))
+
+
+def _read_usd(path: Path, node: str | None) -> MeshFile:
+    return joined(*read_usd(path, node))
+
+
+def _read_gltf(path: Path, node: str | None) -> MeshFile:
+    check_gltf(path)
+    return _read_with_trimesh(path, node)
 
 
 def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
@@ -144,25 +140,7 @@ def _read_with_trimesh(path: Path, node: str | None) -> MeshFile:
     total = sum(len(faces) for _, faces, _ in parts)
     if 0 < grey_faces < total:
         notes.append(f"{counted(grey_faces, 'face')} without a colour: grey.")
-    return _join(parts, unit, notes)
-
-
-def _join(
-    parts: list[tuple[Array, NDArray[np.int64], Rgb]],
-    unit: tuple[float, str] | None,
-    notes: list[str],
-) -> MeshFile:
-    if not parts:
-        empty = np.zeros((0, 3))
-        return MeshFile(empty, empty.astype(np.int64), grey(0), unit, tuple(notes))
-    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts[:-1])])
-    return MeshFile(
-        vertices=np.vstack([vertices for vertices, _, _ in parts]),
-        faces=np.vstack([f + start for (_, f, _), start in zip(parts, starts, strict=True)]),
-        face_rgb=np.vstack([rgb for _, _, rgb in parts]),
-        unit=unit,
-        notes=tuple(notes),
-    )
+    return joined(parts, unit, notes)
 
 
 def _special_colours(path: Path, scene: Any, notes: list[str]) -> dict[str, Rgb]:
@@ -270,3 +248,16 @@ def _quiet() -> Iterator[list[tuple[int, str]]]:
     for warning in caught:
         if not issubclass(warning.category, (DeprecationWarning, ResourceWarning)):
             recorder.messages.append((logging.WARNING, str(warning.message)))
+
+
+# Reader of each suffix. A new format is a file with a reader, and its line here.
+READERS: dict[str, Callable[[Path, str | None], MeshFile]] = {
+    ".stl": _read_with_trimesh,
+    ".obj": _read_obj,
+    ".ply": _read_with_trimesh,
+    **dict.fromkeys(GLTF_SUFFIXES, _read_gltf),
+    ".3mf": _read_with_trimesh,
+    ".dae": _read_with_trimesh,
+    **dict.fromkeys(STEP_SUFFIXES, _read_with_trimesh),
+    **dict.fromkeys(USD_SUFFIXES, _read_usd),
+}

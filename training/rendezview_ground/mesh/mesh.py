@@ -14,7 +14,8 @@ from rendezview.geometry.pose import Array
 from rendezview.io.target import METRES_PER_UNIT, split_node
 from rendezview_ground.mesh.bounding_sphere import smallest_enclosing_sphere
 from rendezview_ground.mesh.colours import GREY, Rgb
-from rendezview_ground.mesh.files import FORMATS, MeshFile, read_mesh_file
+from rendezview_ground.mesh.files import READERS, read_mesh_file
+from rendezview_ground.mesh.mesh_file import MeshFile
 from rendezview_ground.mesh.notes import counted, topology_notes
 
 MAX_FACES = 20_000_000  # of a mesh
@@ -104,8 +105,8 @@ def _check_file(path: Path) -> None:
     if path.is_dir():
         raise RendezviewError(f"{path} is a folder: name the mesh file in it")
     suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        known = ", ".join(FORMATS)
+    if suffix not in READERS:
+        known = ", ".join(READERS)
         advice = (
             " Export it from the CAD program as one of them." if suffix in _CAD_SUFFIXES else ""
         )

@@ -20,13 +20,16 @@ class Renderer(StrEnum):
     PYRENDER = "pyrender"
 
 
+_CLASSES: dict[Renderer, Callable[[Mesh], SilhouetteRenderer]] = {
+    Renderer.NUMBA: NumbaRenderer,
+    Renderer.NUMPY: NumpyRenderer,
+    Renderer.PYRENDER: PyrenderRenderer,  # its processes need OpenGL, this one does not
+}
+
+
 def make_renderer(kind: Renderer, mesh: Mesh) -> SilhouetteRenderer:
     """Make a renderer of the mesh."""
-    if kind is Renderer.NUMPY:
-        return NumpyRenderer(mesh)
-    if kind is Renderer.PYRENDER:
-        return PyrenderRenderer(mesh)  # its processes need OpenGL, this one does not
-    return NumbaRenderer(mesh)
+    return _CLASSES[kind](mesh)
 
 
 def working_renderer(kind: Renderer, mesh: Mesh, tell: Callable[[str], None]) -> Renderer:
