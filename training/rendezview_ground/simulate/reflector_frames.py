@@ -18,7 +18,6 @@ from rendezview.geometry.camera import Camera
 from rendezview.geometry.pose import Array, Pose
 from rendezview.sensors.beacons.constellation import ReflectorPattern
 from rendezview_ground.render.directions import perpendicular
-from rendezview_ground.simulate.background import Earth, Stars, earth_radiance, star_radiance
 from rendezview_ground.simulate.sensor import with_shot_noise
 
 Grey = npt.NDArray[np.uint8]
@@ -96,31 +95,6 @@ def glints(camera: Camera, rng: np.random.Generator, count: int) -> Clutter:
     spots[:, 4] = rng.uniform(0.0, math.pi, count)
     spots[:, 5] = rng.uniform(40.0, 400.0, count)
     return Clutter(spots)
-
-
-def sky(
-    camera: Camera,
-    rng: np.random.Generator,
-    *,
-    earth_grey: float | None = None,
-    star_grey: float | None = None,
-) -> Float32s:
-    """Background of both pictures: the sunlit Earth or stars at given grey levels."""
-    out = np.zeros((camera.height, camera.width), np.float32)
-    if earth_grey is not None:
-        down = rng.normal(size=3) * (1.0, 1.0, 0.3) + (0.0, 0.0, 0.8)
-        sun = rng.normal(size=3)
-        radiance, _ = earth_radiance(
-            camera, down / np.linalg.norm(down), sun / np.linalg.norm(sun),
-            Earth(seed=int(rng.integers(1 << 31))),
-        )  # fmt: skip
-        out += np.float32(earth_grey) * radiance
-    if star_grey is not None:
-        turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-        turn[:, 0] *= np.linalg.det(turn)
-        stars = star_radiance(camera, turn, Stars(seed=int(rng.integers(1 << 31))))
-        out += np.float32(star_grey) * stars
-    return out
 
 
 def render_pair(

@@ -110,11 +110,4 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def pixels(figure: Figure) -> npt.NDArray[np.uint8]:
-    """The figure as RGB (height, width, 3)."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.array(canvas.buffer_rgba(), dtype=np.uint8)[..., :3]  # type: ignore[no-untyped-call]
-
-
 _NO_METADATA: dict[str, str | None] = {"Software": None}
